@@ -209,11 +209,11 @@ def _or_variable(schema: Schema) -> Schema:
     options = schema.get("anyOf", [schema])
     if not any(option.get("type") in _SCALARS for option in options):
         return schema
-    said: Schema = {key: schema[key] for key in ("description", "default") if key in schema}
+    common: Schema = {key: schema[key] for key in ("description", "default") if key in schema}
     bare: list[dict[str, Any]] = [
-        {key: value for key, value in option.items() if key not in said} for option in options
+        {key: value for key, value in option.items() if key not in common} for option in options
     ]
-    return {**said, "anyOf": [*bare, _VARIABLE]}
+    return {**common, "anyOf": [*bare, _VARIABLE]}
 
 
 _FOLDER = "schemas"

@@ -344,9 +344,9 @@ def _keys(schema: Schema, kind: Schema, only: Collection[str]) -> Iterator[str]:
     explained = _StartingFile(schema).explained
     for key, each in kind["properties"].items():
         if key in only:
-            said = [explained(each)]
+            notes = [explained(each)]
             if each.get("default") is not None:
-                said.append(f"{_inline(each['default'])} if not given")
+                notes.append(f"{_inline(each['default'])} if not given")
             if key in kind.get("required", ()):
-                said.append("needed")
-            yield from _comment(f"{key}: {'; '.join(said)}", "#   ", "  ")
+                notes.append("needed")
+            yield from _comment(f"{key}: {'; '.join(notes)}", "#   ", "  ")

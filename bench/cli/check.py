@@ -62,8 +62,8 @@ def check(
     from gyrobench.bench.monitor.terminal_view import observe_in_terminal
     from gyrobench.bench.report.terminal.tables import preflight_report
     from gyrobench.bench.runs.folder import create_run_folder
+    from gyrobench.bench.station.check_result import CheckVerdict
     from gyrobench.bench.station.instruments import Emulation
-    from gyrobench.bench.station.preflight_check import CheckVerdict
 
     terminal, emulation = console(as_json), Emulation.of(station, world, seed, faults)
 

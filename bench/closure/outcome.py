@@ -104,7 +104,7 @@ class FoundEffect:
             )
         place, unit = self.quantity.place(self.axes), self.quantity.unit
         size = f"{with_sigma(self.rms_dph, self.rms_sigma_dph)} {unit} rms on the {place}"
-        sentence = self.quantity.said(self.effect.statement)
+        sentence = self.quantity.restated(self.effect.statement)
         return f"{sentence[0].upper()}{sentence[1:]}: {size}{f' ({parameters})' if parameters else ''}."
 
 

@@ -61,7 +61,7 @@ class Quantity:
         names = listed(axes)
         return names if len(self.axes[0]) > 1 else f"{names} {self.sensor}{'s' if len(axes) > 1 else ''}"
 
-    def said(self, sentence: str) -> str:
+    def restated(self, sentence: str) -> str:
         """A sentence about the bias as one about this quantity."""
         return sentence if self.label == "bias" else sentence.replace("bias", self.label)
 

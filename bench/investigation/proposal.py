@@ -44,7 +44,7 @@ _MIN_P_VALUE = 1e-4
 SETTLED = 0.99
 #: A block can help if it is expected to remove more of the entropy, nats, or to settle a cause with this
 #: probability. With less entropy, a hypothesis is settled before it.
-MIN_GAIN, _MIN_CHANCE, _LITTLE_DOUBT = 0.02, 0.5, 0.056
+MIN_GAIN, _MIN_CHANCE, _MIN_ENTROPY = 0.02, 0.5, 0.056
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Proposal:
 
         Halved each time that a kind did not settle the cause: its predictions are too narrow.
         """
-        return self.fall * self.trust / self.block.plan.duration_h
+        return self.fall * self.weight / self.block.plan.duration_h
 
     @property
     def fall(self) -> float:
@@ -78,12 +78,12 @@ class Proposal:
     @property
     def can_help(self) -> bool:
         """Whether the block is worth its time for the cause."""
-        chance = self.trust * (1.0 - self.expected.unsettled) if self.entropy > _LITTLE_DOUBT else 0.0
+        chance = self.weight * (1.0 - self.expected.unsettled) if self.entropy > _MIN_ENTROPY else 0.0
         return self.fall > MIN_GAIN or chance > _MIN_CHANCE
 
     @property
-    def trust(self) -> float:
-        """Share of what is expected that counts."""
+    def weight(self) -> float:
+        """Share of the expected fall that counts: half for each time that a kind did not settle the cause."""
         return 1.0 / 2.0**self.repeats
 
     @property
@@ -102,7 +102,7 @@ class Proposal:
         """
         sigma = max(float(np.sqrt(self.difference)), 1e-9)
         chance = float(ndtr(0.5 * sigma - np.log(SETTLED / (1.0 - SETTLED)) / sigma))
-        return self.trust * chance / self.block.plan.duration_h
+        return self.weight * chance / self.block.plan.duration_h
 
 
 def propose(
@@ -204,10 +204,10 @@ def hours_left(proposals: Sequence[Proposal], *, is_settled: bool = False) -> Ca
     shortest_h = min((each.block.plan.duration_h for each in proposals), default=0.0)
 
     def left(each: Proposal) -> float:
-        hours, doubt = each.block.plan.duration_h, 1.0 - each.trust
+        hours, discount = each.block.plan.duration_h, 1.0 - each.weight
         if not is_settled:
-            entropy_left = each.trust * each.expected.unsettled_entropy + doubt * each.entropy
-            unsettled = each.trust * each.expected.unsettled + doubt
+            entropy_left = each.weight * each.expected.unsettled_entropy + discount * each.entropy
+            unsettled = each.weight * each.expected.unsettled + discount
             hours += max(entropy_left / max(fastest, 1e-9), unsettled * shortest_h)
         if each.missing_h:
             hours += each.missing_h / max(replacing, 1e-9) + shortest_h

@@ -246,8 +246,8 @@ def _send_mail(receiver: Email, password: str, message: Message) -> str:
             server.send_message(mail)
             return f"taken by {receiver.server}"
     except smtplib.SMTPRecipientsRefused as error:
-        code, said = next(iter(error.recipients.values()))
-        raise _mail_refused(code, said, password) from None
+        code, reply = next(iter(error.recipients.values()))
+        raise _mail_refused(code, reply, password) from None
     except smtplib.SMTPResponseException as error:
         raise _mail_refused(error.smtp_code, error.smtp_error, password) from None
     except smtplib.SMTPNotSupportedError as error:
@@ -266,8 +266,8 @@ def _mail_server(receiver: Email) -> smtplib.SMTP:
     return smtplib.SMTP(receiver.server, receiver.port, timeout=TIMEOUT_S)
 
 
-def _mail_refused(code: int, said: bytes | str, password: str) -> UndeliveredError:
-    text = said.decode(errors="replace") if isinstance(said, bytes) else said
+def _mail_refused(code: int, reply: bytes | str, password: str) -> UndeliveredError:
+    text = reply.decode(errors="replace") if isinstance(reply, bytes) else reply
     answer = f"{code} {server_words(password, text)}".strip()
     return UndeliveredError(f"the mail server answered {answer}", is_final=code >= _PERMANENT)
 
@@ -318,10 +318,10 @@ def _post(address: str, secret: str, body: bytes, headers: dict[str, str]) -> st
             return _status(answer.status)
     except urllib.error.HTTPError as error:
         with error:
-            said = _first_line(error, secret)
+            first_line = _first_line(error, secret)
         is_final = error.code < http.HTTPStatus.INTERNAL_SERVER_ERROR
         is_final = is_final and error.code not in (_TOO_MANY, _TIMED_OUT)
-        raise UndeliveredError(f"the server answered {_status(error.code)}{said}", is_final) from None
+        raise UndeliveredError(f"the server answered {_status(error.code)}{first_line}", is_final) from None
     except urllib.error.URLError as error:
         raise UndeliveredError(_reason(error.reason, secret), is_final=False) from None
     except (OSError, http.client.HTTPException) as error:

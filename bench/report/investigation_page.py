@@ -35,7 +35,7 @@ def write_investigation_page(
     findings = Findings(
         title="Investigation",
         source=source,
-        judgement=text.GISTS[found.ended],
+        judgement=text.JUDGEMENTS[found.ended],
         colour="finished" if found.is_conclusive else "stopped",
         sentence=" ".join(text.closing_sentences(found)),
         facts={
@@ -45,7 +45,7 @@ def write_investigation_page(
         },
         watermark=watermark_of(folder, *(Path(each.name) for each in found.closure.campaign.tables)),
         sections=[
-            _story(found, approvals_in(folder)),
+            _history(found, approvals_in(folder)),
             *_blocks(found),
             *_proof(proof),
             *closure_sections(found.closure),
@@ -54,7 +54,7 @@ def write_investigation_page(
     return write_findings(folder / "investigation.html", findings)
 
 
-def _story(found: Investigation, approvals: Sequence[str]) -> Section:
+def _history(found: Investigation, approvals: Sequence[str]) -> Section:
     tables = [
         SectionTable("Blocks in the order of time", text.BLOCK_COLUMNS, text.block_rows(found), words=2)
     ]

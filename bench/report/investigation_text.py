@@ -12,8 +12,8 @@ from gyrobench.bench.investigation.proposal import Proposal
 from gyrobench.bench.investigation.stages import CONFIRM, Investigation, Stage
 from gyrobench.bench.navigation.positions import AXES
 
-#: Gist of each end.
-GISTS = {
+#: Judgement of each end.
+JUDGEMENTS = {
     "settled": "settled",
     "nothing_found": "nothing found",
     "not_on_list": "not on the list of effects",

@@ -1,4 +1,4 @@
-"""One check of the bench before a run, and its result."""
+"""Result of one preflight check of the bench."""
 
 from __future__ import annotations
 

@@ -18,8 +18,8 @@ from gyrobench.bench.engine.preflight.instruments import answered, failed, unans
 from gyrobench.bench.foundations.clock import Clock, Deadline
 from gyrobench.bench.foundations.errors import InstrumentError, NoReplyError
 from gyrobench.bench.navigation.attitude import angle_between
+from gyrobench.bench.station.check_result import Check
 from gyrobench.bench.station.instruments import Outputs
-from gyrobench.bench.station.preflight_check import Check
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.frames import FrameBlock, concatenate
 from gyrobench.drivers.ins.can_ins import CanIns

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import TypeVar
 
 from gyrobench.bench.foundations.errors import FaultError, InstrumentError, RefusedError
-from gyrobench.bench.station.preflight_check import Check
+from gyrobench.bench.station.check_result import Check
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.chamber import Chamber, running_profile
 from gyrobench.drivers.rate_table import AxisLimits, RateTable

@@ -16,7 +16,7 @@ from rich.text import Text
 
 from gyrobench.bench.foundations.text import hours_minutes
 from gyrobench.bench.report.page import Mark, Section, SectionTable
-from gyrobench.bench.station.preflight_check import Check, CheckVerdict
+from gyrobench.bench.station.check_result import Check, CheckVerdict
 
 if TYPE_CHECKING:
     from gyrobench.bench.procedure.timeline import TimelineRow

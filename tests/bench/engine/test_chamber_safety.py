@@ -13,8 +13,8 @@ from gyrobench.bench.foundations.errors import RefusedError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.runs.telemetry import read_telemetry
+from gyrobench.bench.station.check_result import CheckVerdict
 from gyrobench.bench.station.instruments import Emulation
-from gyrobench.bench.station.preflight_check import CheckVerdict
 from gyrobench.drivers.chamber.watlow_f4 import WatlowF4
 from gyrobench.drivers.emulators.watlow_f4 import WatlowF4Emulator
 from tests.bench.engine.intervention import RefusingOperator

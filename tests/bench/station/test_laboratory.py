@@ -8,7 +8,7 @@ from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.preflight.bench_check import calibration_checks
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
-from gyrobench.bench.station.preflight_check import CheckVerdict
+from gyrobench.bench.station.check_result import CheckVerdict
 from gyrobench.bench.station.station import Station
 
 SECTIONS = """

@@ -7,8 +7,8 @@ from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.station.check_result import CheckVerdict
 from gyrobench.bench.station.instruments import Emulation, Instruments
-from gyrobench.bench.station.preflight_check import CheckVerdict
 from gyrobench.bench.station.safe_state import make_safe
 from gyrobench.bench.station.station import Station
 

@@ -10,8 +10,8 @@ from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.procedure_file import load_procedure
+from gyrobench.bench.station.check_result import CheckVerdict
 from gyrobench.bench.station.instruments import Emulation, Outputs, open_ins
-from gyrobench.bench.station.preflight_check import CheckVerdict
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers import ins
 from gyrobench.drivers.emulators import can_interface

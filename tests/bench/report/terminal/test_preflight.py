@@ -3,7 +3,7 @@ import io
 from rich.console import Console
 
 from gyrobench.bench.report.terminal.tables import preflight_report
-from gyrobench.bench.station.preflight_check import Check
+from gyrobench.bench.station.check_result import Check
 
 LONG = "can't open /dev/serial/by-id/usb-adapter-of-the-chamber: [Errno 2] No such file or directory"
 CHECKS = [
