@@ -1,8 +1,8 @@
 """Calibration of all sensor coefficients from increments of angle and velocity over a list of rotations.
 
-``recording`` finds rests and rotations in the increments, ``section`` cuts them into epochs between rests,
-``strapdown`` turns these into white rows of a least-squares problem, ``information`` gathers the rows, and
-``estimator`` solves for the ``coefficients``; ``spins`` adds the gyros' scale factors from whole turns.
+``increment_recording`` finds rests and rotations in the increments, ``section`` cuts them into epochs between
+rests, ``strapdown`` turns these into white rows of a least-squares problem, ``information`` gathers the rows,
+and ``estimator`` solves for the ``coefficients``; ``spins`` adds the gyros' scale factors from whole turns.
 ``rotation_list`` predicts what a list of rotations determines, and ``list_search`` finds the shortest one.
 ``mission`` is the position error that remains.
 """

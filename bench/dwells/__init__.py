@@ -7,6 +7,6 @@ both into biases. ``dwell_output`` decodes the frames and cuts them into windows
 ``recorded_dwells`` reads them back from its folder, and ``run_results`` evaluates them together, after
 ``latitude``, and fills the tables. ``live_estimate`` shows a bias while its dwell is measured.
 
-``rotated_dwell``, ``rotations`` and ``plateau_calibration`` turn dwells with rotations into coefficients, and
-``check_dwell`` and ``calibration_check`` compare with an ``earlier_calibration``.
+``rotated_dwell``, ``run_rotations`` and ``plateau_calibration`` turn dwells with rotations into coefficients,
+and ``check_dwell`` and ``calibration_check`` compare with an ``earlier_calibration``.
 """
