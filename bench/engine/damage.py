@@ -65,9 +65,8 @@ class Damage:
         """Rename the damaged files and record what was given up; provenance is written again.
 
         The journal keeps its intact lines, and names those whose link to the line before is lost. Each damage
-        is found again until it is recorded. ``clock`` gives
-        the run's clock, which is read from its intact files. Raises RunFolderError if a file can't be
-        written.
+        is found again until it is recorded. ``clock`` gives the run's clock, which is read from its intact
+        files. Raises RunFolderError if a file can't be written.
         """
         lines, _ = intact_lines(_content(folder))
         for path in self.files:

@@ -332,8 +332,7 @@ def prepare_resumption(path: Path, anyway: bool = False) -> Resumption:
     """Read the folder of an interrupted run; ``anyway`` also after many resumes without progress.
 
     Raises RunFinishedError if it is finished. Raises RunFolderError if there is no run, or it was resumed too
-    often without progress.
-    Raises DocumentError if its procedure, station or DBC file is wrong.
+    often without progress. Raises DocumentError if its procedure, station or DBC file is wrong.
     """
     folder = open_run_folder(path, may_have_units=True)
     if folder.path.absolute().parent.name == UNITS_FOLDER:

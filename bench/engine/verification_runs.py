@@ -75,10 +75,10 @@ class VerificationRuns:
 
     Each compensation has a separate run, in a folder with its name. A run that is finished is not repeated.
     ``closure`` is the outcome of the search in the campaign ``run``. All runs have the same world and seed,
-    ``only`` limits the compensations to measure with, and ``coefficients`` includes all coefficients that
-    the run measured. Raises DocumentError if procedure or station are
-    wrong; the INS does not accept a compensation; a selected one does not exist; the campaign was measured
-    with a compensation, or with the same seed.
+    ``only`` limits the compensations to measure with, and ``coefficients`` includes all coefficients that the
+    run measured. Raises DocumentError if procedure or station are wrong; the INS does not accept a
+    compensation; a selected one does not exist; the campaign was measured with a compensation, or with the
+    same seed.
     """
 
     def __init__(

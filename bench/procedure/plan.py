@@ -133,8 +133,8 @@ def expand(
     """Unroll a procedure into its plan.
 
     ``bench``: state at the start; by default at rest at room temperature. ``adapt`` gives each step as it is
-    for a unit with another mounting. Raises DocumentError if the loops
-    give too many steps, or a variable has a value that its step can't take.
+    for a unit with another mounting. Raises DocumentError if the loops give too many steps, or a variable has
+    a value that its step can't take.
     """
     resolved = resolve(document, procedure)
     if adapt is not None:

@@ -383,8 +383,8 @@ def write_search(
 
     ``tables`` are the run folders and dwell tables that were searched, ``folder`` by default ``closure`` in
     the run folder or beside the table; of several ``closure_A_B`` beside the first, and of another quantity
-    than gyro biases with its name. Returns the page and the
-    updated report, None for files outside a run or of several.
+    than gyro biases with its name. Returns the page and the updated report, None for files outside a run or
+    of several.
 
     Raises RunFolderError if a file can't be written.
     """

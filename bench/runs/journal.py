@@ -35,9 +35,8 @@ class Journal:
 
     Every entry has ``time_s`` (the run's clock), ``utc``, ``event`` and the SHA-256 of the line before, so
     that no line can be changed alone. An existing journal is continued. If its last line was cut off, that
-    line is removed and an entry ``journal_repaired`` added. Raises
-    RunFolderError if the file can't be written, another process writes it, or it is damaged before its last
-    line.
+    line is removed and an entry ``journal_repaired`` added. Raises RunFolderError if the file can't be
+    written, another process writes it, or it is damaged before its last line.
     """
 
     def __init__(self, path: Path, clock: Clock) -> None:

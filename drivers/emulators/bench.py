@@ -63,11 +63,10 @@ class EmulatedBench:
     """One simulated world behind the emulators of its instruments.
 
     It starts at the clock's present time, everything switched off and at room temperature, with ``units`` or
-    as many as the world has. ``faults`` are
-    injected, and logged in ``faults_log`` in place of the list's own ``log``; ``table`` and ``chamber`` are
-    the dialects of these two; ``chamber_options`` are keyword arguments of the chamber's emulator. Raises
-    DocumentError if the world file, the list of faults or an option is wrong, the seed is negative, or no
-    emulator of a dialect is installed.
+    as many as the world has. ``faults`` are injected, and logged in ``faults_log`` in place of the list's own
+    ``log``; ``table`` and ``chamber`` are the dialects of these two; ``chamber_options`` are keyword
+    arguments of the chamber's emulator. Raises DocumentError if the world file, the list of faults or an
+    option is wrong, the seed is negative, or no emulator of a dialect is installed.
     """
 
     def __init__(

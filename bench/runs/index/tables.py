@@ -46,8 +46,8 @@ class UnitRow:
 def parse_units(text: str, name: str) -> list[UnitRow]:
     """Read CSV text with the columns unit and batch, optionally hardware and note.
 
-    ``name``: what to call the file in messages. Raises DocumentError, which lists
-    all errors with their lines.
+    ``name``: what to call the file in messages. Raises DocumentError, which lists all errors with their
+    lines.
     """
     table = CsvTable(text, name, required=("unit", "batch"))
     seen: dict[str, int] = {}
