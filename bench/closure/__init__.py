@@ -4,10 +4,10 @@
 ``contradictions`` find columns that are wrong. ``temperature_record`` and ``thermal_network`` are the
 temperatures between the dwells. ``problem`` is the least-squares problem of the declared model,
 ``candidates`` fits ``effects`` to it, and ``search`` finds the sets of them that may explain the residual.
-``evidence`` with its ``terms``, also beside a ``remainder`` that is on no list, gives the ``posterior``
-probability of each set; ``selection`` takes one of them, in its own ``noise``. ``compose`` searches for a law
-where no effect explains the residual, and ``confounding`` states what the campaign can't distinguish.
-``validation``, ``held_out`` and ``uncertainty`` test the model.
+``evidence``, also beside a ``remainder`` that is on no list, gives the ``posterior`` probability of each set;
+``selection`` takes one of them, in its own ``noise``. ``compose`` searches for a law where no effect explains
+the residual, and ``confounding`` states what the campaign can't distinguish. ``validation``, ``held_out`` and
+``uncertainty`` test the model.
 
 ``loop`` does all this; its ``outcome``, for gyro biases or another ``quantity``, is written to ``files``, and
 ``loadable_model`` is the part of it that an INS can subtract.

@@ -11,18 +11,18 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.candidates import Candidate, Hypothesis
+from gyrobench.bench.closure.candidates import Candidate, Hypothesis, stack
 from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter
 from gyrobench.bench.closure.posterior import HypothesisProbability, Posterior
-from gyrobench.bench.closure.problem import Problem
+from gyrobench.bench.closure.problem import MIN_VISIBLE, Problem
 from gyrobench.bench.closure.remainder import TOGETHER, remainder_of
-from gyrobench.bench.closure.terms import Terms
-from gyrobench.bench.foundations.arrays import FloatArray, rms_of_known
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray, rms_of_known
 
 #: Prior probability of 0, 1, 2 and 3 effects; all sets of one size are equally probable.
 EFFECT_COUNT_PRIOR = (0.4, 0.35, 0.15, 0.1)
@@ -47,6 +47,51 @@ _ABSENT = 0.5
 #: Step of a derivative, as a share of the prior's width.
 _STEP = 2e-3
 _DRAWS = 200
+
+
+@dataclass(frozen=True)
+class _Terms:
+    """Terms and data of a hypothesis beside the declared model, in units of the noise and each of rms 1."""
+
+    columns: FloatArray  #: Shape (3, m, k + 1). The data are last.
+    kept: BoolArray  #: Shape (3, k).
+    owner: IntArray  #: Shape (k,). Index of each term's effect.
+    rms: FloatArray  #: Shape (3, k). Of the terms before that.
+
+    @classmethod
+    def of(cls, problem: Problem, candidates: Sequence[Candidate]) -> _Terms:
+        """Terms of effects in the dwells searched."""
+        if candidates:
+            all_columns, kept = stack(candidates, problem.campaign)
+        else:
+            all_columns, kept = np.zeros((len(problem.campaign), 3, 0)), np.ones((3, 0), dtype=bool)
+        visible, rms_of_terms = problem.beside(all_columns[problem.searched])
+        owner = np.repeat(np.arange(len(candidates)), [each.kept.shape[1] for each in candidates])
+        rms_of_terms = rms_of_terms * _share_beside_others(visible / rms_of_terms[:, None], kept, owner)
+        columns = np.concatenate([visible / rms_of_terms[:, None], problem.residuals.T[..., None]], axis=2)
+        return cls(columns, kept, owner.astype(np.int64), rms_of_terms)
+
+    @cached_property
+    def products(self) -> FloatArray:
+        """Products of the columns, shape (3, k + 1, k + 1)."""
+        return np.asarray(np.swapaxes(self.columns, 1, 2) @ self.columns)
+
+
+def _share_beside_others(columns: FloatArray, kept: BoolArray, owner: IntArray) -> FloatArray:
+    """Share (3, k) of columns of rms 1 (3, m, k) that is independent of the other effects' terms.
+
+    What an effect adds to a set is its size: otherwise a set that contains correlated effects of opposite
+    sign would be counted beside each of its parts.
+    """
+    shares = np.ones(kept.shape)
+    for gyro, effect in itertools.product(range(3), range(int(owner.max(initial=0)) + 1)):
+        mine, others = owner == effect, (owner != effect) & kept[gyro]
+        if others.any():
+            columns_of_others, _ = np.linalg.qr(columns[gyro][:, others])
+            rest = columns[gyro][:, mine]
+            rest = rest - columns_of_others @ (columns_of_others.T @ rest)
+            shares[gyro, mine] = np.maximum(np.sqrt(np.mean(rest**2, axis=0)), MIN_VISIBLE)
+    return shares
 
 
 class Evidences:
@@ -124,7 +169,7 @@ class Evidences:
         return self._weights[key]
 
     def _computed_weights(self, of: Hypothesis, *, is_summed: bool) -> tuple[float, FloatArray]:
-        terms, prior = Terms.of(self._problem, of.candidates), self._log_prior(of)
+        terms, prior = _Terms.of(self._problem, of.candidates), self._log_prior(of)
         alone, best = self._without_process(of, terms)
         with_process = self._with_processes(terms, best, alone, is_summed=is_summed)
         return (
@@ -132,7 +177,7 @@ class Evidences:
             prior + self._log_process_prior + with_process,
         )
 
-    def _without_process(self, of: Hypothesis, terms: Terms) -> tuple[float, FloatArray]:
+    def _without_process(self, of: Hypothesis, terms: _Terms) -> tuple[float, FloatArray]:
         """Log evidence without a process, and the most probable magnitudes (3, k)."""
         count = len(of.candidates)
         combinations = np.array(list(itertools.product(MAGNITUDES, repeat=count)))
@@ -151,7 +196,7 @@ class Evidences:
         optional = sum(each.kept.size for each in of.candidates if each.kept.shape[1] > 1)
         return math.log(EFFECT_COUNT_PRIOR[count] / sets) - forms + optional * math.log(_ABSENT)
 
-    def _log_time_share(self, candidates: Sequence[Candidate], terms: Terms, scales: FloatArray) -> float:
+    def _log_time_share(self, candidates: Sequence[Candidate], terms: _Terms, scales: FloatArray) -> float:
         """Logarithm of the mean evidence of all times of a step over that of the best; 0 without one."""
         total, count = 0.0, len(terms.owner)
         for place, each in enumerate(candidates):
@@ -175,7 +220,7 @@ class Evidences:
             total += math.log(max(share, _STEP))
         return total
 
-    def _other_terms(self, terms: Terms, scales: FloatArray) -> FloatArray:
+    def _other_terms(self, terms: _Terms, scales: FloatArray) -> FloatArray:
         """Log evidence of all subsets of terms over that of those kept, (3, components of the noise prior).
 
         Each term is dropped or added beside those kept, as if it were independent of the others. An effect
@@ -188,7 +233,9 @@ class Evidences:
         ratios -= self._log_evidence(terms.products, scales * terms.kept)[:, np.newaxis]
         return np.asarray(np.sum(np.logaddexp(0.0, ratios) * can_change[..., np.newaxis], axis=1))
 
-    def _with_processes(self, terms: Terms, best: FloatArray, alone: float, *, is_summed: bool) -> FloatArray:
+    def _with_processes(
+        self, terms: _Terms, best: FloatArray, alone: float, *, is_summed: bool
+    ) -> FloatArray:
         """Log evidence with each process.
 
         The magnitudes of the effects are the ``best`` (3, k), or summed one at a time.
@@ -210,7 +257,7 @@ class Evidences:
         added = by_magnitude(self._processes(terms, scales), 1) - without
         return np.asarray(alone + added[:, 0] + np.sum(added[:, 1:] - added[:, :1], axis=1))
 
-    def _processes(self, terms: Terms, scales: FloatArray) -> FloatArray:
+    def _processes(self, terms: _Terms, scales: FloatArray) -> FloatArray:
         """Log evidence with each process: (processes, 3, magnitudes, scales, components of the noise prior).
 
         ``scales`` (3, S, k) are those of the terms.
@@ -281,7 +328,7 @@ _SMALLER = _smaller()
 
 
 def _log_parameter_volume(
-    problem: Problem, candidates: Sequence[Candidate], terms: Terms, scales: FloatArray
+    problem: Problem, candidates: Sequence[Candidate], terms: _Terms, scales: FloatArray
 ) -> float:
     """Logarithm of the share of the prior of nonlinear parameters that the data leave (Laplace).
 
