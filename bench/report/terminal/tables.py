@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from rich import box
-from rich.console import Group, JustifyMethod, RenderableType
+from rich.console import Console, ConsoleOptions, Group, JustifyMethod, RenderableType, RenderResult
 from rich.table import Table
 from rich.text import Text
 
@@ -70,15 +70,28 @@ def _parts(section: Section) -> list[RenderableType]:
     for table in section.tables:
         parts += [Text()] if parts else []
         parts += [Text(table.caption, style="italic")] if table.caption else []
-        parts.append(_table_view(table))
+        parts.append(_FittedTable(table))
     for part in section.sections:
         inner = _parts(part)
         parts += [*([Text()] if parts and inner else []), *inner]
     return [Text(section.title, style="bold"), *parts] if parts and section.title else parts
 
 
-def _table_view(content: SectionTable) -> Table:
-    """Table of a section; uncertainties stand below their values if the rows are too wide."""
+class _FittedTable:
+    """Table of a section that fits the terminal it is printed on."""
+
+    def __init__(self, content: SectionTable) -> None:
+        self._content = content
+
+    def __rich_console__(self, _: Console, options: ConsoleOptions) -> RenderResult:
+        yield _table_view(self._content, min(_COLUMNS, options.max_width))
+
+
+def _table_view(content: SectionTable, columns: int) -> Table:
+    """Table of a section; uncertainties stand below their values if the rows are too wide.
+
+    Where even that is too wide for ``columns``, numbers are wrapped, so that no column is lost.
+    """
     head, count = content.header, len(content.header)
     rows = [[*row, *[""] * (count - len(row))] for row in content.rows]
     for between, gap in _SEPARATORS:
@@ -88,11 +101,11 @@ def _table_view(content: SectionTable) -> Table:
             if number < content.words:
                 lines = [part for line in lines for part in wrap(line, _WORDS_WIDTH, break_long_words=False)]
             widths.append(max(map(len, [*lines, *head[number].split(), ""])))
-        if (spare := _COLUMNS - sum(widths) - gap * count) >= 0:
+        if (spare := columns - sum(widths) - gap * count) >= 0:
             break
     natural = [max(width, len(each)) for width, each in zip(widths, head, strict=True)]
     table = plain_table(head, content.words, gap=gap - 1)
-    for number in range(content.words, count):
+    for number in range(content.words, count if spare >= 0 else 0):
         table.columns[number].width = (natural if sum(natural) - sum(widths) <= spare else widths)[number]
     has_groups = any(not row[0] for row in rows)
     for number, row in enumerate(rows):
@@ -103,7 +116,10 @@ def _table_view(content: SectionTable) -> Table:
 
 
 def _cell(text: str, between: str) -> Text:
-    first, *below = (line.replace(" ± ", between) for line in text.split("\n"))
+    lines = text.split("\n")
+    if len(lines) > 1 and "\n" in between and " ± " not in text:  # beside values that take two lines each
+        lines = [f"{line}\n" for line in lines]
+    first, *below = (line.replace(" ± ", between) for line in lines)
     return Text.assemble(first, *((f"\n{line}", "dim") for line in below))
 
 

@@ -20,12 +20,12 @@ from gyrobench.bench.report.journal_sections import KindDuration, durations_sect
 from gyrobench.bench.report.terminal.tables import section_view, timeline_table
 
 
-def printed(renderable: RenderableType) -> list[str]:
-    """Lines as a plain terminal of 80 columns shows them."""
+def printed(renderable: RenderableType, width: int = 80) -> list[str]:
+    """Lines as a plain terminal shows them."""
     stream = io.StringIO()
-    Console(width=80, file=stream, force_terminal=False, color_system=None).print(renderable)
+    Console(width=width, file=stream, force_terminal=False, color_system=None).print(renderable)
     lines = [line.rstrip() for line in stream.getvalue().splitlines()]
-    assert max(map(len, lines)) <= 80
+    assert max(map(len, lines)) <= width
     assert not any("…" in line or "\x1b" in line for line in lines)
     return lines
 
@@ -93,6 +93,26 @@ def test_wide_numbers_put_the_uncertainty_below(
     ]
     lines = printed(section_view(bins_summary(wide)))
     assert sum(line.count("±") for line in lines if not line.startswith(("X gyro", "Largest"))) >= 36
+
+
+@pytest.mark.parametrize("width", [60, 50])
+def test_a_narrow_terminal_shows_the_bin_of_each_row_of_biases(bins: list[BiasBin], width: int) -> None:
+    lines = printed(section_view(bins_summary(bins)), width)
+    first_words = [line.split(" ")[0] for line in lines if line and not line.startswith(" ")]
+    assert "bin" in first_words
+    lows = [
+        word.split("..")[0].rstrip(".") for word in first_words if word[:1] in "-123456789" and ".." in word
+    ]
+    assert lows[:2] == ["-25", "-20"]
+
+
+def test_p_values_are_beside_the_biases_that_they_are_of_where_uncertainties_are_below(
+    bins: list[BiasBin],
+) -> None:
+    lines = printed(section_view(bins_summary(bins)), 60)
+    first = next(number for number, line in enumerate(lines) if line.startswith("-25..-20"))
+    assert [line.endswith("<1e-9*") for line in lines[first : first + 4]] == [True, False, True, False]
+    assert ["±" in line for line in lines[first : first + 4]] == [False, True, False, True]
 
 
 def test_single_position_is_not_compared_and_that_is_said_once(bins: list[BiasBin]) -> None:
