@@ -27,7 +27,9 @@ RootArgument = Annotated[
 ]
 IndexOption = Annotated[
     Path | None,
-    typer.Option(help="Index file; default: ROOT/index.duckdb, for a URL a file in the user's cache."),
+    typer.Option(
+        help="Index file; default: ROOT/index.duckdb, for a URL or read-only ROOT a file in the user's cache."
+    ),
 ]
 
 

@@ -15,6 +15,7 @@ from gyrobench.bench.runs.folder import UNITS_FOLDER
 from gyrobench.bench.runs.index.recalibration import MAX_MONTHS, Recalibration
 from gyrobench.bench.runs.index.run_biases import FALSE_ALARM, Trend
 from gyrobench.bench.runs.index.run_index import QueryResult
+from gyrobench.bench.runs.index.tables import STALE
 
 _FINISHED = "finished"
 _CELL_CHARACTERS = 40
@@ -35,6 +36,8 @@ def runs_table(runs: Sequence[Mapping[str, Any]], most: int) -> RenderableType:
     lines = [f"{counted(len(runs), 'run')}{of_units}."]
     if len(runs) > most:
         lines.append(f"The newest {most} are shown; show more with --most.")
+    if any(run["verdict"] == STALE for run in runs[:most]):
+        lines.append("stale: dwells were measured or re-evaluated after the search; search again.")
     return Group(table, Text(), Text(" ".join(lines)))
 
 

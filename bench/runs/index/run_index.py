@@ -85,7 +85,8 @@ class QueryResult:
 class RunIndex:
     """The index of one store.
 
-    Its file is by default ``index.duckdb`` beside the runs, and for an object store in the user's cache.
+    Its file is by default ``index.duckdb`` beside the runs, and in the user's cache for an object store or a
+    folder that the user can't write to.
     """
 
     def __init__(self, store: RunStore, path: Path | None = None) -> None:
@@ -111,11 +112,17 @@ class RunIndex:
         if changed or gone or known.get(UNITS) != units_tag or is_new:
             make_folder(self.path.parent)
             with self._connect(read_only=False) as connection:
-                if is_new:
-                    _make_tables(connection)
-                _remove_runs(connection, gone)
-                self._read_changed(connection, changed, progress)
-                self._read_units(connection, units_tag)
+                try:
+                    if is_new:
+                        _make_tables(connection)
+                    _remove_runs(connection, gone)
+                    self._read_changed(connection, changed, progress)
+                    self._read_units(connection, units_tag)
+                except self._duckdb.Error as error:
+                    text = str(error).splitlines()[0]
+                    raise RunFolderError(
+                        f"{self.path}: can't be written: {text}. Choose another file with --index"
+                    ) from error
         return IndexUpdate(len(changed), len(gone), len(found) - len(changed))
 
     def query(self, sql: str, parameters: Sequence[Any] = ()) -> QueryResult:
@@ -228,10 +235,11 @@ class RunIndex:
 
 
 def _default_path(store: RunStore) -> Path:
-    if store.is_local:
+    if store.is_local and os.access(store.root, os.W_OK):
         return Path(store.root) / _INDEX
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    name = hashlib.sha256(store.url.encode()).hexdigest()[:16]
+    place = store.root if store.is_local else store.url
+    name = hashlib.sha256(place.encode()).hexdigest()[:16]
     return cache / "gyrobench" / f"index-{name}.duckdb"
 
 

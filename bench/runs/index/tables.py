@@ -69,7 +69,7 @@ def parse_units(text: str, name: str) -> list[UnitRow]:
 #: State of a run whose journal has no end: killed, or still running.
 _NOT_ENDED = "not ended"
 #: Verdict of a search on dwells that have been re-evaluated since.
-_STALE = "stale"
+STALE = "stale"
 
 _ModelT = TypeVar("_ModelT", bound=BaseModel)
 
@@ -210,7 +210,7 @@ def _search_of(folder: _Folder) -> _Closure:
     if not closure.verdict or not seen or DWELLS not in folder.files.files:
         return closure
     is_same = hashlib.sha256(folder.read(folder.path(DWELLS))).hexdigest() == seen
-    return closure if is_same else _Closure(verdict=_STALE)
+    return closure if is_same else _Closure(verdict=STALE)
 
 
 @dataclass(frozen=True)

@@ -219,3 +219,23 @@ def test_a_place_without_runs_is_reported(tmp_path):
         index_of(tmp_path / "nowhere").update()
     with pytest.raises(RunFolderError, match="can't be opened"):
         open_store("nothing://bucket")
+
+
+def test_the_index_of_a_read_only_folder_is_in_the_users_cache(runs, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr("os.access", lambda path, mode: str(path) != str(runs))
+    index = index_of(runs)
+    assert index.update().read == 3
+    assert index.path.parent == tmp_path / "cache" / "gyrobench"
+    assert not (runs / "index.duckdb").exists()
+
+
+def test_an_index_that_cant_be_written_is_named_with_the_way_out(runs, monkeypatch):
+    import duckdb
+
+    def full_disk(*_):
+        raise duckdb.TransactionException("Failed to commit: No space left on device")
+
+    monkeypatch.setattr("gyrobench.bench.runs.index.run_index._insert", full_disk)
+    with pytest.raises(RunFolderError, match=r"index\.duckdb: can't be written: .*No space left.*--index"):
+        index_of(runs).update()
