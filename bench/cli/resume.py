@@ -50,8 +50,10 @@ def resume(
     from gyrobench.bench.engine.run import resume_run
     from gyrobench.bench.foundations.errors import RunFinishedError
     from gyrobench.bench.monitor.terminal_view import observe_in_terminal
+    from gyrobench.bench.station.locks import require_no_holder
 
     terminal = console(as_json)
+    require_no_holder(run_folder)
     try:
         resumption = prepare_resumption(run_folder, anyway)
     except RunFinishedError as error:

@@ -277,7 +277,7 @@ class Resumption:
         lines = [
             f"{self.folder.path}: {plan.procedure.procedure}{units}; the run {how}.",
             f"{len(state.finished)} of {plan.dwell_count} dwells are finished and kept"
-            f"{f', {len(state.skipped)} were skipped' if state.skipped else ''}.",
+            f"{f', {len(state.skipped)} skipped' if state.skipped else ''}.",
         ]
         lines += [f"Unit {number} was dropped and stays out: {why}" for number, why in state.dropped.items()]
         if state.in_progress:

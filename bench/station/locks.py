@@ -72,6 +72,9 @@ class Holder:
         )
 
 
+_IN_PROGRESS = "That run is still in progress; only an interrupted run can be resumed."
+
+
 class _LockFile:
     """A locked file with its holder's identity in it."""
 
@@ -201,7 +204,13 @@ class RunLock(_Lock):
         super().__init__(paths, lambda: _identity(run_path, command), clock)
 
     def _advice(self, holder: Holder | None) -> str:  # noqa: ARG002
-        return "That run is still in progress; only an interrupted run can be resumed."
+        return _IN_PROGRESS
+
+
+def require_no_holder(run_path: Path) -> None:
+    """Raise BenchInUseError where a process holds a run folder."""
+    if (holder := holder_of(run_path)) is not None:
+        raise BenchInUseError(f"the run folder {run_path} is in use by {holder.describe()}. {_IN_PROGRESS}")
 
 
 def holder_of(run_path: Path) -> Holder | None:

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 import gyrobench
-from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
+from gyrobench.bench.cli.output import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
 from gyrobench.bench.engine.operator import RunCommand, take_sender
 from tests.bench.command_line import gyrobench as command
 
@@ -41,6 +41,16 @@ def test_a_command_is_sent_to_the_process_of_the_run(run_in_progress):
     assert done.returncode == 0, done.stderr
     assert f"Sent to process {holder.pid}: hold" in done.stdout
     assert holder.stdout.readline() == "SIGUSR1\n"
+
+
+@pytest.mark.parametrize("options", [[], ["--look"]])
+def test_resume_of_a_run_in_progress_says_that_it_is_in_progress(run_in_progress, options):
+    run, holder = run_in_progress
+    done = command("resume", run, *options, cwd=run.parent)
+    assert done.returncode == EXIT_INSTRUMENT
+    assert done.stdout == ""
+    assert f"the run folder {run} is in use by run {run} (process {holder.pid} of " in done.stderr
+    assert "That run is still in progress" in done.stderr
 
 
 def test_the_sender_of_a_command_is_known_to_the_run_that_it_was_sent_to_only(run_in_progress, monkeypatch):
