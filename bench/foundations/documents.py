@@ -144,7 +144,7 @@ def parse_document(text: str, path: Path) -> Document:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         place = f"{mark.line + 1}:{mark.column + 1}" if mark else "1:1"
-        raise DocumentError(f"{path}:{place}: not valid YAML: {error.problem or error.context}") from error
+        raise DocumentError(f"{path}:{place}: not valid YAML: {_in_words(error, text)}") from error
     # PyYAML lets the errors of int() and chr() out for absurd version numbers and \U escapes.
     except (yaml.YAMLError, RecursionError, ValueError, OverflowError) as error:
         raise DocumentError(f"{path}:1:1: not valid YAML: {str(error).splitlines()[0]}") from error
@@ -268,6 +268,26 @@ for _tag, _first in (
     ("float", "-+.0123456789"),
 ):
     _Composer.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", _SCALARS[_tag], list(_first))
+
+
+#: Tokens that begin an item or a key: where the parser expects none, the indentation is wrong.
+_BEGINNINGS = ("'<block sequence start>'", "'<block mapping start>'", "'-'", "'?'")
+
+
+def _in_words(error: yaml.MarkedYAMLError, text: str) -> str:
+    """What the parser found, with the place where what it belongs to begins and the mistake behind it."""
+    problem, begin, mark = str(error.problem or error.context), error.context_mark, error.problem_mark
+    if mark is not None and text.splitlines()[mark.line : mark.line + 1]:
+        line = text.splitlines()[mark.line]
+        if "cannot start any token" in problem and line[mark.column : mark.column + 1] == "\t":
+            return "found a tab. Indent with spaces"
+    if begin is None:
+        return problem
+    if problem.startswith("expected <block end>") and problem.endswith(_BEGINNINGS):
+        return f"the indentation differs from that of line {begin.line + 1}, where the list or the keys begin"
+    if problem.startswith(("expected ',' or '}'", "expected ',' or ']'")):
+        return f"{problem}. Is the bracket of line {begin.line + 1}, column {begin.column + 1} closed?"
+    return problem
 
 
 def _composed(text: str) -> yaml.Node | None:
