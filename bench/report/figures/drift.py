@@ -19,6 +19,8 @@ from gyrobench.bench.runs.index.run_biases import Trend, months_since_first
 
 _MARKERS = "os^Dv<>P*X"
 _OFFSET_DAYS = 0.6
+#: A panel, at least; a line of a legend, and the head of a legend with what is between two panels.
+_PANEL_INCHES, _LINE_INCHES, _HEAD_INCHES = 2.2, 0.19, 0.8
 
 
 @house_style
@@ -27,7 +29,10 @@ def trend_figure(unit: str, trends: Sequence[Trend]) -> Figure:
 
     Significant slopes have a solid line, others a dotted one.
     """
-    figure = fitted_figure(7.2)
+    has_slopes = any(each.p_value == each.p_value for each in trends)
+    bins = max(sum(each.quantity.gyro == gyro for each in trends) for gyro in AXES)
+    legend_inches = _HEAD_INCHES + _LINE_INCHES * bins * (2 if has_slopes else 1)
+    figure = fitted_figure(0.6 + len(AXES) * max(_PANEL_INCHES, legend_inches))
     panels = figure.subplots(len(AXES), 1, sharex=True)
     scale = BiasScale.of([each.bias_dph for each in trends], [each.sigma_dph for each in trends])
     lows_c = sorted({each.quantity.bin_low_c for each in trends})
@@ -41,7 +46,7 @@ def trend_figure(unit: str, trends: Sequence[Trend]) -> Figure:
             panel.legend(
                 loc="center left",
                 bbox_to_anchor=(1.0, 0.5),
-                title=f"bin; slope per month\n{BARS_SHORT}",
+                title=f"bin{'; slope per month' if has_slopes else ''}\n{BARS_SHORT}",
                 title_fontsize=8,
             )
         else:
