@@ -57,6 +57,10 @@ class Station:
         if number:
             self._document = _of_unit(self._document, number)
             self.file = validate(self._document, StationFile)
+        port = self.file.rate_table.port
+        if port == self.file.chamber.port and not port.startswith(FILL_IN):
+            problem = f"the rate table has the port {port} too. Give each instrument the port that it is on"
+            raise self._document.error([DocumentProblem(("chamber", "port"), problem)])
         try:
             self.table = self._table()  #: Kinematics of the table with the unit on it.
         except DocumentError as error:

@@ -34,6 +34,14 @@ def test_a_table_with_a_vertical_outer_axis_says_which_positions_it_can_not_reac
     assert "can't reach" in limits.reachable("x_up", 0.0, ())
 
 
+def test_one_port_for_table_and_chamber_is_an_error_with_its_place(changed):
+    path = changed(("port: emulator://chamber", "port: emulator://table"))
+    with pytest.raises(
+        DocumentError, match=r"station\.yaml:\d+:\d+: the rate table has the port emulator://table"
+    ):
+        Station(path)
+
+
 def test_a_left_handed_mounting_is_an_error_with_its_place(changed):
     path = changed(("y: north, z: up", "y: south, z: up"))
     with pytest.raises(DocumentError, match=r"station\.yaml:\d+:\d+: .*right-handed"):
