@@ -295,8 +295,7 @@ def _detection(
 ) -> Detection:
     campaign = problem.campaign
     if not assumed:
-        missing = [form.missing_input(campaign) for form in effect.forms]
-        return Detection(effect, next((each for each in missing if each), _DIFFERENT_DWELLS))
+        return Detection(effect, effect.missing_input(campaign) or _DIFFERENT_DWELLS)
     candidate_fits = len(effects) * start_count(effect, campaign)
     sizes = [_found_dph(each, candidate_fits) for each in assumed]
     return Detection(effect, None, sizes[0], max(sizes))

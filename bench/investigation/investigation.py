@@ -177,7 +177,7 @@ class Investigator:
                     test, failed = self._with_block(test, journal)
                     stage = test if failed is None else stage
                     if failed and failed[0] != "bench_failed":
-                        failed = (ended[0], f"{ended[1]} No further block tested it: {failed[1]}")
+                        failed = (ended[0], f"{ended[1]} No further block tested it. {failed[1]}")
                     ended = failed
                 elif ended and ended[0] in _CONCLUSIVE and stage.is_uncertain and stage.calibration:
                     stage = replace(stage, purpose=CALIBRATE, rivals=stage.calibration.rivals)

@@ -12,7 +12,7 @@ from gyrobench.bench.closure.planned_campaign import planned_campaign
 from gyrobench.bench.closure.problem import declared_problem
 from gyrobench.bench.closure.search import EFFECT_SIGNIFICANCE, Search
 from gyrobench.bench.closure.separability import searched_dwells, separability, unit_parts
-from tests.bench.closure.plans import shipped, station
+from tests.bench.closure.plans import dwell, planned, shipped, station
 
 EFFECTS = {effect.name: effect for effect in all_effects()}
 
@@ -126,6 +126,13 @@ def test_an_effect_with_a_missing_input_names_it(campaign):
     result = separability(replace(campaign, set_c=np.full(len(campaign), np.nan)), all_effects())
     assert detection(result, "chamber_state").missing_input == "the chamber's set point"
     assert not any("chamber_state" in pair for pair in result.distinguished_dph)
+
+
+def test_an_input_that_only_one_form_of_an_effect_lacks_is_not_missing():
+    _, plan = planned(f"  - power_on\n{dwell('z_up')}{dwell('y_up')}")
+    few = searched_dwells(planned_campaign(plan, declared_properties(station())))
+    missing = detection(separability(few, all_effects()), "attitude_thermal").missing_input
+    assert missing == "dwells with a larger variation of what the effect follows"
 
 
 def test_the_worst_value_of_a_parameter_counts(campaign):

@@ -202,7 +202,7 @@ def test_a_settled_cause_whose_test_is_declined_says_that_no_block_tested_it(sea
 
     found = investigator(unit_with({"warm_up": 0.02}), tmp_path / "test", approve=approve).run(WallClock())
     assert found.ended == "settled"
-    assert found.reason.endswith("No further block tested it: The proposed block was declined.")
+    assert found.reason.endswith("No further block tested it. The proposed block was declined.")
 
 
 def test_measured_blocks_are_taken_from_the_folder_with_any_budget(searched_once, settled):
