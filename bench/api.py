@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gyrobench.bench.bias.bias_filter import StateSpaceEstimate, estimate_state_space
-from gyrobench.bench.bias.dwell import Dwell, NavigationWindow, RestOutput, TurnPath
+from gyrobench.bench.bias.dwell import MIN_EPOCHS, Dwell, NavigationWindow, RestOutput, TurnPath
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.dwells.output_checks import rounding
@@ -25,6 +25,7 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.csv_tables import read_text
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 from gyrobench.bench.foundations.packages import require
+from gyrobench.bench.foundations.text import counted
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
@@ -348,6 +349,13 @@ def _windows_and_turns(
         (int(np.searchsorted(time, first)), int(np.searchsorted(time, last, "right")))
         for first, last in bounds_s
     ]
+    for (first, last), (a, b) in zip(bounds_s, spans, strict=True):
+        if b - a < MIN_EPOCHS:
+            times = f"times_s is from {time[0]:g} to {time[-1]:g} s" if time.size else "times_s is empty"
+            raise MeasurementError(
+                f"the window from {first:g} to {last:g} s has {counted(b - a, 'epoch')}, required: "
+                f"{MIN_EPOCHS}; {times}. Give both in seconds on the same clock"
+            )
     windows = tuple(
         NavigationWindow(
             time[a:b],

@@ -130,7 +130,8 @@ def test_what_cannot_be_used_is_refused_with_its_reason(run, tmp_path):
         ({"velocity_lsb_mps": -1.0}, "must be finite and not negative"),
         ({"arw_deg_per_sqrt_h": -1.0}, "must be finite and not negative"),
         ({"vrw_ug_per_sqrt_hz": math.inf}, "must be finite and not negative"),
-        ({}, "only 3 epochs"),
+        ({}, "the window from 0 to 2 s has 3 epochs, required: 30; times_s is from 0 to 2 s. Give both"),
+        ({"times_s": [0.0, 1e3, 2e3]}, "has 1 epoch, required: 30; times_s is from 0 to 2000 s"),
     ],
 )
 def test_arrays_that_are_not_those_of_a_dwell_are_refused(change, message):
