@@ -48,7 +48,7 @@ SOURCES: Mapping[str, ErrorSource] = MappingProxyType(
             "prior knowledge; where it is large, the data decide",
         ),
         "accelerometer_drift": ErrorSource(
-            "drift of the accelerometers in the dwell", "ug/h", 3600 / UG_TO_MPS2, True, _DECLARED
+            "drift of the accelerometers in the dwell", "ug/h", 3600 / UG_TO_MPS2, note=_DECLARED
         ),
         "accelerometer_slope": ErrorSource(
             "accelerometer temperature within the dwell", "ug/K", 1 / UG_TO_MPS2, True, _DECLARED

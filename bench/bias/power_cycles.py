@@ -1,8 +1,10 @@
 """Errors that biases of several power cycles have in common, and those that make them scatter.
 
-An error that acts alike in all power cycles, such as a latitude that is off or accelerometers that drift in
-each dwell as before, moves their biases together: their scatter does not contain it. To subtract it from the
-scatter as noise would hide what the gyros do from one power cycle to the next.
+An error that acts alike in all power cycles, such as a latitude that is off, moves their biases together:
+their scatter does not contain it. To subtract it from the scatter as noise would hide what the gyros do from
+one power cycle to the next. The drift of accelerometers counts as such an error here, although it is
+independent from dwell to dwell otherwise: power cycles are measured as long after power-on, where
+accelerometers that warm up drift alike.
 """
 
 from __future__ import annotations
@@ -15,6 +17,8 @@ import numpy as np
 from gyrobench.bench.bias.error_sources import SOURCES
 from gyrobench.bench.bias.error_split import ErrorPart, shared_errors
 from gyrobench.bench.foundations.arrays import FloatArray
+
+_COMMON = [name for name, source in SOURCES.items() if source.is_common or name == "accelerometer_drift"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +41,8 @@ SplitErrors = Mapping[int, SplitError]
 
 def split_errors(dwells: Mapping[int, Mapping[str, ErrorPart]]) -> dict[int, SplitError]:
     """Errors of dwells from their parts."""
-    common = shared_errors(dwells, [name for name, source in SOURCES.items() if source.is_common])
-    own = shared_errors(dwells, [name for name, source in SOURCES.items() if not source.is_common])
+    common = shared_errors(dwells, _COMMON)
+    own = shared_errors(dwells, [name for name in SOURCES if name not in _COMMON])
     return {number: SplitError((own[number] ** 2).sum(axis=1), common[number]) for number in dwells}
 
 

@@ -58,11 +58,8 @@ from gyrobench.bench.runs.tables.joint_table import (
 from gyrobench.bench.runs.tables.noise_file import write_noise
 from gyrobench.bench.station.station import Station
 
-#: Sources of error that the dwells of all cycles share in the acceptance. Drift is left out: what the
-#: temperature makes of it is the separate source ``accelerometer_slope``.
-_SHARED_SOURCES = [
-    name for name, source in SOURCES.items() if source.is_common and name != "accelerometer_drift"
-]
+#: Sources of error that the dwells of all cycles share in the acceptance.
+_SHARED_SOURCES = [name for name, source in SOURCES.items() if source.is_common]
 
 
 @dataclass(frozen=True, eq=False)
