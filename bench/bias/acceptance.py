@@ -38,6 +38,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
+from typing import get_args
 
 from gyrobench.bench.bias.bins import DEFAULT_WIDTH_C
 from gyrobench.bench.bias.dwell_table import DwellRow
@@ -79,6 +80,7 @@ class _Value:
     value_dph: float
     sigma_dph: float
     passes_agree: bool = True
+    passes: int = 1
 
 
 @dataclass(frozen=True)
@@ -123,7 +125,7 @@ def judge(
     ]
     curves = [fit_bias_curve(own, axis) for axis, own in enumerate(known)]
     compared = [[plateau for plateau in own if len({row.position for row in plateau}) > 1] for own in known]
-    values = _differences(compared, curves, shared)
+    values = _differences(compared, curves, shared, limits.vertical_difference_dph is not None)
     if limits.bias_dph is not None:
         values += _biases(known)
     judgements = _judgements(values, limits, width_c)
@@ -150,7 +152,10 @@ def _known(plateau: _Plateau, axis: int, limits: AcceptanceLimits) -> list[Dwell
 
 
 def _differences(
-    compared: Sequence[Sequence[_Plateau]], curves: Sequence[CubicBiasCurve], shared: SharedErrors
+    compared: Sequence[Sequence[_Plateau]],
+    curves: Sequence[CubicBiasCurve],
+    shared: SharedErrors,
+    vertical_apart: bool,
 ) -> list[_Value]:
     """Differences at all plateaus of all gyros; where the passes of a plateau disagree, of each pass."""
     together = [
@@ -169,17 +174,25 @@ def _differences(
         values += [
             _Value(
                 axis,
-                "position difference",
+                "vertical difference"
+                if vertical_apart and _is_vertical(axis, each.high, each.low)
+                else "position difference",
                 part.temperature_c,
                 (each.high, each.low),
                 each.value_dph,
                 each.sigma_dph,
                 agree,
+                len(passes) if agree else 1,
             )
             for part in parts
             for each in part.differences
         ]
     return values
+
+
+def _is_vertical(axis: int, *positions: str) -> bool:
+    """Whether a gyro's axis is vertical in all these positions."""
+    return all(POSITIONS[name].up_axis == axis for name in positions)
 
 
 def _biases(known: Iterable[Iterable[_Plateau]]) -> list[_Value]:
@@ -194,9 +207,10 @@ def _biases(known: Iterable[Iterable[_Plateau]]) -> list[_Value]:
 def _judgements(values: Sequence[_Value], limits: AcceptanceLimits, width_c: float) -> list[Judgement]:
     risk = 1.0 - limits.confidence
     factors = _Factors(*(-NormalDist().inv_cdf(each) for each in (risk, risk / max(len(values), 1))))
-    bins: dict[tuple[int, int, bool], list[_Value]] = {}
+    bins: dict[tuple[int, int, int], list[_Value]] = {}
     for each in values:
-        key = (each.axis, math.floor(each.temperature_c / width_c), each.quantity == "bias")
+        order = get_args(JudgedQuantity).index(each.quantity)
+        key = (each.axis, math.floor(each.temperature_c / width_c), order)
         bins.setdefault(key, []).append(each)
     return [
         _judged(bins[key], (key[1] * width_c, (key[1] + 1) * width_c), limits, factors)
@@ -209,9 +223,7 @@ def _judged(
 ) -> Judgement:
     """Judge all values of one gyro, bin and quantity."""
     quantity = values[0].quantity
-    limit_dph = limits.position_difference_dph
-    if quantity == "bias" and limits.bias_dph is not None:
-        limit_dph = limits.bias_dph
+    limit_dph = limits.of(quantity)
     at_most_dph = max(each.value_dph + factors.to_pass * each.sigma_dph for each in values)
     at_least_dph = max(each.value_dph - factors.to_fail * each.sigma_dph for each in values)
     worst = max(values, key=lambda each: each.value_dph)
@@ -235,6 +247,7 @@ def _judged(
         limit_dph=limit_dph,
         verdict=verdict,
         passes_agree=all(each.passes_agree for each in values),
+        passes=worst.passes,
     )
 
 

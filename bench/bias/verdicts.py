@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Literal
 
@@ -12,8 +13,8 @@ from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.files import parse_json
 
-#: What a limit is on.
-JudgedQuantity = Literal["position difference", "bias"]
+#: What a limit is on; a vertical difference is one between a gyro's axis up and down, with a separate limit.
+JudgedQuantity = Literal["position difference", "vertical difference", "bias"]
 #: Of a gyro in one bin.
 Verdict = Literal["pass", "marginal", "fail"]
 #: Of a whole gyro.
@@ -27,6 +28,11 @@ class AcceptanceLimits(StrictModel):
 
     position_difference_dph: float = Field(
         gt=0.0, description="largest difference of a gyro's bias between two positions on one plateau, deg/h"
+    )
+    vertical_difference_dph: float | None = Field(
+        default=None,
+        gt=0.0,
+        description="the same between the gyro's axis up and down, deg/h; default: as between others",
     )
     bias_dph: float | None = Field(
         default=None,
@@ -44,6 +50,11 @@ class AcceptanceLimits(StrictModel):
         lt=1.0,
         description="probability that a unit at a limit is not accepted, and one within all is not rejected",
     )
+
+    def of(self, quantity: JudgedQuantity) -> float:
+        """Limit of a quantity, deg/h."""
+        own = {"vertical difference": self.vertical_difference_dph, "bias": self.bias_dph}.get(quantity)
+        return self.position_difference_dph if own is None else own
 
 
 class Judgement(StrictModel):
@@ -67,6 +78,19 @@ class Judgement(StrictModel):
     verdict: Verdict
     #: Whether these plateaus had the same differences in each pass; else each pass was judged alone.
     passes_agree: bool = True
+    passes: int = 1  #: Number of passes of the plateau of which the value is the mean.
+
+    @property
+    def cycles_to_decide(self) -> float:
+        """Cycles of one run that decide, if the value stays as measured; infinite where no number does.
+
+        The distance of both confidence limits from a mean of passes falls with the root of their number.
+        """
+        if self.quantity == "bias" or not self.passes_agree or self.value_dph == self.limit_dph:
+            return math.inf
+        bound_dph = self.at_most_dph if self.value_dph < self.limit_dph else self.at_least_dph
+        ratio = (bound_dph - self.value_dph) / (self.limit_dph - self.value_dph)
+        return math.ceil(self.passes * ratio**2)
 
 
 class NotMeasured(StrictModel):
@@ -102,7 +126,7 @@ class Acceptance(StrictModel):
 
 def _severity(judged: Judgement) -> tuple[int, bool, float]:
     order = ("pass", "marginal", "fail")
-    return order.index(judged.verdict), judged.quantity == "position difference", judged.at_most_dph
+    return order.index(judged.verdict), judged.quantity != "bias", judged.at_most_dph / judged.limit_dph
 
 
 def write_acceptance(path: Path, acceptance: Acceptance) -> None:

@@ -30,7 +30,11 @@ _MAX_STEPS = 20_000
 _TYPICAL_RANDOM_WALK = 0.001
 #: Keys of the limits of acceptance.
 _LIMITS: Mapping[JudgedQuantity, str] = MappingProxyType(
-    {"position difference": "position_difference_dph", "bias": "bias_dph"}
+    {
+        "position difference": "position_difference_dph",
+        "vertical difference": "vertical_difference_dph",
+        "bias": "bias_dph",
+    }
 )
 
 

@@ -348,6 +348,8 @@ def acceptance_section(acceptance: Acceptance | None) -> Section | None:
 
 def _limits_sentence(limits: AcceptanceLimits) -> str:
     texts = [f"{limits.position_difference_dph:g} deg/h between two positions at one plateau"]
+    if limits.vertical_difference_dph is not None:
+        texts.append(f"{limits.vertical_difference_dph:g} deg/h between a gyro's axis up and down")
     if limits.bias_dph is not None:
         texts.append(f"{limits.bias_dph:g} deg/h for the magnitude of the bias")
     sentence = f"Limits of the procedure: {listed(texts)}."

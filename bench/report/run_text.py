@@ -429,7 +429,9 @@ VERDICT_COLOURS: Mapping[RunVerdict, str] = MappingProxyType(
 )
 _NO_LIMITS = "The procedure has no acceptance limits."
 _NOTHING = "No plateau has good dwells in two positions."
-_ADVICE = "The uncertainty is too large for a verdict; measure more cycles."
+_UNDECIDED = "The uncertainty is too large for a verdict. {}."
+_DECIDED = "{:.0f} cycles in one run, instead of {}, give one if the differences stay as measured"
+_MAX_CYCLES = 20
 _LACKING = "{} not compared with the others of the plateau, so the unit can't be accepted."
 
 
@@ -445,7 +447,8 @@ def acceptance_sentence(acceptance: Acceptance) -> str:
         case "rejected":
             return f"{_gyros(acceptance, 'fail')} beyond {limit}, {with_confidence}."
         case "marginal":
-            return f"{_gyros(acceptance, 'marginal')} near {limit}. {_ADVICE}"
+            advice = _UNDECIDED.format(_deciding_cycles(acceptance))
+            return f"{_gyros(acceptance, 'marginal')} near {limit}. {advice}"
     return _lacking_sentence(acceptance) if acceptance.judgements else _NOTHING
 
 
@@ -454,11 +457,21 @@ def place_of(judged: Judgement) -> str:
     return " above ".join(map(position_label, judged.worst))
 
 
+def _deciding_cycles(acceptance: Acceptance) -> str:
+    marginal = [each for each in acceptance.judgements if each.verdict == "marginal"]
+    last = max(marginal, key=lambda each: each.cycles_to_decide)
+    if last.cycles_to_decide > _MAX_CYCLES:
+        return "Measure more cycles"
+    return _DECIDED.format(last.cycles_to_decide, last.passes)
+
+
 def _limit(acceptance: Acceptance) -> str:
     limits = acceptance.limits
     if limits is None:
         return ""
     text = f"the limit of {limits.position_difference_dph:g} deg/h between positions"
+    if limits.vertical_difference_dph is not None:
+        text += f" ({limits.vertical_difference_dph:g} with the gyro up and down)"
     return text if limits.bias_dph is None else f"{text} or that of {limits.bias_dph:g} deg/h for the bias"
 
 

@@ -230,3 +230,34 @@ def test_a_file_that_holds_no_verdict_is_refused(tmp_path, text):
     path.write_text(text)
     with pytest.raises(DocumentError, match=r"acceptance\.json: holds no verdict"):
         read_acceptance(path)
+
+
+def test_the_difference_between_up_and_down_has_a_separate_limit():
+    limits = AcceptanceLimits(position_difference_dph=0.05, vertical_difference_dph=0.01)
+    result = judged(campaign({"y_up": 0.03}), limits)
+    assert result.gyros == {"x": "pass", "y": "fail", "z": "pass"}
+    deciding = result.deciding("y")
+    assert (deciding.quantity, deciding.limit_dph) == ("vertical difference", 0.01)
+    assert deciding.worst == ["y_up", "y_down"]
+    assert len(result.judgements) == 18
+
+
+@pytest.mark.parametrize(("difference_dph", "verdict"), [(0.0045, "pass"), (0.008, "fail")])
+def test_the_stated_number_of_cycles_decides_a_marginal_gyro(difference_dph, verdict):
+    def after(cycles):
+        rows = [
+            replace(row, cycle=cycle, dwell=row.dwell + 100 * cycle)
+            for cycle in range(cycles)
+            for row in campaign({"y_up": difference_dph})
+        ]
+        return judge(rows, LIMITS, plan_of(rows)).deciding("x")
+
+    first = after(1)
+    decided = first.cycles_to_decide
+    assert decided > 2
+    assert [after(cycles).verdict for cycles in (1, 2, decided - 1, decided)] == ["marginal"] * 3 + [verdict]
+    assert after(2).cycles_to_decide == pytest.approx(decided, abs=1)
+
+
+def test_no_number_of_cycles_decides_a_difference_at_the_limit():
+    assert judged(campaign({"y_up": 0.006})).deciding("x").cycles_to_decide > 1000

@@ -1,4 +1,5 @@
 import io
+import re
 
 import pytest
 from rich.console import Console
@@ -44,3 +45,15 @@ def test_a_run_without_comparisons_says_so(dwells):
     assert printed(judge(dwells[:1], AcceptanceLimits(position_difference_dph=0.1))) == [
         "Unit not judged. No plateau has good dwells in two positions."
     ]
+
+
+def test_a_marginal_unit_has_the_number_of_cycles_that_decide(dwells):
+    text = " ".join(printed(judge(dwells, AcceptanceLimits(position_difference_dph=0.0165))))
+    assert re.search(r"too large for a verdict. \d+ cycles in one run, instead of 2, give one", text), text
+
+
+def test_a_separate_limit_of_up_and_down_is_stated(dwells):
+    limits = AcceptanceLimits(position_difference_dph=0.2, vertical_difference_dph=0.1)
+    assert "0.2 deg/h between positions (0.1 with the gyro up and down)" in " ".join(
+        printed(judge(dwells, limits))
+    )
