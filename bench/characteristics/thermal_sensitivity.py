@@ -13,6 +13,7 @@ temperature in proportion to its rate, as a gradient does, is in the ramp sensit
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -39,6 +40,8 @@ _MIN_SPAN_C = 5.0
 _MIN_WIDTH_C, _MAX_WIDTH, _WIDTHS = 0.2, 0.25, 25
 #: Histories before the first dwell that are tried.
 _STARTS = np.array([-1.0, 0.0, 1.0])
+#: Shares of the way that rates lead to between dwells, to turning points that no dwell shows; all are tried.
+_REACHED = (0.0, 0.1, 0.3, 1.0)
 #: Change, K, by which a temperature that was heated begins to be cooled.
 _REVERSAL_C = 1.0
 #: Points of a dwell at which the history is followed.
@@ -80,6 +83,7 @@ def thermal_sensitivity(
         powers = (temperature - zeros_c[-1])[:, np.newaxis] ** np.arange(1, degree + 1)
         linear = np.column_stack([powers, rate / 60.0])
         path_c = temperature[:, np.newaxis] + rate[:, np.newaxis] / 3600.0 * away_s
+        path_c = _with_turning_points(path_c, rate / 3600.0, good)
         fit = _fit(bias, sigma, linear, path_c, constants, shared_by(shared, good, axis))
         names = (
             ("temperature sensitivity", "deg/h/degC", 0),
@@ -109,6 +113,28 @@ def _constants(rows: Sequence[DwellRow]) -> FloatArray:
     return np.column_stack([power_cycles, positions, begun_h - begun_h.mean()])
 
 
+def _with_turning_points(path_c: FloatArray, rates: FloatArray, rows: Sequence[DwellRow]) -> FloatArray:
+    """Temperatures (f, n, 2 + p) with what the gyro may have reached between dwells, in f ways.
+
+    Where the temperature turned between two dwells their rates, K/s, bound the turning point: the lines
+    through them meet there, or lead away for half of the time between. A gyro with lag, or one that soaked,
+    turned earlier.
+    """
+    away_c = np.zeros((len(path_c), 2))
+    gap_s = np.array([after.start_s - row.end_s for row, after in pairwise(rows)])
+    leaving, arriving, step_c = rates[:-1], rates[1:], path_c[1:, 0] - path_c[:-1, -1]
+    opposite = leaving * arriving < 0.0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        meeting_s = np.clip((step_c - arriving * gap_s) / (leaving - arriving), 0.0, gap_s)
+    until_s = np.where(opposite, meeting_s, 0.5 * gap_s)
+    away_c[:-1, 1] = np.where(opposite | (leaving * step_c < 0.0), leaving * until_s, 0.0)
+    away_c[1:, 0] = np.where(opposite | (arriving * step_c < 0.0), -arriving * (gap_s - until_s), 0.0)
+    shares = _REACHED if np.abs(away_c).max(initial=0.0) > _MIN_WIDTH_C else (0.0,)
+    ends_c = path_c[:, [0, -1]]
+    reached_c = [ends_c + share * away_c for share in shares]
+    return np.array([np.column_stack([each[:, 0], path_c, each[:, 1]]) for each in reached_c])
+
+
 def _fit(
     bias: FloatArray,
     sigma: FloatArray,
@@ -117,16 +143,21 @@ def _fit(
     constants: FloatArray,
     shared: FloatArray | None,
 ) -> ProfileFit:
-    """Fit with each play and start of the history; ``path_c`` (n, p): temperatures in each dwell."""
-    span_c = float(np.ptp(path_c.mean(axis=1)))
+    """Fit with each play and history before the dwells; ``path_c`` (f, n, 2 + p): temperatures.
+
+    Those of each of f histories, in each dwell and of the turning points before and after it.
+    """
+    span_c = float(np.ptp(path_c[0, :, 1:-1].mean(axis=1)))
+    kinds = len(path_c) * len(_STARTS)
     grid = np.linspace(np.log(_MIN_WIDTH_C), np.log(_MAX_WIDTH * span_c), _WIDTHS)
     for _ in range(MAX_REFINEMENTS):
         widths_c, starts = np.repeat(np.exp(grid), len(_STARTS)), np.tile(_STARTS, len(grid))
-        states = _play_state(path_c.ravel(), widths_c, starts).reshape(-1, *path_c.shape).mean(axis=2)
-        designs = np.array([np.column_stack([linear, 0.5 * each, constants]) for each in states])
-        shares = np.repeat(cells(grid), len(_STARTS))
+        states = [_play_state(each.ravel(), widths_c, starts).reshape(-1, *each.shape) for each in path_c]
+        means = np.stack(states, axis=1)[..., 1:-1].mean(axis=3).reshape(-1, path_c.shape[1])
+        designs = np.array([np.column_stack([linear, 0.5 * each, constants]) for each in means])
+        shares = np.repeat(cells(grid), kinds)
         fit = profile_fit(bias, sigma, designs, shared=shared, shares=shares)
-        finer = refined(grid, fit.weights.reshape(-1, len(_STARTS)).sum(axis=1))
+        finer = refined(grid, fit.weights.reshape(-1, kinds).sum(axis=1))
         if len(finer) == len(grid):
             break
         grid = finer

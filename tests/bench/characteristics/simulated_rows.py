@@ -125,6 +125,42 @@ def after_soaks(
     return rows
 
 
+def within_a_range(
+    random: np.random.Generator,
+    hysteresis_dph: float,
+    play_c: float,
+    sigma: float,
+    low_c: float,
+    high_c: float,
+) -> list[DwellRow]:
+    """Dwells every 7 min where the gyro is within a range, over four cycles from -20 to 60 degC.
+
+    Ramps of 1 and 2 K/min, an hour at each end; the gyro follows the air with a lag of 600 s.
+    """
+    air_c = gyro_c = follower_c = 20.0
+    time_s, due_s, rows = 0.0, 0.0, []
+    course: list[tuple[float, float, float]] = []
+    for target_c, ramp_c_per_min in ((60.0, 1.0), (-20.0, 1.0), (60.0, 2.0), (-20.0, 2.0)) * 2:
+        for _ in range(round((60.0 * abs(target_c - air_c) / ramp_c_per_min + 3600.0) / 10.0)):
+            air_c += float(np.clip(target_c - air_c, -ramp_c_per_min / 6.0, ramp_c_per_min / 6.0))
+            before_c, gyro_c = gyro_c, gyro_c + (air_c - gyro_c) / 60.0
+            follower_c = min(max(follower_c, gyro_c - play_c), gyro_c + play_c)
+            time_s += 10.0
+            if course or (time_s >= due_s and low_c <= gyro_c <= high_c):
+                course.append((gyro_c, 6.0 * (gyro_c - before_c), (follower_c - gyro_c) / play_c))
+            if len(course) == round(DWELL_S / 10.0):
+                celsius, rate, lead = np.mean(course, axis=0).tolist()
+                bias = 0.01 + 2e-4 * (celsius - 25.0) + 5e-4 * rate + 0.5 * hysteresis_dph * lead
+                measured = bias + random.normal(0.0, sigma, 3)
+                number, position = len(rows) + 1, ("z_up", "x_up")[len(rows) % 2]
+                start_s = time_s - DWELL_S
+                rows.append(
+                    row(number, "r", start_s, start_s, measured, sigma, celsius, 60.0 * rate, position)
+                )
+                course, due_s = [], time_s + 300.0
+    return rows
+
+
 def holds(found: Coefficient, truth: float) -> bool:
     """Whether the interval holds the truth."""
     return (found.low is None or found.low <= truth) and (found.high is None or truth <= found.high)

@@ -9,7 +9,13 @@ import pytest
 
 from gyrobench.bench.characteristics.thermal_sensitivity import thermal_sensitivity
 from gyrobench.bench.foundations.errors import MeasurementError
-from tests.bench.characteristics.simulated_rows import after_soaks, holds, over_temperature, power_cycles
+from tests.bench.characteristics.simulated_rows import (
+    after_soaks,
+    holds,
+    over_temperature,
+    power_cycles,
+    within_a_range,
+)
 
 TEMPERATURE, RAMP, HYSTERESIS = 1e-4, 5e-4, 0.006
 
@@ -43,6 +49,25 @@ def test_intervals_hold_where_no_dwell_shows_the_history_before_the_first() -> N
     assert np.all(np.mean(held, axis=(0, 1)) >= 0.9), np.mean(
         held, axis=(0, 1)
     )  # 120 intervals: 0.95 +- 0.02
+
+
+@pytest.mark.parametrize(
+    ("low_c", "high_c", "play_c", "units"),
+    [
+        (-30.0, 50.0, 5.0, 2),
+        pytest.param(5.0, 40.0, 2.0, 40, marks=pytest.mark.long),
+        pytest.param(5.0, 40.0, 8.0, 40, marks=pytest.mark.long),
+    ],
+)
+def test_intervals_hold_where_no_dwell_shows_a_turning_point(low_c, high_c, play_c, units) -> None:
+    random = np.random.default_rng(5)
+    held = []
+    for _ in range(units):
+        rows = within_a_range(random, HYSTERESIS, play_c, 0.001, low_c, high_c)
+        found = thermal_sensitivity(rows, 25.0, 1).coefficients
+        truths = np.resize([2e-4, 5e-4, HYSTERESIS], 9)
+        held.append(np.reshape([holds(*each) for each in zip(found, truths, strict=True)], (3, 3)))
+    assert np.all(np.mean(held, axis=(0, 1)) >= (0.8 if units < 40 else 0.9)), np.mean(held, axis=(0, 1))
 
 
 def test_the_history_before_the_first_dwell_may_be_heating() -> None:
