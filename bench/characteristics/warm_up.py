@@ -184,12 +184,17 @@ def _of_gyro(
     # In the record: what would come after it is not bounded where the time constant has no limit.
     change = drop - (sizes * _mean_decay(start_s[-1:], end_s[-1:], taus)).sum(axis=1)
     in_record = from_draws(gyro, "change in the record", "deg/h", change[0], change[1:])
-    if in_record.low is None or in_record.high is None or in_record.low <= 0.0 <= in_record.high:
-        return found[:1], [f"{gyro.upper()} gyro: no warm-up is significant."]
-    notes = []
     longest_s = np.where(np.isfinite(time_constants), time_constants, 0.0).max(axis=1)
     is_longest = longest_s == longest_s.max()
-    if fit.deviance[is_longest].min() < _DROP:
+    is_open = fit.deviance[is_longest].min() < _DROP
+    if in_record.low is None or in_record.high is None or in_record.low <= 0.0 <= in_record.high:
+        note = f"{gyro.upper()} gyro: no warm-up is significant"
+        if not is_open:
+            return [found[0], in_record], [f"{note}."]
+        size = found[0].model_copy(update={"value": None, "low": None, "high": None})
+        return [size, in_record], [f"{note} in the record; the record does not limit one that takes longer."]
+    notes = []
+    if is_open:
         is_known = not is_longest[fit.best]
         found[0] = _open_end(found[0], drop[0] > 0.0, is_known)
         found[1] = _open_end(found[1], True, is_known)

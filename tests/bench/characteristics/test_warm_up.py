@@ -86,6 +86,19 @@ def test_without_warm_up_it_says_so() -> None:
     assert len(silent) >= 26  # of 30: one in twenty is significant by chance
 
 
+@pytest.mark.parametrize(("size_dph", "time_constant_s"), [(0.0, 3600.0), (0.02, 1e6)])
+def test_an_insignificant_warm_up_has_a_limited_change_in_the_record_and_a_size_without_limits(
+    size_dph: float, time_constant_s: float
+) -> None:
+    result = warm_up(cold_start(np.random.default_rng(7), size_dph, time_constant_s), 0.001)
+    truth = size_dph * (np.exp(-125.0 / time_constant_s) - np.exp(-14285.0 / time_constant_s))
+    assert sum("no warm-up is significant in the record" in note for note in result.notes) == 3
+    assert all(each.value is each.low is each.high is None for each in _named(result.coefficients, "first"))
+    changes = _named(result.coefficients, "change in the record")
+    assert all(holds(each, truth) and each.high - each.low < 0.01 for each in changes)
+    assert len(changes) == 3
+
+
 def test_a_unit_that_has_not_settled_is_noted() -> None:
     result = warm_up(cold_start(np.random.default_rng(4), 0.05, 9000.0), 0.001)
     assert all(each.value is None for each in _named(result.coefficients, "time until"))
