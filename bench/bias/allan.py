@@ -251,11 +251,11 @@ def _solve(
     weight = 1.0 / np.sqrt(errors[used])
     weighted = design[used] * weight[:, np.newaxis]
     scale = np.sqrt((weighted**2).sum(axis=0))
-    terms = _not_negative(weighted / scale, variance[used] * weight)
+    terms = not_negative(weighted / scale, variance[used] * weight)
     return terms / scale, np.linalg.pinv(weighted / scale) * weight / scale[:, np.newaxis]
 
 
-def _not_negative(design: FloatArray, values: FloatArray) -> FloatArray:
+def not_negative(design: FloatArray, values: FloatArray) -> FloatArray:
     """Least squares without negative terms: of the fits of any of the terms, the best that has none."""
     count = design.shape[1]
     chosen = np.indices((2,) * count).reshape(count, -1).T == 1

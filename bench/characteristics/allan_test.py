@@ -4,7 +4,7 @@ Quantisation Q, angle random walk N, bias instability B and rate random walk K a
 Allan variance; the ramp R is the mean slope of the rate, with the uncertainty that this noise gives it. Each
 interval is that of chi-squared with the effective degrees of freedom ``2 c^2 / var(c)`` of the squared
 coefficient c. What these five terms do not explain, as a periodic rate, goes into them all the same: a note
-states it.
+states it, from the Allan variance or, where it has few periods, from the periodogram.
 
 References
 ----------
@@ -31,6 +31,7 @@ from gyrobench.bench.bias.allan import (
     goodness_of_fit,
     mean_ramp,
 )
+from gyrobench.bench.characteristics.periodic_rate import MIN_RATIO, periodic_rate
 from gyrobench.bench.characteristics.results import Coefficient, Curve, TestResult, coefficient
 from gyrobench.bench.foundations.arrays import ARCSEC_TO_RAD, DEG_PER_SQRT_H_TO_SI, DPH_TO_RADPS, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
@@ -80,7 +81,7 @@ def allan_test(records: Sequence[RateRecord]) -> TestResult:
         ramp, sigma = (each * _HOUR_S / DPH_TO_RADPS for each in mean_ramp(segments, interval_s, fit))
         ends = ramp - _NORMAL_95 * sigma, ramp + _NORMAL_95 * sigma
         coefficients.append(coefficient(gyro, "rate ramp R", "deg/h/h", ramp, *ends))
-        notes += _notes(gyro, allan, fit)
+        notes += _notes(gyro, allan, fit) or _periodic_note(gyro, max(segments, key=len), interval_s)
         curves.append(_curve(gyro, allan, fit))
     return TestResult(test="allan_variance", coefficients=coefficients, curves=curves, notes=notes)
 
@@ -111,6 +112,18 @@ def _notes(gyro: str, allan: AllanVariance, fit: RateNoise) -> list[str]:
         f"{gyro.upper()} gyro: the five terms do not explain the Allan variance (p < {_MIN_P_VALUE:g}); near "
         f"{tau_s:.0f} s it is {ratio[place]:.1f} times the fit{period}. The coefficients may be those of "
         "another effect: look for it in the record."
+    ]
+
+
+def _periodic_note(gyro: str, segment: FloatArray, interval_s: float) -> list[str]:
+    """A periodic rate that the terms take for noise."""
+    found = periodic_rate(segment, interval_s)
+    if found is None or found.ratio < MIN_RATIO:
+        return []
+    return [
+        f"{gyro.upper()} gyro: the record has a rate of period {found.period_s:.2g} s and amplitude "
+        f"{found.amplitude / DPH_TO_RADPS:.2g} deg/h beside its noise. Bias instability and rate random walk "
+        "contain it: look for its cause, as heating or air conditioning, or record for longer."
     ]
 
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
 from gyrobench.bench.characteristics.allan_test import RateRecord, allan_test, square_interval
+from gyrobench.bench.characteristics.periodic_rate import MIN_RATIO, periodic_rate
 from gyrobench.bench.foundations.errors import MeasurementError
 from tests.bench.characteristics.simulated_rows import holds
 
@@ -46,9 +49,11 @@ def test_intervals_hold_the_five_coefficients() -> None:
         assert np.mean(values[name]) == pytest.approx(TRUTHS[name], rel=tolerance)
 
 
-def _with_line(random: np.random.Generator, size_dph: float, period_s: float) -> RateRecord:
-    """Ten hours of three gyros with angle random walk and a sinusoidal rate, each ten seconds."""
-    time_s = np.arange(0.0, 36_000.0, 10.0)[:, np.newaxis]
+def _with_line(
+    random: np.random.Generator, size_dph: float, period_s: float, hours: float = 10.0
+) -> RateRecord:
+    """Record of three gyros with angle random walk and a sinusoidal rate, each ten seconds."""
+    time_s = np.arange(0.0, 3600.0 * hours, 10.0)[:, np.newaxis]
     noise = TRUTHS["N"] * np.pi / 180.0 / 60.0 * np.sqrt(10.0) * random.standard_normal((len(time_s), 3))
     phases = random.uniform(0.0, 2.0 * np.pi, 3)
     line = 10.0 * size_dph * DPH * np.sin(2.0 * np.pi * time_s / period_s + phases)
@@ -62,6 +67,37 @@ def test_a_periodic_rate_is_noted_near_its_averaging_time(period_s: float) -> No
     assert all("do not explain the Allan variance" in note for note in notes)
     near_s = [float(note.split("; near ")[1].split(" s ")[0]) for note in notes]
     assert near_s == pytest.approx([0.371 * period_s] * 3, rel=0.35)
+
+
+@pytest.mark.parametrize(("period_s", "size_dph"), [(1800.0, 0.006), (2700.0, 0.01)])
+def test_a_periodic_rate_of_few_periods_is_noted_with_its_size(period_s: float, size_dph: float) -> None:
+    record = _with_line(np.random.default_rng(4), size_dph, period_s, hours=3.0)
+    record.segments[0][1000] = np.nan
+    notes = allan_test([record]).notes
+    assert [note[:6] for note in notes] == ["X gyro", "Y gyro", "Z gyro"]
+    found = [re.search(r"rate of period (\S+) s and amplitude (\S+) deg/h", note).groups() for note in notes]
+    assert [float(period) for period, _ in found] == pytest.approx([period_s] * 3, rel=0.1)
+    assert [float(size) for _, size in found] == pytest.approx([size_dph] * 3, rel=0.25)
+
+
+@pytest.mark.parametrize(
+    ("walk_dph", "count"),
+    [(0.006, 20), *(pytest.param(each, 700, marks=pytest.mark.long) for each in (0.0, 0.006, 0.1))],
+)
+def test_noise_and_warm_up_are_no_periodic_rate(walk_dph: float, count: int) -> None:
+    random, time_s = np.random.default_rng(6), np.arange(0.0, 10_800.0, 10.0)
+    warm_up = 0.02 * DPH * np.exp(-time_s / 3600.0)
+    ratios = []
+    for _ in range(count):
+        walk = walk_dph * DPH / 60.0 * np.sqrt(10.0) * np.cumsum(random.standard_normal(len(time_s)))
+        white = TRUTHS["N"] * np.pi / 180.0 / 60.0 / np.sqrt(10.0) * random.standard_normal(len(time_s))
+        ratios.append(periodic_rate(10.0 * np.cumsum(white + walk + warm_up), 10.0).ratio)
+    assert np.count_nonzero(np.array(ratios) > MIN_RATIO) <= (count > 100)  # by chance less than 1 of 2,000
+    assert 7.0 < np.median(ratios) < 10.5
+
+
+def test_a_short_record_has_no_periodic_rate() -> None:
+    assert periodic_rate(np.zeros(150), 1.0) is None
 
 
 def test_noise_that_the_terms_explain_has_no_note() -> None:
