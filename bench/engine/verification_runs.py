@@ -182,7 +182,13 @@ class VerificationRuns:
             models=self.models,
             results=compare_runs(
                 [
-                    MeasuredRun(name, rows[name], check_dwells, fitted.get(name))
+                    MeasuredRun(
+                        name,
+                        rows[name],
+                        check_dwells,
+                        fitted.get(name),
+                        self.models[name].compensation if name in self.models else None,
+                    )
                     for name, (_, check_dwells) in measured.items()
                 ],
                 site,

@@ -6,10 +6,13 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from gyrobench.bench.closure.loadable_model import LoadableModel
 from gyrobench.bench.closure.loop import NOT_SEARCHED
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.validation import LACK_OF_FIT_P
+from gyrobench.bench.foundations.arrays import BoolArray
 from gyrobench.bench.foundations.text import agreeing, counted, listed, with_sigma
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.report.closure_text import found_labels
@@ -24,8 +27,11 @@ from gyrobench.bench.verification.compensation_verification import (
     PairedPlateau,
     VerificationResult,
     VerificationRow,
+    has_worse_constant,
+    is_better,
     is_worse,
 )
+from gyrobench.bench.verification.measured_change import MeasuredChange
 from gyrobench.drivers.ins.command_map import NUMBERS
 
 #: The compensations as displayed.
@@ -109,17 +115,15 @@ def outcome(result: VerificationResult) -> str:
         return INCONCLUSIVE
     if result.coefficients:
         first, *_, last = result.coefficients
-        if not last.ratio < first.ratio:
+        if not last.is_better_than(first) or is_worse(result.results[-1].total, result.results[0].total):
             return NOT_CONFIRMED
         return CONFIRMED if last.ratio < _NOISE_OF_BOTH else IMPROVED
     before, after = _best_before(result), result.results[-1]
     if not after.total.dwells:
         return INCONCLUSIVE
     is_noise = after.total.varying_p_value >= LACK_OF_FIT_P
-    if is_noise and before.total.varying_p_value >= LACK_OF_FIT_P:
-        return INCONCLUSIVE
-    if not after.total.varying_rms_dph < before.total.varying_rms_dph:
-        return NOT_CONFIRMED
+    if not is_better(after, before):
+        return INCONCLUSIVE if is_noise else NOT_CONFIRMED
     return CONFIRMED if is_noise else IMPROVED
 
 
@@ -141,7 +145,7 @@ def outcome_sentence(result: VerificationResult) -> str:
             f"Coefficients but the gyros' biases, rms in times the noise of the measurement: "
             f"{listed(ratios)}; up to {_NOISE_OF_BOTH:.1f} is noise of measurement and compensation."
         )
-        return " ".join([ratio, *degradation_sentences(result)])
+        return " ".join([ratio, *degradation_sentences(result), *application_sentences(result)])
     after = result.results[-1]
     if not after.total.dwells:
         return "No dwell is valid in all runs, so the compensations can't be compared."
@@ -152,7 +156,8 @@ def outcome_sentence(result: VerificationResult) -> str:
         f"Varying bias: {', '.join([first.format(' rms'), *(each.format('') for each in others)])}; noise "
         f"{size_text(after.total.bias_noise_dph)} deg/h."
     )
-    return " ".join([sizes, *degradation_sentences(result), _judgement_sentence(result)])
+    remarks = [*degradation_sentences(result), *application_sentences(result)]
+    return " ".join([sizes, *remarks, _judgement_sentence(result)])
 
 
 def _judgement_sentence(result: VerificationResult) -> str:
@@ -164,7 +169,12 @@ def _judgement_sentence(result: VerificationResult) -> str:
         case "improved":
             return f"The residual {with_text(after)} exceeds the noise ({p})."
         case "not confirmed":
-            return f"The new measurements show no improvement {with_text(after)}."
+            return f"The new measurements show no improvement {with_text(after)} beyond the noise."
+        case _ if before.total.varying_p_value < LACK_OF_FIT_P:
+            return (
+                f"The residual {with_text(after)} is consistent with noise ({p}), but so is its difference "
+                f"from that {with_text(before)}. Measure more dwells."
+            )
         case _ if len(result.results) == 2:
             return "Both residuals are consistent with noise."
         case _:
@@ -181,6 +191,38 @@ def degradation_sentences(result: VerificationResult) -> list[str]:
         for each in result.results
         if none is not None and is_worse(each.total, none.total)
     ]
+
+
+def application_sentences(result: VerificationResult) -> list[str]:
+    """Each gyro whose bias did not change as the loaded compensation says, and constants that do not fit."""
+    sentences = []
+    none = result.results[0]
+    for each in result.results[1:]:
+        change = each.changes.get(none.compensation)
+        if change is not None and change.contradicts.any():
+            sentences.append(
+                f"From the run {with_text(none)} to that {with_text(each)} the bias changed by "
+                f"{_factors(change, change.contradicts)} times what was loaded: check that the INS applies "
+                "the compensation once, and axes, signs and units of ins.commands.load_compensation."
+            )
+        if none.compensation == NONE and has_worse_constant(each.total, none.total):
+            sentences.append(
+                f"Including the constant the bias is {size_text(each.total.bias_rms_dph)} deg/h "
+                f"{with_text(each)} and {size_text(none.total.bias_rms_dph)} deg/h {with_text(none)}: the "
+                "constant loaded does not fit this power cycle. Check its sign, and repeat the campaign over "
+                "several power cycles."
+            )
+    return sentences
+
+
+def _factors(change: MeasuredChange, chosen: BoolArray) -> str:
+    """Factors of some gyros: "0.02 ± 0.05 (x) and -1.01 ± 0.03 (y)"."""
+    return listed(
+        [
+            f"{with_sigma(float(change.factors[axis]), float(change.sigmas[axis]))} ({AXES[axis]})"
+            for axis in np.flatnonzero(chosen)
+        ]
+    )
 
 
 def change_sentences(result: VerificationResult) -> list[str]:
@@ -214,6 +256,7 @@ def change_sentences(result: VerificationResult) -> list[str]:
         new_conditions_sentence(result),
         *comparability_sentences(result),
         *result.notes,
+        *_applied_sentences(result),
         *_fit_sentences(result),
     ]
     for what, values, noise in changes:
@@ -256,6 +299,18 @@ def _plateau_text(plateau: PairedPlateau) -> str:
     """A plateau in a sentence: "-6 °C (cycle 1)"."""
     first = plateau.known[0]
     return f"{first.gyro_c:z.0f} °C (cycle {first.cycle})"
+
+
+def _applied_sentences(result: VerificationResult) -> list[str]:
+    """Measured over loaded change of each compensation, where the data show it."""
+    none, *others = result.results
+    changes = [(each, each.changes.get(none.compensation)) for each in others]
+    return [
+        f"From the run {with_text(none)} to that {with_text(each)} the varying bias changed by "
+        f"{_factors(change, np.isfinite(change.factors))} times what the loaded compensation subtracts."
+        for each, change in changes
+        if change is not None and np.isfinite(change.factors).any()
+    ]
 
 
 def _fit_sentences(result: VerificationResult) -> list[str]:

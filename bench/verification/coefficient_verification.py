@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import norm
 
 from gyrobench.bench.bias.statistics import lowest_polynomial
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT
@@ -16,6 +18,7 @@ from gyrobench.bench.foundations.csv_tables import format_csv, write_text
 from gyrobench.bench.foundations.text import format_cell
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow
+from gyrobench.bench.verification.measured_change import SIGNIFICANT_P
 from gyrobench.bench.verification.paired_plateaus import PlateauPlace, pair_places
 from gyrobench.drivers.ins.command_map import CORRECTION_DEGREE, Correction
 
@@ -54,6 +57,24 @@ class CoefficientResult:
         others = [place for place, name in enumerate(_NAMES) if not name.startswith("gyro_bias")]
         ratios = (self.rms / self.noise)[others]
         return rms(ratios[np.isfinite(ratios)])
+
+    def is_better_than(self, other: CoefficientResult) -> bool:
+        """Whether the rms of these coefficients is smaller than in another run, by more than the noise.
+
+        Over the noise, each sum of squares has a noncentral chi2 distribution.
+        """
+        values = self._others_and_noise(other)
+        sums = np.array([np.sum(counts * ratios**2) for counts, ratios in values])
+        number = float(np.sum(values[0][0]))
+        sigma = math.sqrt(float(np.sum(2.0 * number + 4.0 * np.maximum(sums - number, 0.0))))
+        return bool(sigma > 0.0 and norm.sf((sums[1] - sums[0]) / sigma) < SIGNIFICANT_P)
+
+    def _others_and_noise(self, other: CoefficientResult) -> list[tuple[FloatArray, FloatArray]]:
+        """Numbers of values and ratios to the noise in both runs, of all but the gyros' biases."""
+        both = [(each.plateaus, each.rms / each.noise) for each in (self, other)]
+        known = np.isfinite(both[0][1] + both[1][1])
+        known &= [not name.startswith("gyro_bias") for name in _NAMES]
+        return [(counts[known], ratios[known]) for counts, ratios in both]
 
     @property
     def worst(self) -> PlateauMission:

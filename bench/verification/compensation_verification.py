@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import astuple, dataclass, field, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,8 +26,10 @@ from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import format_cell
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.verification.coefficient_verification import CoefficientResult
+from gyrobench.bench.verification.measured_change import MeasuredChange, measured_change
 from gyrobench.bench.verification.paired_plateaus import in_all, pair_dwells
 from gyrobench.bench.verification.run_residuals import AnyDwell, ResidualCheck, bias_rows, check_plateau
+from gyrobench.drivers.ins.command_map import Compensation
 
 #: The compensations, in this order.
 NONE, DECLARED, EFFECT = "none", "declared", "effect"
@@ -37,6 +39,8 @@ IN_WORDS = {NONE: "without compensation", DECLARED: "with the declared model", E
 _FITTED_WITHIN_K = 2.5
 #: Number of the row for all plateaus.
 _ALL_PLATEAUS = 0
+#: Bias including its constant, over that without compensation, from which the constant is stated as wrong.
+_WORSE_CONSTANT = 1.5
 
 
 @dataclass(frozen=True)
@@ -89,6 +93,8 @@ class CompensationResult:
     plateaus: tuple[ResidualCheck, ...]  #: In the order of time.
     rows: tuple[VerificationRow, ...]  #: One for each plateau.
     total: VerificationRow  #: All plateaus.
+    #: Change of the biases from each earlier run to this one, by its compensation, where it can be evaluated.
+    changes: Mapping[str, MeasuredChange] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,6 +170,7 @@ class MeasuredRun:
     check_dwells: Sequence[CheckDwell]
     #: Draws of the model that was loaded, and the effects that the INS subtracts; None without one.
     model: tuple[Draws, Collection[str]] | None = None
+    loaded: Compensation | None = None  #: What was loaded; None without one.
 
 
 def compare_runs(
@@ -192,7 +199,30 @@ def compare_runs(
         for index, run in enumerate(runs)
     ]
     rows = [each.rows for each in measured]
-    return tuple(replace(each, total=_with_largest(each.total, each.rows, rows)) for each in measured)
+    return tuple(
+        replace(
+            each,
+            total=_with_largest(each.total, each.rows, rows),
+            changes=_changes(runs[:index], runs[index], everywhere),
+        )
+        for index, each in enumerate(measured)
+    )
+
+
+def _changes(
+    before: Sequence[MeasuredRun], after: MeasuredRun, compared: Collection[int]
+) -> dict[str, MeasuredChange]:
+    """Change from each of some runs to another, over the dwells that all have."""
+
+    def rows(run: MeasuredRun) -> list[DwellRow]:
+        good = (row for row in run.dwells if not row.flags and row.dwell in compared)
+        return sorted(good, key=lambda row: row.dwell)
+
+    found = {
+        run.compensation: measured_change(rows(run), rows(after), (run.loaded, after.loaded))
+        for run in before
+    }
+    return {name: each for name, each in found.items() if each is not None}
 
 
 def _measured_rows(
@@ -230,6 +260,28 @@ def is_worse(after: VerificationRow, before: VerificationRow) -> bool:
     sums = np.array([numbers * (each.varying_rms_dph / each.bias_noise_dph) ** 2 for each in (after, before)])
     sigma = math.sqrt(np.sum(2.0 * numbers + 4.0 * np.maximum(sums - numbers, 0.0)))
     return bool(sigma > 0.0 and norm.sf((sums[0] - sums[1]) / sigma) < LACK_OF_FIT_P)
+
+
+def is_better(after: CompensationResult, before: CompensationResult) -> bool:
+    """Whether the varying bias is smaller than in another run by more than the noise.
+
+    Either the sums of squares show it, or the change follows what was loaded and makes the biases smaller.
+    """
+    if not after.total.varying_rms_dph < before.total.varying_rms_dph:
+        return False
+    change = after.changes.get(before.compensation)
+    is_change = (
+        change is not None and change.is_applied and change.is_smaller and not change.contradicts.any()
+    )
+    return is_change or is_worse(before.total, after.total)
+
+
+def has_worse_constant(after: VerificationRow, before: VerificationRow) -> bool:
+    """Whether the bias including the constant is larger than in another run by half, and beyond the noise."""
+    if not after.bias_rms_dph > _WORSE_CONSTANT * before.bias_rms_dph:
+        return False
+    rows = [replace(each, varying_rms_dph=each.bias_rms_dph) for each in (after, before)]
+    return is_worse(*rows)
 
 
 #: Columns of the table; the number of the plateau is in ``stop``.

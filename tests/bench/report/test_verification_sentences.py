@@ -1,11 +1,15 @@
 """A verification in sentences."""
 
+from collections import Counter
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS
 from gyrobench.bench.engine.verification_runs import flags_note
 from gyrobench.bench.report.verification_text import (
+    application_sentences,
     change_sentences,
     comparability_sentences,
     degradation_sentences,
@@ -15,9 +19,16 @@ from gyrobench.bench.report.verification_text import (
     outcome_sentence,
     reading_sentences,
 )
-from gyrobench.bench.verification.compensation_verification import VerificationResult
+from gyrobench.bench.verification.coefficient_verification import CoefficientRun, compare_coefficients
+from gyrobench.bench.verification.compensation_verification import (
+    MeasuredRun,
+    VerificationResult,
+    compare_runs,
+)
+from gyrobench.drivers.ins.command_map import Compensation
 from tests.bench.report.made_up_closure import explained
 from tests.bench.report.made_up_verification import (
+    SITE,
     alone,
     compare,
     confirmed,
@@ -25,9 +36,12 @@ from tests.bench.report.made_up_verification import (
     improved,
     inconclusive,
     not_confirmed,
+    rows_of,
     without_a_plateau,
 )
+from tests.bench.verification.test_coefficient_verification import rows_of as coefficients_of
 
+LARGE = {f"{each.name}_{each.axis}": [20.0] for each in COEFFICIENTS if each.name != "gyro_bias"}
 PHRASES = ("without compensation", "with the declared model", "with the effects")
 
 
@@ -108,6 +122,93 @@ def test_a_model_with_effects_that_is_better_than_the_declared_one_alone_is_not_
     result = compare(explained(), {"none": 0.008, "declared": 0.03, "effect": 0.015})
     assert outcome(result) == "not confirmed"
     assert len(degradation_sentences(result)) == 2
+
+
+def judgements(sizes_dph, seeds=40):
+    """How often each judgement comes of runs that leave biases along Up."""
+    base = confirmed()
+    found = []
+    for seed in range(100, 100 + seeds):
+        runs = [
+            MeasuredRun(name, rows_of(size, seed=10 * seed + place), [])
+            for place, (name, size) in enumerate(sizes_dph.items())
+        ]
+        found.append(outcome(replace(base, results=compare_runs(runs, SITE, np.full((1, 3), 20.0)))))
+    return Counter(found)
+
+
+@pytest.mark.parametrize("size_dph", [0.001, 0.0012, 0.005, 0.02])
+def test_a_compensation_that_changes_nothing_neither_improves_nor_is_confirmed(size_dph):
+    for names in (("none", "effect"), ("none", "declared", "effect")):
+        assert judgements(dict.fromkeys(names, size_dph)).keys() <= {"not confirmed", "inconclusive"}
+
+
+@pytest.mark.parametrize(
+    ("left", "along_up_dph", "judgement"),
+    [
+        ({}, 0.0, "confirmed"),
+        (LARGE, 0.0, "not confirmed"),
+        (LARGE, 0.02, "not confirmed"),
+        ({}, 0.04, "not confirmed"),
+        ({name: [10.0] for name in LARGE}, 0.0, "improved"),
+    ],
+)
+def test_coefficients_are_judged_beside_their_noise_and_with_the_biases(left, along_up_dph, judgement):
+    rows = {"none": (LARGE, 0.02), "declared": (left, along_up_dph)}
+    coefficients = compare_coefficients(
+        [
+            CoefficientRun(name, coefficients_of(polynomials, seed=seed), {})
+            for seed, (name, (polynomials, _)) in enumerate(rows.items())
+        ],
+        SITE,
+    )
+    runs = [
+        MeasuredRun(name, rows_of(size, seed=seed), []) for seed, (name, (_, size)) in enumerate(rows.items())
+    ]
+    results = compare_runs(runs, SITE, np.full((1, 3), 20.0))
+    assert outcome(replace(confirmed(), results=results, coefficients=coefficients)) == judgement
+
+
+def test_effects_that_add_nothing_to_the_declared_model_are_not_confirmed():
+    assert judgements({"none": 0.02, "declared": 0.01, "effect": 0.01}) == {"not confirmed": 40}
+
+
+def test_a_residual_that_may_have_fallen_by_chance_is_inconclusive():
+    result = compare(explained(), {"none": 0.0018, "effect": 0.0})
+    assert outcome(result) == "inconclusive"
+    assert "consistent with noise" in outcome_sentence(result)
+
+
+def test_the_change_that_was_loaded_confirms_what_is_small_and_one_that_was_not_is_stated():
+    small = Compensation(
+        np.zeros((3, 1)), np.full(3, -40.0), np.full(3, 80.0), gravity_dph_per_g=0.002 * np.eye(3)
+    )
+
+    def verified(left_dph, loaded):
+        runs = [
+            MeasuredRun("none", rows_of(0.002, seed=1), []),
+            MeasuredRun("effect", rows_of(left_dph, seed=2), [], None, loaded),
+        ]
+        return replace(confirmed(), results=compare_runs(runs, SITE, np.full((1, 3), 20.0)))
+
+    assert outcome(verified(0.0, None)) == "inconclusive"
+    assert outcome(verified(0.0, small)) == "confirmed"
+    large = replace(small, gravity_dph_per_g=0.02 * np.eye(3))
+    assert application_sentences(verified(0.0, small)) == []
+    [sentence] = application_sentences(verified(0.002, large))
+    assert "check that the INS applies the compensation once" in sentence
+    assert sentence in outcome_sentence(verified(0.002, large))
+
+
+def test_a_constant_that_makes_the_bias_larger_is_stated_beside_a_residual_that_is_noise():
+    runs = [
+        MeasuredRun("none", rows_of(0.02, constant_dph=0.05, seed=1), []),
+        MeasuredRun("effect", rows_of(0.0, constant_dph=0.1, seed=2), []),
+    ]
+    result = replace(confirmed(), results=compare_runs(runs, SITE, np.full((1, 3), 20.0)))
+    [sentence] = application_sentences(result)
+    assert "the constant loaded does not fit this power cycle" in sentence
+    assert application_sentences(confirmed()) == []
 
 
 def test_what_a_run_lacks_is_stated():

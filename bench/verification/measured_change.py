@@ -1,0 +1,159 @@
+"""What a loaded compensation changed in the measured biases, against what its numbers say that it subtracts.
+
+A compensation that the INS does not apply, applies with the wrong sign, twice or to another gyro leaves a
+change that is not the one loaded, whatever the residual looks like.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import f, norm
+
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.drivers.ins.command_map import Compensation
+
+#: Above this standard uncertainty the factor of a gyro says nothing.
+_MAX_SIGMA = 0.25
+#: What the mean temperatures of a dwell leave open of the subtracted bias, as a share of it.
+_EVALUATION = 0.1
+#: p-value from which a change is one.
+SIGNIFICANT_P = 1e-3
+#: The same for a change that is not the loaded one.
+_CONTRADICTION_P = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredChange:
+    """Change of the varying biases from one run to another with another compensation."""
+
+    #: factors, sigmas: Shape (3,). Measured over loaded change of each gyro, and its standard uncertainty;
+    #: NaN where the loaded change hardly exceeds the noise.
+    factors: FloatArray
+    sigmas: FloatArray
+    #: is_applied, is_smaller: Whether the biases changed as loaded, over all gyros, and became smaller by
+    #: that, each with p < 0.001.
+    is_applied: bool
+    is_smaller: bool
+    contradicts: BoolArray  #: Shape (3,). Which gyros changed otherwise than loaded.
+
+
+def subtracted_dph(compensation: Compensation, rows: Sequence[DwellRow]) -> FloatArray:
+    """Biases (n, 3) that an INS subtracts in dwells, deg/h, from their mean temperatures.
+
+    NaN where a temperature is missing that a term needs, and for hysteresis, which a dwell does not show.
+    """
+    numbers = compensation
+    gyro_c = np.array([row.gyro_c for row in rows]).reshape(-1, 3)
+    at_c = np.clip(gyro_c, numbers.low_c, numbers.high_c)
+    hotter_k = np.array([row.board_c for row in rows]).reshape(-1, 3) - gyro_c
+    hotter_k = np.clip(hotter_k, numbers.difference_low_k, numbers.difference_high_k)
+    rate = np.array([row.gyro_rate_c_per_h for row in rows]).reshape(-1, 3)
+    rate = np.clip(rate, -numbers.rate_limit_c_per_h, numbers.rate_limit_c_per_h)
+    up = np.array([POSITIONS[row.position].C_nb()[2] for row in rows]).reshape(-1, 3)
+    middle_s = np.array([row.since_power_on_s + 0.5 * (row.end_s - row.start_s) for row in rows])[
+        :, np.newaxis
+    ]
+    total = np.zeros_like(at_c)
+    for coefficients in numbers.polynomial_dph.T[::-1]:
+        total = total * at_c + coefficients
+    cold = (numbers.onset_c - at_c) / np.where(numbers.onset_width_c > 0.0, numbers.onset_width_c, np.inf)
+    factor = (
+        numbers.gradient_dph_per_k
+        + up @ numbers.saturating_dph_per_k.T / (1.0 + np.exp(np.clip(-cold, -500.0, 500.0)))
+        + up @ numbers.growing_dph_per_k.T * np.logaddexp(0.0, cold)
+    )
+    decay = np.exp(-middle_s / np.where(numbers.warm_up_s > 0.0, numbers.warm_up_s, np.inf))
+    terms = (
+        (numbers.rate_dph_per_c_per_h, rate),
+        (factor, hotter_k),
+        (numbers.warm_up_dph, decay),
+        (np.where(numbers.hysteresis_dph_per_k, np.nan, 0.0), np.ones_like(at_c)),
+    )
+    for size, driver in terms:
+        total = total + np.where(size == 0.0, 0.0, size * driver)
+    return np.asarray(total + up @ numbers.gravity_dph_per_g.T)
+
+
+def measured_change(
+    before: Sequence[DwellRow],
+    after: Sequence[DwellRow],
+    loaded: tuple[Compensation | None, Compensation | None],
+) -> MeasuredChange | None:
+    """Compare the same dwells of two runs with what was loaded in each; None where nothing is comparable.
+
+    Each gyro's means over the dwells that share their power cycles are taken out first, as of the varying
+    bias.
+    """
+    changes = [np.zeros((len(rows), 3)) for rows in (before, after)]
+    for place, (rows, compensation) in enumerate(zip((before, after), loaded, strict=True)):
+        if compensation is not None:
+            changes[place] = subtracted_dph(compensation, rows)
+    expected = changes[1] - changes[0]
+    first, second = (np.array([row.bias_dph for row in rows]).reshape(-1, 3) for rows in (before, after))
+    sigmas = [np.array([row.sigma_dph for row in rows]).reshape(-1, 3) for rows in (before, after)]
+    known = np.isfinite(first + second + expected).all(axis=1)
+    if known.sum() < 2 or not np.any(expected[known]):
+        return None
+    names = [(one.run, other.run) for one, other in zip(before, after, strict=True)]
+    cycles = np.array([names.index(name) for name in names])[known]
+    weights = (sigmas[0] ** 2 + sigmas[1] ** 2)[known] ** -1.0
+    expected, change, total = (
+        _varying(each[known], weights, cycles) for each in (expected, first - second, first + second)
+    )
+    information = np.sum(weights * expected**2, axis=0)
+    fits = [_fit(expected, change[:, gyro], weights[:, gyro], gyro) for gyro in range(3)]
+    scatter = np.array([fit.scatter for fit in fits])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        factors = np.sum(weights * expected * change, axis=0) / information
+        errors = scatter * information**-0.5
+    is_shown = errors < _MAX_SIGMA
+    # Scatter beyond the noise makes both less certain.
+    root = scatter.max() * math.sqrt(float(information.sum()))
+    is_applied, is_smaller = (
+        bool(norm.sf(float(np.sum(weights * expected * each)) / root) < SIGNIFICANT_P)
+        for each in (change, total)
+    )
+    return MeasuredChange(
+        factors=np.where(is_shown, factors, np.nan),
+        sigmas=np.where(is_shown, errors, np.nan),
+        contradicts=is_shown & np.array([fit.contradicts for fit in fits]),
+        is_applied=is_applied,
+        is_smaller=is_smaller,
+    )
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """How a gyro's change follows the loaded changes of all gyros."""
+
+    scatter: float  #: What is left, in standard deviations; at least 1.
+    contradicts: bool  #: Whether its own loaded change alone does not explain it.
+
+
+def _fit(expected: FloatArray, change: FloatArray, weights: FloatArray, gyro: int) -> _Fit:
+    """F-test of a gyro's own loaded change against any sum of those of all."""
+    roots = np.sqrt(weights)
+    columns, values = expected * roots[:, np.newaxis], change * roots
+    found, _, rank, _ = np.linalg.lstsq(columns, values, rcond=1e-6)
+    left = float(np.sum((values - columns @ found) ** 2))
+    excess = float(np.sum((values - columns[:, gyro]) ** 2)) - left
+    dof = max(len(values) - 1 - int(rank), 1)
+    variance = max(left / dof, 1.0)
+    size = float(np.sum(columns[:, gyro] ** 2))
+    is_unlikely = f.sf(excess / max(int(rank), 1) / variance, max(int(rank), 1), dof) < _CONTRADICTION_P
+    return _Fit(math.sqrt(variance), bool(is_unlikely and excess > _EVALUATION**2 * size))
+
+
+def _varying(values: FloatArray, weights: FloatArray, cycles: np.ndarray) -> FloatArray:
+    """Values (n, 3) without each gyro's weighted mean over the dwells of a power cycle."""
+    varying = values.copy()
+    for cycle in set(cycles.tolist()):
+        mine = cycles == cycle
+        varying[mine] -= np.average(values[mine], axis=0, weights=weights[mine])
+    return varying
