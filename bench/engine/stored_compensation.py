@@ -53,7 +53,7 @@ class StoredCompensation:
             ins.clear_compensation()
         if self._required is not None:
             checksum = ins.load_compensation(self._required)
-            ins.apply_compensation()
+            ins.apply_compensation(checksum)
             unit.note(f"the compensation {checksum:08x} is loaded into the INS")
         elif before is not None and before.compensation and not found.compensation:
             unit.note("the INS has lost its stored compensation: dwells before and after differ")

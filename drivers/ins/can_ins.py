@@ -223,6 +223,12 @@ class CanIns:
                 f"{command.coefficients - 1}{''.join(f', {term}' for term in command.supported_terms())}, by "
                 "the station file's ins.commands.load_compensation",
             )
+        if altered := command.altered(self.codec, compensation):
+            raise RefusedError(
+                self.name,
+                f"can't take {', '.join(altered)}: the signals of {command.message} round or clip them. "
+                "Check the DBC's scale, or load a polynomial of lower degree",
+            )
         numbers = command.numbers(compensation)
         for axis, gyro_numbers in enumerate(numbers):
             for index, value in gyro_numbers.items():
@@ -236,15 +242,17 @@ class CanIns:
             )
         return expected
 
-    def apply_compensation(self, timeout_s: float = _REPLY_TIMEOUT_S) -> None:
+    def apply_compensation(self, loaded: int | None = None, timeout_s: float = _REPLY_TIMEOUT_S) -> None:
         """Put the loaded compensation into use; waits and raises as :meth:`align`.
 
-        Where the map has a signal for the checksum in use, that confirms it too.
+        Where the map has a signal for the checksum in use, that confirms it too. ``loaded``: the checksum of
+        what was loaded; by default what the INS reports as loaded.
         """
 
         def in_use(status: InsStatus) -> bool:
-            used, loaded = status.compensation_in_use, status.compensation_loaded
-            return status.compensation is True and (used == loaded or None in (used, loaded))
+            used = status.compensation_in_use
+            expected = status.compensation_loaded if loaded is None else loaded
+            return status.compensation is True and (used == expected or None in (used, expected))
 
         self._complete(self._commanding("apply_compensation", "compensation", in_use, timeout_s))
 

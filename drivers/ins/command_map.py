@@ -360,6 +360,18 @@ class CorrectionIndices(StrictModel):
         return [*self.gyro, self.accelerometer_bias, *self.accelerometer]
 
 
+def _as_list(index: int | list[int] | None) -> list[int]:
+    return [] if index is None else index if isinstance(index, list) else [index]
+
+
+#: Indices of the limits of all coefficients in :class:`CorrectionIndices`.
+_LIMITS = 14
+#: What signals of too few bits may take off a polynomial, deg/h, and off other numbers, relative.
+_MAX_LOST_DPH, _MAX_LOST = 1e-4, 0.01
+#: Relative rounding of a floating-point number of 32 bits, rounded up.
+_FLOAT32 = 1e-6
+
+
 class CoefficientCommand(Command):
     """Loads one number of the compensation: ``$value`` at ``$index`` for the gyro ``$axis``.
 
@@ -374,6 +386,24 @@ class CoefficientCommand(Command):
         None,
         description="first of the eight indices of other coefficients: of T^0 to T^3, rate, x, y, z of Up",
     )
+
+    @model_validator(mode="after")
+    def _one_number_each(self) -> Self:
+        keys = [f"T^{index}" for index in range(self.coefficients)]
+        places = dict(enumerate(keys))
+        indices = {"lowest_index": self.lowest_index, "highest_index": self.highest_index, **dict(self.terms)}
+        named = [(key, each) for key, index in indices.items() for each in _as_list(index)]
+        if self.others is not None:
+            named += [("others", each) for each in self._indices_of_others(self.others)]
+            first = self.others.limits
+            named += [("others.limits", first + each) for each in range(_LIMITS) if first is not None]
+        for key, index in named:
+            if index in places:
+                raise ValueError(
+                    f"{key} and {places[index]} both have the index {index}: each number needs its own"
+                )
+            places[index] = key
+        return self
 
     def supported_terms(self) -> list[str]:
         """Names of the terms that the INS supports."""
@@ -395,6 +425,32 @@ class CoefficientCommand(Command):
         if degree >= self.coefficients:
             parts.insert(0, f"a polynomial of degree {degree}")
         return parts
+
+    def altered(self, codec: DbcCodec, compensation: Compensation) -> list[str]:
+        """Numbers of a compensation that the signals can't carry, in words: clipped, or rounded too much.
+
+        A polynomial's numbers may lose as much together as changes a bias by 1e-4 deg/h, others a hundredth.
+        """
+        signals = {value: name for name, value in self.values.items() if isinstance(value, str)}
+        decoders = {given: codec.decoder(self.message, name) for given, name in signals.items()}
+        found = []
+        for axis, numbers in enumerate(self.numbers(compensation)):
+            hottest_c = max(abs(compensation.low_c[axis]), abs(compensation.high_c[axis]), 1.0)
+            lost_dph = size_dph = 0.0
+            for index, value in numbers.items():
+                given = {"$axis": float(axis), "$index": float(index), "$value": float(value)}
+                data = bytes(self.frame(codec, given).data)
+                sent = {name: decode(data) for name, decode in decoders.items()}
+                lost = abs(sent.get("$value", value) - value)
+                if index < self.coefficients:
+                    lost_dph += lost * hottest_c**index
+                    size_dph += abs(value) * hottest_c**index
+                is_lost = index >= self.coefficients and lost > _MAX_LOST * abs(value)
+                if is_lost or any(sent.get(name, given[name]) != given[name] for name in ("$axis", "$index")):
+                    found.append(f"the number {index} of the {'xyz'[axis]} axis")
+            if lost_dph > max(_MAX_LOST_DPH, _FLOAT32 * size_dph):
+                found.append(f"the polynomial of the {'xyz'[axis]} gyro ({lost_dph:.2g} deg/h are lost)")
+        return found
 
     def numbers(self, compensation: Compensation) -> list[dict[int, float]]:
         """Numbers of each gyro by index, in the order of the indices."""
@@ -470,6 +526,10 @@ def check_commands(commands: CommandMap, codec: DbcCodec, at: KeyPath = ()) -> l
         if command is None:
             continue
         given = _GIVEN.get(name, set())
+        if lacking := sorted(given - {value for value in command.values.values() if isinstance(value, str)}):
+            problems.append(
+                DocumentProblem((*at, name, "values"), f"no signal has {', '.join(lacking)}: give it to one")
+            )
         for signal, value in command.values.items():
             here = (*at, name, "values", signal)
             if isinstance(value, str) and value not in given:

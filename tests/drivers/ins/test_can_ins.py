@@ -1,8 +1,10 @@
+import re
 import zlib
 
 import can
 import numpy as np
 import pytest
+from cantools.database import Database
 
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.errors import (
@@ -18,6 +20,7 @@ from gyrobench.drivers.ins.attitude import EulerSequence
 from gyrobench.drivers.ins.can_bus import open_bus
 from gyrobench.drivers.ins.can_ins import CanIns
 from gyrobench.drivers.ins.command_map import TERMS, CommandMap, Compensation, TermIndices
+from gyrobench.drivers.ins.dbc_codec import DbcCodec
 from gyrobench.drivers.ins.ins_status import STALE_S, NewestFrames
 from gyrobench.drivers.ins.navigation_data import decode_navigation
 from gyrobench.drivers.ins.readout import InsMode
@@ -380,6 +383,51 @@ def test_terms_that_the_ins_does_not_take_are_refused_and_nothing_is_sent(
         driver.load_compensation(cubic)
     clock.sleep(1.0)
     assert unit.coefficients == {}
+
+
+@pytest.mark.parametrize(
+    ("scale", "numbers", "refused"),
+    [
+        (1e-4, [0.5, -0.25], "the polynomial of the x gyro"),
+        (1e-7, [0.5, -0.25, 3e-6], "the polynomial of the x gyro"),
+        (1e-9, [0.5, -0.25, 3e-6], ""),
+        (1e-9, [50.0], "the polynomial of the x gyro"),
+    ],
+)
+def test_numbers_that_the_signal_rounds_or_clips_are_refused_and_nothing_is_sent(
+    buses, signal_map, codec, clock, command_map, unit, scale, numbers, refused
+):
+    """A whole number of 32 bits in steps of a scale, in place of a floating-point number."""
+    text = codec.database.as_dbc_string()
+    text = text.replace("VALUE : 32|32@1- (1,0)", f"VALUE : 32|32@1- ({scale:.9f},0)")
+    text = re.sub(r"SIG_VALTYPE_ 513 VALUE ?: 1;", "", text)
+    database = Database()
+    database.add_dbc_string(text)
+    unit.codec = DbcCodec(database)
+    without = {"terms": TermIndices(), "coefficients": 3, "lowest_index": None, "highest_index": None}
+    load = command_map.load_compensation.model_copy(update=without | {"others": None})
+    driver = CanIns(
+        buses[0], signal_map, database, clock, command_map.model_copy(update={"load_compensation": load})
+    )
+    polynomial = np.tile([*numbers, *[0.0] * (3 - len(numbers))], (3, 1)) / 7.0
+    compensation = Compensation(polynomial, np.full(3, -20.0), np.full(3, 70.0))
+    if refused:
+        with pytest.raises(RefusedError, match=refused):
+            driver.load_compensation(compensation)
+        assert unit.coefficients == {}
+    else:
+        assert load.altered(driver.codec, compensation) == []
+
+
+def test_another_compensation_in_use_than_the_one_loaded_confirms_nothing(
+    buses, make_signal_map, codec, clock, command_map, unit
+):
+    signal_map = make_signal_map({"compensation_loaded: COMPENSATION_STATUS.LOADED\n": ""})
+    driver = CanIns(buses[0], signal_map, codec.database, clock, command_map)
+    unit.loses = (0, 0)
+    loaded = driver.load_compensation(POLYNOMIAL)
+    with pytest.raises(NoReplyError, match="confirmation of 'apply_compensation'"):
+        driver.apply_compensation(loaded)
 
 
 def test_a_compensation_in_use_is_reported_with_its_checksum(driver, unit, clock):

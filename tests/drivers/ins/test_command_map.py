@@ -62,6 +62,32 @@ def test_terms_that_are_not_whole_are_mistakes(terms, message):
         command_map_of(f"load_compensation: {{message: A, values: {{}}, coefficients: 2, terms: {terms}}}")
 
 
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ("coefficients: 4, lowest_index: 3", r"lowest_index and T\^3 both have the index 3"),
+        ("coefficients: 2, terms: {gravity_dph_per_g: [8, 9, 8]}", None),
+        ("coefficients: 2, terms: {gradient_dph_per_k: 1}", r"gradient_dph_per_k and T\^1"),
+        (
+            "coefficients: 2, terms: {gradient_dph_per_k: 12}, "
+            "others: {gyro: [10, 20, 30], accelerometer_bias: 40, accelerometer: [50, 60, 70]}",
+            "others and gradient_dph_per_k both have the index 12",
+        ),
+    ],
+)
+def test_two_numbers_at_one_index_are_a_mistake(keys, message):
+    text = f"load_compensation: {{message: A, values: {{}}, {keys}}}"
+    with pytest.raises(DocumentError, match=message or "both have the index 8"):
+        command_map_of(text)
+
+
+def test_a_load_command_without_axis_index_or_value_is_a_mistake(codec):
+    text = "load_compensation: {message: COMPENSATION_COEFFICIENT, values: {INDEX: $index, VALUE: $value}"
+    [problem] = check_commands(command_map_of(f"{text}, coefficients: 2}}"), codec)
+    assert problem.location == ("load_compensation", "values")
+    assert "no signal has $axis" in problem.message
+
+
 BASE = {
     "polynomial_dph": np.array([[0.01, 1e-4, -2e-6], [0.02, 0.0, 0.0], [-0.01, 2e-4, 1e-6]]),
     "low_c": np.full(3, -20.0),
