@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
@@ -12,7 +13,7 @@ from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.contradictions import contradictions
 from gyrobench.bench.closure.quantity import GYRO_BIAS, Quantity
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.foundations.text import counted
+from gyrobench.bench.foundations.text import agreeing, counted
 
 #: Temperatures at which no INS is calibrated, degC.
 _COLDEST_C, _HOTTEST_C = -150.0, 200.0
@@ -21,6 +22,8 @@ _KELVIN_FROM = 213.15
 #: Sigmas this many times the spread of all biases of a gyro are wrong. With right ones that has a
 #: probability below 1e-7 in the least number of dwells.
 _MAX_SIGMA_TO_SPREAD, _MIN_DWELLS = 10.0, 8
+#: Copies that are no chance of rounded values: their number, and their share of the dwells.
+_MIN_COPIES, _MIN_COPIED = 3, 0.05
 _TEMPERATURES = {
     "gyro_{}_c": "gyro_c",
     "board_{}_c": "board_c",
@@ -33,7 +36,7 @@ _TEMPERATURES = {
 def implausible(rows: Sequence[DwellRow], quantity: Quantity = GYRO_BIAS) -> list[str]:
     """Everything about the dwells without flags that can't be measured data, each as one sentence."""
     good = [row for row in rows if not row.flags]
-    problems = [*_times(good), *_temperatures(good), *_sigmas(good, quantity)] if good else []
+    problems = [*_times(good), *_copies(good), *_temperatures(good), *_sigmas(good, quantity)] if good else []
     return problems or contradictions(good)
 
 
@@ -55,6 +58,24 @@ def _times(rows: Sequence[DwellRow]) -> Iterator[str]:
                     f"{row.end_s:g} s"
                 )
                 return
+
+
+def _copies(rows: Sequence[DwellRow]) -> Iterator[str]:
+    """Dwells that are pasted twice: a held-out copy follows the model, noise and all."""
+    first: dict[tuple[float, ...], DwellRow] = {}
+    copies = []
+    for row in rows:
+        values = (*row.bias_dph, *row.gyro_c)
+        if all(map(math.isfinite, values)) and first.setdefault(values, row) is not row:
+            copies.append((row, first[values]))
+    if len(copies) >= max(_MIN_COPIES, _MIN_COPIED * len(rows)):
+        row, other = copies[0]
+        others = len(copies) - 1
+        yield (
+            f"dwell {row.dwell} has biases and gyro temperatures of dwell {other.dwell} to the last digit,"
+            f" and {counted(others, 'other')} {agreeing(others, 'has', 'have')} those of another one: leave "
+            "the copies out"
+        )
 
 
 def _temperatures(rows: Sequence[DwellRow]) -> Iterator[str]:

@@ -32,7 +32,7 @@ from gyrobench.bench.engine.run_outcome import RunOutcome
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
 from gyrobench.bench.foundations.text import agreeing, counted
 from gyrobench.bench.navigation.error_model import Site
-from gyrobench.bench.runs.compensation_file import read_compensation
+from gyrobench.bench.runs.compensation_file import compensations_in_use, read_compensation
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import facts_of, read_journal
 from gyrobench.bench.runs.provenance import read_provenance
@@ -232,7 +232,7 @@ class VerificationRuns:
                 yield flags_note(name, flagged, len(measured))
         if self._has_coefficients and not has_coefficients:
             yield "No plateau has coefficients in all runs, so they are not compared."
-        kept = _compensations_in_use(RunFolder(self.folder / NONE)) if NONE in rows else []
+        kept = compensations_in_use(RunFolder(self.folder / NONE)) if NONE in rows else []
         if kept:
             yield f"In the run {IN_WORDS[NONE]} the INS applied a stored compensation ({', '.join(kept)})."
 
@@ -296,22 +296,12 @@ def _with_coefficients(
 
 
 def _check_uncompensated(run: RunFolder) -> None:
-    in_use = _compensations_in_use(run)
+    in_use = compensations_in_use(run)
     if in_use:
         raise DocumentError(
             f"{run.path}: was measured while the INS applied a stored compensation ({', '.join(in_use)}), so "
             "its model describes only the remaining biases. Clear it and measure the campaign again"
         )
-
-
-def _compensations_in_use(run: RunFolder) -> list[str]:
-    """Checksums of the compensations that the INS applied in a run."""
-    found = [
-        str(entry["in_use"].get("checksum") or "checksum unknown")
-        for entry in read_journal(run.journal)
-        if entry.get("event") == "compensation" and entry.get("in_use", {}).get("active")
-    ]
-    return list(dict.fromkeys(found))
 
 
 def _check_new(run: RunFolder, job: Job) -> None:

@@ -42,7 +42,7 @@ from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.navigation.positions import AXES
-from gyrobench.bench.runs.compensation_file import write_compensation
+from gyrobench.bench.runs.compensation_file import compensations_in_use, write_compensation
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.provenance import started_utc
 from gyrobench.bench.runs.telemetry import TELEMETRY_COLUMNS, read_telemetry
@@ -215,6 +215,11 @@ def _why_missing(folder: RunFolder, what: DataKind) -> str:
         case DataKind.NAVIGATION | DataKind.CAN:
             return "" if any(folder.can.glob("part-*")) else "there are no CAN frames"
         case DataKind.COMPENSATION:
+            if in_use := compensations_in_use(folder):
+                return (
+                    f"the INS applied a compensation already ({', '.join(in_use)}), so the model describes "
+                    "only the remaining biases; measure the campaign without it"
+                )
             is_closed = holds_search(folder.closure)
             return "" if is_closed else f"no search for effects yet; run `gyrobench close {folder.path}`"
     names = [f"{table}.csv" for table in _TABLES[what]]

@@ -12,6 +12,8 @@ from pydantic import Field, model_validator
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.documents import StrictModel, read_document, validate
 from gyrobench.bench.foundations.files import write_whole
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.journal import read_journal
 from gyrobench.drivers.ins.command_map import NUMBERS, Compensation, Correction
 
 _OfGyros = Annotated[list[float], Field(min_length=3, max_length=3)]
@@ -141,3 +143,20 @@ def _entry(correction: Correction) -> dict[str, Any]:
 def read_compensation(path: Path) -> Compensation:
     """Read a compensation file. Raises DocumentError, which lists everything wrong with it, with places."""
     return validate(read_document(path), CompensationFile).compensation()
+
+
+def compensations_in_use(run: RunFolder) -> list[str]:
+    """Checksums of the compensations that the INS applied in a run.
+
+    Also of one that the run loaded into an INS that does not report what it applies. Raises RunFolderError if
+    the journal can't be read.
+    """
+    found = []
+    for entry in read_journal(run.journal):
+        if entry.get("event") != "compensation":
+            continue
+        in_use = entry.get("in_use", {})
+        is_loaded = entry.get("terms") is not None and in_use.get("active") is None
+        if in_use.get("active") or is_loaded:
+            found.append(str(in_use.get("checksum") or "checksum unknown"))
+    return list(dict.fromkeys(found))

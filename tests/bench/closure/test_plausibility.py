@@ -52,3 +52,24 @@ def test_one_wrong_temperature_is_named_and_a_sound_table_has_no_problems(rows):
 
 def test_sigmas_too_cautious_by_a_factor_of_five_are_no_problem(rows):
     assert implausible([replace(row, sigma_dph=tuple(5.0 * s for s in row.sigma_dph)) for row in rows]) == []
+
+
+def test_a_cycle_that_was_pasted_twice_is_no_second_measurement(rows):
+    first = [row for row in rows if row.cycle == 1]
+    later_s = max(row.end_s for row in first) + 7200.0
+    copies = [
+        replace(
+            row,
+            cycle=2,
+            run=f"{row.run} again",
+            dwell=row.dwell + 1000,
+            start_s=row.start_s + later_s,
+            end_s=row.end_s + later_s,
+        )
+        for row in first
+    ]
+    [problem] = implausible([*first, *copies])
+    assert problem.startswith(f"dwell {copies[0].dwell} has biases and gyro temperatures of dwell 1 ")
+    assert f"and {len(copies) - 1} others have those of another one" in problem
+    one = [replace(row, gyro_c=tuple(each + 0.1 for each in row.gyro_c)) for row in copies]
+    assert implausible([*first, *one[:-1], replace(copies[-1], start_s=one[-1].start_s)]) == []

@@ -119,6 +119,15 @@ def test_what_is_not_there_is_reported_where_nothing_else_was_wanted(two_dwells,
     assert not (tmp_path / "out").exists()
 
 
+def test_the_model_of_a_unit_that_compensated_itself_is_no_compensation(two_dwells, tmp_path):
+    run = RunFolder(tmp_path / "run")
+    shutil.copytree(two_dwells.path, run.path)
+    entry = {"event": "compensation", "in_use": {"active": True, "checksum": "0badcafe"}, "terms": None}
+    run.journal.write_text(json.dumps(entry) + "\n")
+    with pytest.raises(RunFolderError, match=r"the INS applied a compensation already \(0badcafe\)"):
+        export_run(run, ExportSelection([DataKind.COMPENSATION]), tmp_path / "out")
+
+
 def test_files_that_are_there_stay_unless_they_are_to_be_replaced(two_dwells, tmp_path):
     wanted = ExportSelection([DataKind.DWELLS, DataKind.BINS], [Format.CSV])
     (tmp_path / "bias_bins.csv").write_text("mine")

@@ -115,3 +115,15 @@ def test_a_value_has_the_decimals_of_its_uncertainty(value: float, sigma: float,
 )
 def test_limit_is_never_rounded(limit_dph: float, sigma_dph: float, expected: str) -> None:
     assert BiasScale.of([limit_dph], [sigma_dph]).exact(limit_dph) == expected
+
+
+@pytest.mark.parametrize(
+    ("value", "sigma", "text"),
+    [
+        (2.0, 3e-8, "2.00000000 ± 0.00000003"),
+        (0.029, 5e-8, "(2.900000 ± 0.000005)e-2"),
+        (36.0, 1e-6, "(3.60000000 ± 0.00000010)e1"),
+    ],
+)
+def test_an_uncertainty_far_below_its_value_is_written_with_its_digits(value, sigma, text):
+    assert with_sigma(value, sigma) == text

@@ -1,3 +1,4 @@
+import json
 import re
 from dataclasses import fields, replace
 from typing import get_args
@@ -9,9 +10,11 @@ from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.runs.compensation_file import (
     CompensationFile,
     _Name,
+    compensations_in_use,
     read_compensation,
     write_compensation,
 )
+from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.drivers.ins.command_map import NUMBERS, Compensation, Correction
 
 POLYNOMIAL = "polynomial_dph: [[1.0], [2.0], [3.0]]\nlow_c: [-20, -20, -20]\nhigh_c: [70, 70, 70]\n"
@@ -102,3 +105,18 @@ def test_the_temperatures_of_a_coefficient_are_read_as_written_and_in_order(tmp_
     path.write_text(path.read_text().replace("[33.0, 75.0]", "[75.0, 33.0]"))
     with pytest.raises(DocumentError, match="low_c of a coefficient must not be above its high_c"):
         read_compensation(path)
+
+
+@pytest.mark.parametrize(
+    ("entry", "expected"),
+    [
+        ({"in_use": {"active": True, "checksum": "0badcafe"}, "terms": None}, ["0badcafe"]),
+        ({"in_use": {"active": False, "checksum": "00000000"}, "terms": None}, []),
+        ({"in_use": {"active": None, "checksum": None}, "terms": None}, []),
+        ({"in_use": {"active": None, "checksum": None}, "terms": []}, ["checksum unknown"]),
+    ],
+)
+def test_a_loaded_compensation_is_in_use_though_the_ins_does_not_report_it(tmp_path, entry, expected):
+    run = RunFolder(tmp_path)
+    run.journal.write_text(json.dumps({"event": "compensation", **entry}) + "\n")
+    assert compensations_in_use(run) == expected
