@@ -102,6 +102,10 @@ def write_import(out: Path, imported: LogImport) -> Path:
     return record
 
 
+#: Smallest rate of the Earth that a wrong sign is looked for in, deg/h, and how near to it that is, relative.
+_MIN_EARTH_DPH, _SAME_EARTH = 2.0, 0.1
+
+
 @contextmanager
 def _named(logs: Sequence[Path]) -> Iterator[None]:
     """Name the logs in errors."""
@@ -126,8 +130,27 @@ def _log_warnings(logs: Sequence[_ReadLog]) -> list[str]:
     return warnings
 
 
+def _reversed_earth(rows: Sequence[DwellRow], latitude_deg: float) -> Iterator[str]:
+    """Axes whose biases differ as the Earth's rotation subtracted with the wrong sign leaves them."""
+    left_dph = 2.0 * float(earth_rate_enu(math.radians(latitude_deg))[2]) * RADPS_TO_DPH
+    for index, axis in enumerate(AXES):
+        up, down = (
+            [row.bias_dph[index] for row in rows if row.position == f"{axis}_{way}"] for way in ("up", "down")
+        )
+        if up and down and abs(left_dph) > _MIN_EARTH_DPH:
+            half_dph = 0.5 * float(np.mean(down) - np.mean(up))
+            if abs(half_dph - left_dph) < _SAME_EARTH * abs(left_dph):
+                yield (
+                    f"the bias of the {axis} gyro differs by {2.0 * abs(half_dph):.1f} deg/h with its axis up"
+                    " and down: four times the vertical part of the Earth's rotation, as with wrong signs of "
+                    "the accelerometers ('position'), of the gyro or of the latitude. Check them"
+                )
+
+
 def _map_warnings(log_map: LogMap, rows: Sequence[DwellRow]) -> list[str]:
-    warnings = []
+    warnings: list[str] = []
+    if log_map.earth_rate is not None:
+        warnings += _reversed_earth(rows, log_map.earth_rate.latitude_deg)
     if log_map.earth_rate is None:
         if len({row.position for row in rows}) > 1:
             warnings.append(

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 #: Smallest uncertainty that is written without a power of ten: with one or two digits in five decimals.
 _PLAIN_SIGMA = 1e-5
 #: Digits of a floating-point number.
-_MOST_DIGITS = 15
+_MAX_DIGITS = 15
 
 
 def listed(texts: Sequence[str]) -> str:
@@ -74,7 +74,7 @@ def with_sigma(value: float, sigma: float) -> str:
     if sigma < _PLAIN_SIGMA:
         exponent = math.floor(math.log10(max(abs(value), sigma)))
         value, sigma = value / 10.0**exponent, sigma / 10.0**exponent
-        decimals = decimals_of(sigma, _MOST_DIGITS)
+        decimals = decimals_of(sigma, _MAX_DIGITS)
         power = f"e{exponent}" if exponent else ""
         text = f"{value:z.{decimals}f} ± {sigma:.{decimals}f}"
         return f"({text}){power}" if power else text

@@ -297,6 +297,24 @@ def test_the_earths_rotation_is_taken_from_the_rates(log):
     np.testing.assert_allclose(plain - freed, np.tile(expected, (40, 1)), atol=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("gyro", "force", "latitude_deg"), [(1, 1, 48), (-1, 1, 48), (1, -1, 48), (1, 1, -48)]
+)
+def test_the_earths_rotation_with_the_wrong_sign_is_shown(log, gyro, force, latitude_deg):
+    """Turned upside down at half time; the z gyro senses the Earth at latitude 48 deg."""
+    up = np.where(log.time_s < 1200.0, 1.0, -1.0)
+    log.columns |= {"ax": 0.0 * up, "ay": 0.0 * up, "az": 9.8 * force * up}
+    random = np.random.default_rng(5)
+    earth_dph = 15.041067 * np.sin(np.radians(48.0))
+    log.columns["gz"] = gyro * (3.0 + earth_dph * up + random.standard_normal(len(up))) / 3600.0
+    accelerometers = "{accelerometers: {x: ax, y: ay, z: az}}"
+    found = imported(log, position=accelerometers, earth_rate=f"{{latitude_deg: {latitude_deg}}}")
+    warned = any(
+        "the z gyro differs by 44.7 deg/h with its axis up and down" in each for each in found.warnings
+    )
+    assert warned == ((gyro, force, latitude_deg) != (1, 1, 48))
+
+
 def test_without_azimuth_the_vertical_gyro_alone_is_freed_and_that_is_reported(log):
     plain = biases(imported(log, position="x_down").rows)
     result = imported(log, position="x_down", earth_rate="{latitude_deg: 30}")
