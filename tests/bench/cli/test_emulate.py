@@ -1,6 +1,7 @@
 """`gyrobench emulate`, in a separate process."""
 
 import json
+import contextlib
 import os
 import select
 import signal
@@ -107,7 +108,7 @@ class SerialServer:
 
     def _relay(self):
         client, _ = self._listener.accept()
-        with client:
+        with client, contextlib.suppress(ConnectionError):  # it leaves while frames still come
             while True:
                 for each in select.select([client, self._device], [], [])[0]:
                     if each is client:
