@@ -1,7 +1,7 @@
 """`gyrobench emulate`, in a separate process."""
 
-import json
 import contextlib
+import json
 import os
 import select
 import signal
