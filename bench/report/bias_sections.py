@@ -43,8 +43,8 @@ _UNCERTAIN_MAXIMUM = (
     "Filled markers: significant difference."
 )
 _LIMIT_LINE = (
-    " The red line is the acceptance limit, which holds within one plateau: a bin with dwells of several "
-    "plateaus can be above it although the unit is accepted. The uncertainties are those of bin means; the "
+    " Red lines are acceptance limits, which hold within one plateau: a bin with dwells of several "
+    "plateaus can be above them although the unit is accepted. The uncertainties are those of bin means; the "
     "section Acceptance has those of plateaus corrected to one temperature."
 )
 _BIAS_FIGURE = (

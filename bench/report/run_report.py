@@ -467,6 +467,5 @@ def run_figures(
         yield "position_pair", partial(position_pair_figure, bins, marked_c)
     comparisons = compare_positions(bins)
     limits = acceptance.limits if acceptance else None
-    limit_dph = limits.position_difference_dph if limits else None
     if comparisons:
-        yield "position_differences", partial(position_difference_figure, comparisons, limit_dph, marked_c)
+        yield "position_differences", partial(position_difference_figure, comparisons, limits, marked_c)

@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 
 from gyrobench.bench.bias.bins import BiasBin, PositionComparison, paper_bins
 from gyrobench.bench.bias.dwell_table import DwellRow, paper_rows
+from gyrobench.bench.bias.verdicts import AcceptanceLimits
 from gyrobench.bench.foundations.arrays import FloatArray, Triple
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.figures.style import (
@@ -261,12 +262,14 @@ _LIMIT_COLOUR = "#b3261e"
 
 @house_style
 def position_difference_figure(
-    comparisons: Sequence[PositionComparison], limit_dph: float | None = None, marked_c: Sequence[float] = ()
+    comparisons: Sequence[PositionComparison],
+    limits: AcceptanceLimits | None = None,
+    marked_c: Sequence[float] = (),
 ) -> Figure:
     """Draw the largest difference between positions in every bin of the three gyros.
 
     Filled markers are significant differences; see
-    :func:`gyrobench.bench.report.run_text.differing`. The acceptance limit, if any, is a red line.
+    :func:`gyrobench.bench.report.run_text.differing`. Acceptance limits are red lines.
     """
     found = differing(comparisons)
     scale = BiasScale.of(
@@ -286,8 +289,10 @@ def position_difference_figure(
     )
     if comparisons:
         axes.set_ylim(bottom=0.0)
-        if limit_dph is not None:
-            _mark_limit(axes, limit_dph * scale.factor)
+        if limits is not None:
+            _mark_limit(axes, limits.position_difference_dph * scale.factor, "acceptance limit")
+        if limits is not None and limits.vertical_difference_dph is not None:
+            _mark_limit(axes, limits.vertical_difference_dph * scale.factor, "with the gyro up and down")
         mark_temperatures(axes, "x", marked_c)
         common_legend(figure, [axes], "upper center", ncols=len(AXES), title=BARS)
     else:
@@ -295,11 +300,11 @@ def position_difference_figure(
     return figure
 
 
-def _mark_limit(axes: Axes, limit: float) -> None:
+def _mark_limit(axes: Axes, limit: float, name: str) -> None:
     axes.axhline(limit, color=_LIMIT_COLOUR, linewidth=1.0)
     axes.set_ylim(top=max(axes.get_ylim()[1], 1.15 * limit))
     axes.annotate(
-        "acceptance limit",
+        name,
         (0.0, limit),
         (3, 2),
         xycoords=axes.get_yaxis_transform(),

@@ -185,7 +185,7 @@ def test_acceptance_and_results_state_what_the_uncertainty_of_a_difference_is_of
     drawn = {"position_differences": Path("position_differences.png")}
     [figure] = comparison_section(bin_biases(dwells), acceptance, drawn).figures
     assert "with its standard uncertainty (k = 1)" in figure.caption
-    assert "a bin with dwells of several plateaus can be above it although the unit is" in figure.caption
+    assert "a bin with dwells of several plateaus can be above them although the unit is" in figure.caption
     assert "those of bin means; the section Acceptance has those of plateaus corrected" in figure.caption
     section = acceptance_section(acceptance)
     how = " ".join(section.paragraphs)

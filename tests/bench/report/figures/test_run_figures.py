@@ -19,6 +19,7 @@ from matplotlib.image import imread
 
 from gyrobench.bench.bias.bins import BiasBin, bin_biases, compare_positions
 from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.verdicts import AcceptanceLimits
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.shipped import find_document
@@ -212,9 +213,10 @@ def test_difference_figure_fills_the_markers_of_what_differs(bins: list[BiasBin]
     assert sorted(drawn) == pytest.approx(sorted(1e3 * each.largest_difference_dph for each in comparisons))
 
 
-def test_difference_figure_has_the_acceptance_limit_within_its_range(bins: list[BiasBin]) -> None:
-    figure = position_difference_figure(compare_positions(bins), limit_dph=1.0)
-    assert "acceptance limit" in texts(figure)
+def test_difference_figure_has_the_acceptance_limits_within_its_range(bins: list[BiasBin]) -> None:
+    limits = AcceptanceLimits(position_difference_dph=1.0, vertical_difference_dph=0.5)
+    figure = position_difference_figure(compare_positions(bins), limits)
+    assert {"acceptance limit", "with the gyro up and down"} <= set(texts(figure))
     assert figure.axes[0].get_ylim()[1] > 1e3
 
 
