@@ -137,7 +137,9 @@ def judgements(sizes_dph, seeds=40):
     return Counter(found)
 
 
-@pytest.mark.parametrize("size_dph", [0.001, 0.0012, 0.005, 0.02])
+@pytest.mark.parametrize(
+    "size_dph", [0.005, *(pytest.param(each, marks=pytest.mark.long) for each in (0.001, 0.0012, 0.02))]
+)
 def test_a_compensation_that_changes_nothing_neither_improves_nor_is_confirmed(size_dph):
     for names in (("none", "effect"), ("none", "declared", "effect")):
         assert judgements(dict.fromkeys(names, size_dph)).keys() <= {"not confirmed", "inconclusive"}
