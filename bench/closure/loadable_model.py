@@ -15,7 +15,7 @@ from gyrobench.bench.closure.uncertainty import DRAWS, Draws
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import plain_name
-from gyrobench.drivers.ins.command_map import CORRECTION_DEGREE, NUMBERS, Compensation, Correction
+from gyrobench.drivers.ins.compensation import CORRECTION_DEGREE, NUMBERS, Compensation, Correction
 
 #: Terms that an INS has for other coefficients than the gyros' biases, as they are called for these.
 _OF_OTHERS = {"polynomial_dph", "rate_dph_per_c_per_h", "rate_limit_c_per_h", "gravity_dph_per_g"}

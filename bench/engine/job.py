@@ -21,7 +21,7 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.provenance import read_provenance
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.ins.command_map import Compensation
+from gyrobench.drivers.ins.compensation import Compensation
 
 
 @dataclass(frozen=True)

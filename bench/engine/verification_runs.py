@@ -59,7 +59,7 @@ from gyrobench.bench.verification.compensation_verification import (
     VerificationResult,
     compare_runs,
 )
-from gyrobench.drivers.ins.command_map import Compensation
+from gyrobench.drivers.ins.compensation import Compensation
 
 _AZIMUTH_TOLERANCE_DEG = 1.0
 #: Steps that measure all coefficients.

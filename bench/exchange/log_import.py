@@ -102,10 +102,6 @@ def write_import(out: Path, imported: LogImport) -> Path:
     return record
 
 
-#: Smallest rate of the Earth that a wrong sign is looked for in, deg/h, and how near to it that is, relative.
-_MIN_EARTH_DPH, _SAME_EARTH = 2.0, 0.1
-
-
 @contextmanager
 def _named(logs: Sequence[Path]) -> Iterator[None]:
     """Name the logs in errors."""
@@ -130,6 +126,10 @@ def _log_warnings(logs: Sequence[_ReadLog]) -> list[str]:
     return warnings
 
 
+#: Smallest rate of the Earth that a wrong sign is looked for in, deg/h, and how near to it that is, relative.
+_MIN_EARTH_DPH, _SAME_EARTH = 2.0, 0.1
+
+
 def _reversed_earth(rows: Sequence[DwellRow], latitude_deg: float) -> Iterator[str]:
     """Axes whose biases differ as the Earth's rotation subtracted with the wrong sign leaves them."""
     left_dph = 2.0 * float(earth_rate_enu(math.radians(latitude_deg))[2]) * RADPS_TO_DPH
@@ -149,21 +149,21 @@ def _reversed_earth(rows: Sequence[DwellRow], latitude_deg: float) -> Iterator[s
 
 def _map_warnings(log_map: LogMap, rows: Sequence[DwellRow]) -> list[str]:
     warnings: list[str] = []
-    if log_map.earth_rate is not None:
-        warnings += _reversed_earth(rows, log_map.earth_rate.latitude_deg)
     if log_map.earth_rate is None:
         if len({row.position for row in rows}) > 1:
             warnings.append(
                 "the Earth's rotation, up to 15 deg/h, remains in the biases and differs between positions. "
                 "Give 'earth_rate' in the import map"
             )
-    elif log_map.earth_rate.azimuth_deg is None:
-        _, north, _ = earth_rate_enu(math.radians(log_map.earth_rate.latitude_deg))
-        horizontal_dph = north * RADPS_TO_DPH
-        warnings.append(
-            "without an azimuth the Earth's rotation remains in the biases of the horizontal gyros, up to "
-            f"{horizontal_dph:.1f} deg/h"
-        )
+    else:
+        warnings += _reversed_earth(rows, log_map.earth_rate.latitude_deg)
+        if log_map.earth_rate.azimuth_deg is None:
+            _, north, _ = earth_rate_enu(math.radians(log_map.earth_rate.latitude_deg))
+            horizontal_dph = north * RADPS_TO_DPH
+            warnings.append(
+                "without an azimuth the Earth's rotation remains in the biases of the horizontal gyros, up "
+                f"to {horizontal_dph:.1f} deg/h"
+            )
     if len({row.cycle for row in rows}) == 1:
         warnings.append("all rows belong to one cycle: no cycle can be held out to test a model")
     return warnings

@@ -47,7 +47,7 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.provenance import started_utc
 from gyrobench.bench.runs.telemetry import TELEMETRY_COLUMNS, read_telemetry
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.ins.command_map import NUMBERS, TERMS, Compensation
+from gyrobench.drivers.ins.compensation import NUMBERS, TERMS, Compensation
 
 
 class DataKind(StrEnum):

@@ -32,7 +32,7 @@ from gyrobench.bench.verification.compensation_verification import (
     is_worse,
 )
 from gyrobench.bench.verification.measured_change import MeasuredChange
-from gyrobench.drivers.ins.command_map import NUMBERS
+from gyrobench.drivers.ins.compensation import NUMBERS
 
 #: The compensations as displayed.
 LABELS = {NONE: "none", DECLARED: "declared", EFFECT: "with effect"}

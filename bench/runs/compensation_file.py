@@ -14,7 +14,7 @@ from gyrobench.bench.foundations.documents import StrictModel, read_document, va
 from gyrobench.bench.foundations.files import write_whole
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
-from gyrobench.drivers.ins.command_map import NUMBERS, Compensation, Correction
+from gyrobench.drivers.ins.compensation import NUMBERS, Compensation, Correction
 
 _OfGyros = Annotated[list[float], Field(min_length=3, max_length=3)]
 _Vectors = Annotated[list[_OfGyros], Field(min_length=3, max_length=3)]
@@ -56,7 +56,7 @@ _HEAD = """\
 
 
 class CompensationFile(StrictModel):
-    """Numbers of a :class:`~gyrobench.drivers.ins.command_map.Compensation`, those of each gyro in a row."""
+    """Numbers of a :class:`~gyrobench.drivers.ins.compensation.Compensation`, those of each gyro in a row."""
 
     polynomial_dph: _Polynomials = Field(description="coefficients from degree 0 up, T in degC")
     low_c: _OfGyros = Field(description="lowest T used")

@@ -20,7 +20,7 @@ from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow
 from gyrobench.bench.verification.measured_change import SIGNIFICANT_P
 from gyrobench.bench.verification.paired_plateaus import PlateauPlace, pair_places
-from gyrobench.drivers.ins.command_map import CORRECTION_DEGREE, Correction
+from gyrobench.drivers.ins.compensation import CORRECTION_DEGREE, Correction
 
 _NAMES = tuple(f"{each.name}_{each.axis}" for each in COEFFICIENTS)
 _COLUMNS = ("compensation", "coefficient", "unit", "plateaus", "rms", "noise")

@@ -26,10 +26,10 @@ from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import format_cell
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.verification.coefficient_verification import CoefficientResult
-from gyrobench.bench.verification.measured_change import MeasuredChange, measured_change
+from gyrobench.bench.verification.measured_change import MeasuredChange, measured_change, without_cycle_means
 from gyrobench.bench.verification.paired_plateaus import in_all, pair_dwells
 from gyrobench.bench.verification.run_residuals import AnyDwell, ResidualCheck, bias_rows, check_plateau
-from gyrobench.drivers.ins.command_map import Compensation
+from gyrobench.drivers.ins.compensation import Compensation
 
 #: The compensations, in this order.
 NONE, DECLARED, EFFECT = "none", "declared", "effect"
@@ -303,18 +303,9 @@ def write_verification_table(path: Path, results: Iterable[CompensationResult]) 
 
 
 def _varying(rows: Sequence[DwellRow], bias_dph: FloatArray, counts: BoolArray) -> FloatArray:
-    """Biases (..., n, 3) minus each gyro's weighted mean in its power cycle.
-
-    ``counts``: shape (n,), which dwells are in the mean; all of a power cycle if none of it are.
-    """
-    varying = bias_dph.copy()
+    """Biases (..., n, 3) of a run without its constants; see :func:`without_cycle_means`."""
     weights = np.array([row.sigma_dph for row in rows]).reshape(-1, 3) ** -2.0
-    for run in {row.run for row in rows}:
-        mine = np.array([row.run == run for row in rows], dtype=bool)
-        averaged = mine & counts if (mine & counts).any() else mine
-        means = (weights[averaged] * varying[..., averaged, :]).sum(axis=-2) / weights[averaged].sum(axis=0)
-        varying[..., mine, :] -= means[..., np.newaxis, :]
-    return varying
+    return without_cycle_means(bias_dph, weights, np.array([row.run for row in rows]), counts)
 
 
 def _uncertainty(

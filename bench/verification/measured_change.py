@@ -1,7 +1,7 @@
 """What a loaded compensation changed in the measured biases, against what its numbers say that it subtracts.
 
 A compensation that the INS does not apply, applies with the wrong sign, twice or to another gyro leaves a
-change that is not the one loaded, whatever the residual looks like.
+change that is not the one loaded, whatever remains.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from scipy.stats import f, norm
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.drivers.ins.command_map import Compensation
+from gyrobench.drivers.ins.compensation import Compensation
 
 #: Above this standard uncertainty the factor of a gyro says nothing.
 _MAX_SIGMA = 0.25
@@ -104,7 +104,8 @@ def measured_change(
     cycles = np.array([names.index(name) for name in names])[known]
     weights = (sigmas[0] ** 2 + sigmas[1] ** 2)[known] ** -1.0
     expected, change, total = (
-        _varying(each[known], weights, cycles) for each in (expected, first - second, first + second)
+        without_cycle_means(each[known], weights, cycles, np.ones(len(cycles), dtype=bool))
+        for each in (expected, first - second, first + second)
     )
     information = np.sum(weights * expected**2, axis=0)
     fits = [_fit(expected, change[:, gyro], weights[:, gyro], gyro) for gyro in range(3)]
@@ -150,10 +151,18 @@ def _fit(expected: FloatArray, change: FloatArray, weights: FloatArray, gyro: in
     return _Fit(math.sqrt(variance), bool(is_unlikely and excess > _EVALUATION**2 * size))
 
 
-def _varying(values: FloatArray, weights: FloatArray, cycles: np.ndarray) -> FloatArray:
-    """Values (n, 3) without each gyro's weighted mean over the dwells of a power cycle."""
-    varying = values.copy()
+def without_cycle_means(
+    values: FloatArray, weights: FloatArray, cycles: np.ndarray, counts: BoolArray
+) -> FloatArray:
+    """Values (..., n, 3) minus each gyro's weighted mean in its power cycle.
+
+    ``weights``: shape (n, 3). ``cycles``: shape (n,), the power cycle of each dwell. ``counts``: shape (n,),
+    which dwells are in the mean; all of a power cycle if none of it are.
+    """
+    found = values.copy()
     for cycle in set(cycles.tolist()):
         mine = cycles == cycle
-        varying[mine] -= np.average(values[mine], axis=0, weights=weights[mine])
-    return varying
+        averaged = mine & counts if (mine & counts).any() else mine
+        means = (weights[averaged] * values[..., averaged, :]).sum(axis=-2) / weights[averaged].sum(axis=0)
+        found[..., mine, :] -= means[..., np.newaxis, :]
+    return found

@@ -21,7 +21,8 @@ from gyrobench.bench.foundations.errors import (
 from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.attitude import EulerSequence
 from gyrobench.drivers.ins.can_bus import INSTRUMENT, block_receiver, close_bus
-from gyrobench.drivers.ins.command_map import Command, CommandMap, Compensation, check_commands, checksum
+from gyrobench.drivers.ins.command_map import Command, CommandMap, check_commands
+from gyrobench.drivers.ins.compensation import Compensation, checksum
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
 from gyrobench.drivers.ins.ins_status import InsStatus, NewestFrames
 from gyrobench.drivers.ins.readout import InsMode

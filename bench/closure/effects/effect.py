@@ -70,7 +70,7 @@ class FittedForm:
 class InsTerms:
     """What an INS subtracts of an effect."""
 
-    #: By field of :class:`gyrobench.drivers.ins.command_map.Compensation`; empty if left out.
+    #: By field of :class:`gyrobench.drivers.ins.compensation.Compensation`; empty if left out.
     coefficients: Mapping[str, FloatArray] = field(default_factory=dict)
     left_out: str = ""  #: Why the INS can't subtract the effect; empty if it can.
     note: str = ""  #: What is subtracted only in part; empty if nothing.

@@ -16,7 +16,7 @@ from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.report.closure_page import closure_sections, write_closure_page
 from gyrobench.bench.report.closure_text import verdict_sentence
-from gyrobench.drivers.ins.command_map import Correction
+from gyrobench.drivers.ins.compensation import Correction
 from tests.bench.closure.thermal_bench import UP, measure
 
 

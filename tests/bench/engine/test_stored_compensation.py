@@ -13,7 +13,7 @@ from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.compensation_file import read_compensation
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
-from gyrobench.drivers.ins.command_map import Compensation
+from gyrobench.drivers.ins.compensation import Compensation
 from tests.bench.engine.intervention import Intervention
 
 #: Of the world "ideal".

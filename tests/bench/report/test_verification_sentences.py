@@ -25,7 +25,7 @@ from gyrobench.bench.verification.compensation_verification import (
     VerificationResult,
     compare_runs,
 )
-from gyrobench.drivers.ins.command_map import Compensation
+from gyrobench.drivers.ins.compensation import Compensation
 from tests.bench.report.made_up_closure import explained
 from tests.bench.report.made_up_verification import (
     SITE,

@@ -15,7 +15,7 @@ from gyrobench.bench.runs.compensation_file import (
     write_compensation,
 )
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.drivers.ins.command_map import NUMBERS, Compensation, Correction
+from gyrobench.drivers.ins.compensation import NUMBERS, Compensation, Correction
 
 POLYNOMIAL = "polynomial_dph: [[1.0], [2.0], [3.0]]\nlow_c: [-20, -20, -20]\nhigh_c: [70, 70, 70]\n"
 

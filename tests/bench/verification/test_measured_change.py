@@ -13,7 +13,7 @@ from gyrobench.drivers.emulators.world.ins_compensation import (
     TemperatureHistory,
     empty_table,
 )
-from gyrobench.drivers.ins.command_map import Compensation
+from gyrobench.drivers.ins.compensation import Compensation
 from tests.bench.report.made_up_verification import rows_of
 
 #: What the biases of :func:`rows_of` follow: 0.02 deg/h along Up.

@@ -19,7 +19,7 @@ from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.navigation.rotational_ins import DAY_S, SIX_POSITIONS, bias_by_position, rotate_for
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.bench.verification.run_residuals import day_of_navigation
-from gyrobench.drivers.ins.command_map import Compensation
+from gyrobench.drivers.ins.compensation import Compensation
 from tests.bench.verification.runs_alone import check_residuals
 
 #: Of the world "ideal".

@@ -13,7 +13,7 @@ from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.station.instruments import Emulation, Instruments
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
-from gyrobench.drivers.ins.command_map import Compensation, Correction
+from gyrobench.drivers.ins.compensation import Compensation, Correction
 from tests.drivers.ins.compensation_reference import Conditions, compensated_dph
 
 _STEP_S = 10.0

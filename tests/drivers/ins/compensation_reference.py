@@ -1,4 +1,4 @@
-"""What an INS subtracts by a compensation, from the equation of gyrobench.drivers.ins.command_map."""
+"""What an INS subtracts by a compensation, from the equation of gyrobench.drivers.ins.compensation."""
 
 import itertools
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ import numpy as np
 from scipy.special import expit
 
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.drivers.ins.command_map import Compensation
+from gyrobench.drivers.ins.compensation import Compensation
 
 
 @dataclass(frozen=True, eq=False)

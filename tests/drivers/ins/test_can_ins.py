@@ -19,7 +19,8 @@ from gyrobench.drivers.frames import FrameBlock, concatenate
 from gyrobench.drivers.ins.attitude import EulerSequence
 from gyrobench.drivers.ins.can_bus import open_bus
 from gyrobench.drivers.ins.can_ins import CanIns
-from gyrobench.drivers.ins.command_map import TERMS, CommandMap, Compensation, TermIndices
+from gyrobench.drivers.ins.command_map import CommandMap, TermIndices
+from gyrobench.drivers.ins.compensation import TERMS, Compensation
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
 from gyrobench.drivers.ins.ins_status import STALE_S, NewestFrames
 from gyrobench.drivers.ins.navigation_data import decode_navigation
