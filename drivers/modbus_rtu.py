@@ -123,7 +123,7 @@ class ModbusRtu:
     def _unexpected(self, request: bytes, reply: bytes, problem: str) -> ReplyError:
         return ReplyError(
             self._line.instrument,
-            f"sent {request.hex(' ')}, received {reply.hex(' ')} on {self._line.url}: {problem}",
+            f"sent {request.hex(' ')}, received {reply.hex(' ')} on {self._line.address}: {problem}",
         )
 
     def _refused(self, reply: bytes, attempt: str) -> RefusedError:

@@ -89,6 +89,7 @@ class SerialLine:
     ) -> None:
         self.instrument = instrument
         self.url = url
+        self.address = url.partition("?")[0]  # the options of a URL say nothing to a technician
         self.clock = clock
         self._baudrate = baudrate
         self._parity = parity
@@ -115,7 +116,7 @@ class SerialLine:
                 raise error.__cause__ from None
             raise ConnectionFailedError(
                 self.instrument,
-                f"can't open {self.url}: {system_reason(error)}. "
+                f"can't open {self.address}: {system_reason(error)}. "
                 "Check the station file's port and the cable.",
             ) from error
         self._port, self._open = port, True
@@ -156,7 +157,7 @@ class SerialLine:
         if len(data) < count:
             raise NoReplyError(
                 self.instrument,
-                f"{len(data)} of {count} bytes within {deadline.duration_s:g} s on {self.url}"
+                f"{len(data)} of {count} bytes within {deadline.duration_s:g} s on {self.address}"
                 f"{': ' + data.hex(' ') if data else ''}. Is it switched on and set to this baud rate?",
             )
         return data
@@ -185,8 +186,8 @@ class SerialLine:
             self.discard_input()
         raise ReplyError(
             self.instrument,
-            f"bytes arrive on {self.url} all the time without a request. Check whether another program or "
-            "master uses this line.",
+            f"bytes arrive on {self.address} all the time without a request. Check whether another program "
+            "or master uses this line.",
         )
 
     def _record_unread(self, recording: RecordingFile) -> None:
@@ -201,5 +202,5 @@ class SerialLine:
         if isinstance(error.__cause__, ReplayError):
             return ConnectionFailedError(self.instrument, f"the driver deviates from the recording: {error}")
         return ConnectionFailedError(
-            self.instrument, f"{self.url} went away: {error}. Check cable and power."
+            self.instrument, f"{self.address} went away: {error}. Check cable and power."
         )

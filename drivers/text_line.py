@@ -66,8 +66,8 @@ class TextLine:
                 part = f", only {_shown(reply)}" if reply else ""
                 raise NoReplyError(
                     self.line.instrument,
-                    f"no reply to {request} within {self._reply_timeout_s:g} s on {self.line.url}{part}. Is "
-                    "it switched on and set to this baud rate and line ending?",
+                    f"no reply to {request} within {self._reply_timeout_s:g} s on {self.line.address}{part}. "
+                    "Is it switched on and set to this baud rate and line ending?",
                 ) from error
             if byte in self._end_of_reply and (may_be_empty or reply.strip()):
                 break
@@ -101,7 +101,7 @@ class TextLine:
         self._out_of_step = True
         return ReplyError(
             self.line.instrument,
-            f"{request} was answered by {_shown(reply)} on {self.line.url}. Check dialect, baud rate and "
+            f"{request} was answered by {_shown(reply)} on {self.line.address}. Check dialect, baud rate and "
             "parity, and whether another program uses this line.",
         )
 

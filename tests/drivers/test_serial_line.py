@@ -138,6 +138,13 @@ def test_an_emulated_line_is_opened_again():
         assert line.read(1, Deadline(clock, 1.0)) == b"\x01"
 
 
+def test_an_error_names_the_port_without_the_options_of_its_url():
+    line = SerialLine("chamber", "loop://?logging=error", WallClock())
+    with line, pytest.raises(NoReplyError) as raised:
+        line.read(1, Deadline(line.clock, 0))
+    assert "0 of 1 bytes within 0 s on loop://. Is it switched on" in str(raised.value)
+
+
 def test_silence_is_awaited_until_what_was_late_has_passed(line, plug):
     timers = [threading.Timer(delay_s, os.write, (plug.master, b"late")) for delay_s in (0.05, 0.15)]
     for timer in timers:
