@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from typing import Annotated
 
 import typer
@@ -72,6 +73,7 @@ def resume(
         resumption = prepare_resumption(run_folder, anyway)
         terminal.print(resumption.describe(), soft_wrap=True)
     job = resumption.job
+    gc.freeze()  # what is loaded stays: no collection needs to search it
     with observe_in_terminal(terminal, job, view == "live") as (progress, answers):
         folder, outcome = resume_run(resumption, progress, answers)
     del resumption, job, progress, answers  # and with them the instruments: the report needs the memory

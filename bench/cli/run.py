@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from pathlib import Path
 from typing import Annotated
 
@@ -74,6 +75,7 @@ def run(
     )
     if missing := [key for key in job.station.not_filled_in if key != "description"]:
         raise DocumentError(f"{job.station.path}: not filled in yet: {listed(missing)}. Fill them in")
+    gc.freeze()  # what is loaded stays: no collection needs to search it
     with observe_in_terminal(terminal, job, view == "live") as (progress, answers):
         folder, outcome = run_job(job, out, progress, answers)
     del job, progress, answers  # and with them the instruments: the report needs the memory
