@@ -165,7 +165,8 @@ def _backward(
         for m in range(2, -1, -1):
             h, scale, gain = MEASURED_STATES[m], scales[k, m], gains[k, m]
             row = rows[k, m]
-            taken[:] = 0.0
+            for c in range(width):
+                taken[c] = 0.0
             for i in range(STATES):
                 for c in range(width):
                     taken[c] += gain[i] * responses[i, c]
@@ -194,8 +195,10 @@ def _backward(
                 for c in range(size):
                     info[i, c] += factor * info[j, c]
         for i in range(STATES):
-            moved[i] = 0.0
-            turned[i] = 0.0
+            for c in range(width):
+                moved[i, c] = 0.0
+            for c in range(size):
+                turned[i, c] = 0.0
             for j in range(STATES):
                 factor = transition[j, i]
                 for c in range(width):

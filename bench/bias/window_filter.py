@@ -238,7 +238,10 @@ def whiten(
                 moved[i, INPUT + j] += response[i, j]
                 for c in range(DATA - SLOPE):
                     moved[i, SLOPE + c] += response[i, j] * driven[k, j, c]
-        columns[:] = moved
+        # Numba takes seconds to compile the assignment of a whole array.
+        for i in range(6):
+            for c in range(COLUMN_COUNT):
+                columns[i, c] = moved[i, c]
         # Numba's matrix product would import scipy.linalg.
         for i in range(6):
             for j in range(6):
@@ -253,8 +256,9 @@ def whiten(
         for m in range(3):
             h = MEASURED_STATES[m]
             variance = covariance[h, h] + variances[m]
-            gain = covariance[h] / variance
-            row = rows[k, m]
+            gain, row = gains[k, m], rows[k, m]
+            for i in range(6):
+                gain[i] = covariance[h, i] / variance
             for c in range(COLUMN_COUNT):
                 row[c] = columns[h, c]
             row[DATA] += measured[k, m]
@@ -266,7 +270,7 @@ def whiten(
                 for j in range(6):
                     covariance[i, j] -= gain[i] * gain[j] * variance
             scale = 1.0 / np.sqrt(variance)
-            gains[k, m], scales[k, m] = gain, scale
+            scales[k, m] = scale
             for c in range(COLUMN_COUNT):
                 row[c] *= scale
     return rows, gains, scales

@@ -299,12 +299,23 @@ def _integrate(
                 tilt[i] = 0.5 * (tilt[i] + response[i, r])
             response[3, r] += tilt[1] * lifted
             response[4, r] -= tilt[0] * lifted
-        begin[:] = C
-        sums[:] = 0.0
+        # Numba takes seconds to compile the assignment of whole arrays.
+        for i in range(3):
+            for j in range(3):
+                begin[i, j] = C[i, j]
+        for i in range(6):
+            for j in range(3):
+                sums[i, j] = 0.0
         samples = 0
         if k + 1 == ends[epoch]:
-            attitudes[epoch + 1], integrals[epoch + 1], responses[epoch + 1] = C, u, response
             epoch += 1
+            for i in range(3):
+                integrals[epoch, i] = u[i]
+                for j in range(3):
+                    attitudes[epoch, i, j] = C[i, j]
+            for i in range(6):
+                for r in range(len(columns)):
+                    responses[epoch, i, r] = response[i, r]
 
 
 def attitudes(
@@ -390,10 +401,13 @@ def _set_intervals(
                     tilts[i, j] += time * C[i, k] * angle_walk[k] * C[j, k]
                     lifts[i, j] += time * C[i, k] * velocity_walk[k] * C[j, k]
         cross[0, 1], cross[1, 0] = gravity * time, -gravity * time  # cross @ psi = psi x force
-        F[3:, :3] = cross
         set_product(moved, cross, tilts)
         set_product(twice, moved, cross)  # its transpose is its negative
-        Q[:3, :3], Q[3:, :3], Q[:3, 3:], Q[3:, 3:] = tilts, 0.5 * moved, 0.5 * moved.T, lifts - twice / 3.0
+        for i in range(3):
+            for j in range(3):
+                F[3 + i, j] = cross[i, j]
+                Q[i, j], Q[3 + i, 3 + j] = tilts[i, j], lifts[i, j] - twice[i, j] / 3.0
+                Q[3 + i, j] = Q[j, 3 + i] = 0.5 * moved[i, j]
 
 
 @compiled
@@ -471,8 +485,11 @@ def _whiten(
         if starts[epoch] >= 0:
             R = rotations[starts[epoch]]
             for i in range(3):
-                X[6 + i] = R[i, 0] * X[0] + R[i, 1] * X[1] + R[i, 2] * X[2]
-                P[6 + i] = R[i, 0] * P[0] + R[i, 1] * P[1] + R[i, 2] * P[2]
+                for j in range(columns):
+                    X[6 + i, j] = R[i, 0] * X[0, j] + R[i, 1] * X[1, j] + R[i, 2] * X[2, j]
+                for j in range(9):
+                    P[6 + i, j] = R[i, 0] * P[0, j] + R[i, 1] * P[1, j] + R[i, 2] * P[2, j]
             for i in range(3):
-                P[:, 6 + i] = R[i, 0] * P[:, 0] + R[i, 1] * P[:, 1] + R[i, 2] * P[:, 2]
+                for j in range(9):
+                    P[j, 6 + i] = R[i, 0] * P[j, 0] + R[i, 1] * P[j, 1] + R[i, 2] * P[j, 2]
     return rows[:used]

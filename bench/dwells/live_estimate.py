@@ -9,13 +9,12 @@ from dataclasses import replace
 import numpy as np
 
 from gyrobench.bench.bias.bias_filter import BiasFilter, StateSpaceEstimate
-from gyrobench.bench.bias.dwell import RestOutput
+from gyrobench.bench.bias.dwell import RestOutput, TurnPath
 from gyrobench.bench.bias.noise_model import NoiseModel
-from gyrobench.bench.bias.window_filter import whiten
 from gyrobench.bench.dwells.dwell_output import rest_output
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
-from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.attitude import rotation_matrices
 from gyrobench.bench.runs.marks import WindowMark
 from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.navigation_data import NavigationData
@@ -25,17 +24,16 @@ _OVERLAP = 400
 _ANY_NOISE = NoiseModel(1e-7, 1e-5, 1e-5, 1e-8)
 
 
-def compile_estimator(setup: MeasurementSetup) -> float:
-    """Compile what the estimates need; returns how long that took in s, 0 where numba's cache had it."""
-    clock, count = WallClock(), whiten.compilations
-    begin_s = clock.now()
-    noise = setup.noise or _ANY_NOISE
-    bias_filter = BiasFilter(setup.site, noise, setup.prior)
-    bias_filter.begin_window(0.0, np.eye(3))
-    attitude = np.tile(np.eye(3), (2, 1, 1))
-    bias_filter.add(RestOutput(np.arange(2.0), np.zeros((2, 3)), attitude, gyro_c=np.zeros((2, 3))))
-    bias_filter.goodness_of_fit()
-    return clock.now() - begin_s if whiten.compilations > count else 0.0
+def compile_estimator(setup: MeasurementSetup) -> None:
+    """Compile what the estimates of a dwell need, or load it from numba's cache."""
+    bias_filter = BiasFilter(setup.site, setup.noise or _ANY_NOISE, setup.prior)
+    time_s, turned = np.arange(2.0), rotation_matrices(np.outer([0.0, np.pi], [0.0, 0.0, 1.0]))
+    for number, C_nb in enumerate(turned):
+        turn = TurnPath.steady(0.0, 1.0, turned) if number else None
+        bias_filter.begin_window(2.0 * number, C_nb, turn)
+        at_rest = np.zeros((2, 3)), np.tile(C_nb, (2, 1, 1)), np.zeros((2, 3))
+        bias_filter.add(RestOutput(time_s + 2.0 * number, *at_rest))
+    bias_filter.estimate(complete=True)
 
 
 class LiveEstimate:

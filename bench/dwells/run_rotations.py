@@ -14,12 +14,14 @@ from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, Coeffi
 from gyrobench.bench.calibration.estimator import Calibration, calibrate, covariances_by_source
 from gyrobench.bench.calibration.increment_recording import IncrementRecording, Rest
 from gyrobench.bench.calibration.information import BIAS_DRIFT, CalibrationOptions, Information
+from gyrobench.bench.calibration.rotation_list import STEP_S, ideal_increments
 from gyrobench.bench.calibration.spins import spin_scale_factors
 from gyrobench.bench.characteristics.scale_factor import SpinRecord
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.dwells.rotated_dwell import RotatedDwell, measure_rotations
 from gyrobench.bench.foundations.arrays import FloatArray, Triple, triple
 from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.attitude import rotation_matrices
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.runs.marks import DwellMarks
 from gyrobench.drivers.frames import FrameBlock
@@ -140,6 +142,21 @@ def _calibrated_rotations(dwells: Sequence[RotatedDwell], setup: MeasurementSetu
         parts=parts,
     )
     return replace(rotations, calibration=found, with_force=with_force)
+
+
+def compile_calibration(setup: MeasurementSetup) -> None:
+    """Compile what a calibration by rotations needs, or load it from numba's cache."""
+    angle_rad = np.interp(
+        np.arange(1801), *np.array([(0, 800, 1000, 1800), (0, 0, 0.5 * np.pi, 0.5 * np.pi)])
+    )
+    attitude = rotation_matrices(np.outer(angle_rad, [1.0, 0.0, 0.0]))
+    noise = np.random.default_rng(0).normal(0.0, 1e-7, (2, 1800, 3))
+    angle, velocity = noise + ideal_increments(attitude, setup.site)
+    _calibrated(
+        [(IncrementRecording(STEP_S, angle, velocity), [Rest(0, 800), Rest(1000, 1800)])],
+        setup.site,
+        _options(setup),
+    )
 
 
 def spin_record(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> SpinRecord:

@@ -13,6 +13,7 @@ from gyrobench.bench.dwells.live_estimate import compile_estimator
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup, measurement_setup
 from gyrobench.bench.dwells.recorded_dwells import measure_recorded
 from gyrobench.bench.dwells.run_results import evaluate_run
+from gyrobench.bench.dwells.run_rotations import compile_calibration
 from gyrobench.bench.engine.engine import Engine
 from gyrobench.bench.engine.job import Job
 from gyrobench.bench.engine.live_bench import LiveBench
@@ -22,13 +23,15 @@ from gyrobench.bench.engine.resume import ResumeState, Resumption, prepare_resum
 from gyrobench.bench.engine.run_context import RunContext, UnitRun
 from gyrobench.bench.engine.run_notifier import RunNotifier
 from gyrobench.bench.engine.run_outcome import RunOutcome
-from gyrobench.bench.foundations.clock import Clock
+from gyrobench.bench.foundations.clock import Clock, WallClock
 from gyrobench.bench.foundations.errors import GyrobenchError, InstrumentError, RunFolderError
 from gyrobench.bench.foundations.files import make_folder, write_whole
+from gyrobench.bench.foundations.kernels import Kernel
 from gyrobench.bench.foundations.operator_name import operator_name
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.guard.process import guard_for
 from gyrobench.bench.messages.messenger import PATIENCE_S, Messenger
+from gyrobench.bench.procedure.plan import DwellPurpose
 from gyrobench.bench.runs.can_log import CanLog
 from gyrobench.bench.runs.compensation_file import write_compensation
 from gyrobench.bench.runs.folder import RUNS, RunFolder, create_run_folder
@@ -193,8 +196,7 @@ def _write_inputs(job: Job, clock: Clock, folder: RunFolder, instruments: Instru
 
 def _execute(start: _Start, observer: RunObserver, operator: Operator) -> tuple[RunFolder, RunOutcome]:
     """Run what is left of a job, and evaluate all of it."""
-    if compiled_s := compile_estimator(measurement_setup(start.job.station.units[0])):  # else a tick waits
-        observer.noted(f"Compiled the estimators, once after installation, in {compiled_s:.1f} s.")
+    _compile_estimators(start.job, observer)
     with ExitStack() as opened:
         run, messenger = _open(start, observer, operator, opened)
         Engine(run).run()
@@ -209,6 +211,17 @@ def _execute(start: _Start, observer: RunObserver, operator: Operator) -> tuple[
             run.outcome.fail(unit.named(str(error)))
             run.observers.ended(run.outcome)
     return run.folder, run.outcome
+
+
+def _compile_estimators(job: Job, observer: RunObserver) -> None:
+    """Compile now, not at the end of a dwell: nothing watches the bench meanwhile."""
+    clock, compilations = WallClock(), Kernel.compilations()
+    begin_s, setup = clock.now(), measurement_setup(job.station.units[0])
+    compile_estimator(setup)
+    if any(each.purpose is DwellPurpose.ROTATIONS for each in job.plan.steps):
+        compile_calibration(setup)
+    if Kernel.compilations() > compilations:
+        observer.noted(f"Compiled the estimators, once after installation, in {clock.now() - begin_s:.1f} s.")
 
 
 def _open(

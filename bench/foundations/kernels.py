@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property, partial, update_wrapper
-from typing import Any, Generic, ParamSpec, TypeVar, overload
+from typing import Any, ClassVar, Generic, ParamSpec, TypeVar, overload
 
 from gyrobench.bench.foundations.arrays import FloatArray
 
@@ -18,6 +18,8 @@ _R = TypeVar("_R")
 
 class Kernel(Generic[_P, _R]):
     """Function whose machine code is compiled, or loaded from numba's cache, at its first call."""
+
+    _called: ClassVar[list[Kernel[Any, Any]]] = []
 
     def __init__(self, function: Callable[_P, _R], *, fastmath: bool) -> None:
         self._function, self._fastmath = function, fastmath
@@ -32,6 +34,7 @@ class Kernel(Generic[_P, _R]):
         """Numba's function behind it."""
         from gyrobench.bench.foundations.machine_code import dispatcher
 
+        self._called.append(self)
         return dispatcher(self._function, fastmath=self._fastmath)
 
     @property
@@ -39,10 +42,10 @@ class Kernel(Generic[_P, _R]):
         """Numba asks for it when it compiles a kernel that calls this one."""
         return self.dispatcher._numba_type_
 
-    @property
-    def compilations(self) -> int:
-        """How often this process had to compile it, since numba's cache did not have it."""
-        return sum(self.dispatcher.stats.cache_misses.values())
+    @classmethod
+    def compilations(cls) -> int:
+        """How many this process had to compile, since numba's cache did not have them."""
+        return sum(sum(each.dispatcher.stats.cache_misses.values()) for each in cls._called)
 
 
 @overload

@@ -26,11 +26,11 @@ from pydantic import TypeAdapter, ValidationError
 
 from gyrobench.bench.foundations.clock import Clock, VirtualClock, WallClock, clock_named
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
+from gyrobench.bench.foundations.kernels import Kernel
 from gyrobench.bench.foundations.packages import EMULATORS, load
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.drivers.emulators.can_ins import CanChannel, CanInsEmulator, EmulatedUnit
 from gyrobench.drivers.emulators.dialect import ChamberEmulation, Connection, SerialInstrument, TableEmulation
-from gyrobench.drivers.emulators.world.strapdown import table_attitude
 from gyrobench.drivers.emulators.world.world import OUTER, World
 from gyrobench.drivers.emulators.world.world_file import load_world
 
@@ -204,9 +204,9 @@ def compile_world() -> None:
     A temporary bench aligns, navigates, compensates and turns. Where the first function was not in the cache,
     the start and the duration are logged.
     """
-    started_s = time.perf_counter()
+    started_s, compilations = time.perf_counter(), Kernel.compilations()
     bench = EmulatedBench(VirtualClock(), find_document("worlds", _DEFAULT_WORLD), 0)
-    is_first_time = table_attitude.compilations > 0
+    is_first_time = Kernel.compilations() > compilations
     if is_first_time:
         _LOG.warning("Compiling the simulated bench, once after installation; this takes some 10 s.")
     unit = bench.world.unit

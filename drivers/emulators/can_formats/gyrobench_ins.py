@@ -124,7 +124,8 @@ def _encode(
     ``velocity``, shape (m, 3), are those of the samples from ``first`` on. Their frames are behind those of
     an epoch at the same time. What is rounded off, (2, 3), is carried over.
     """
-    length[:] = 8
+    for row in range(length.size):
+        length[row] = 8
     row = second = sent = 0
     for k in range(sample.size + 1):
         while sent < rotation.shape[0] and (k == sample.size or first + 1 + sent < sample[k]):

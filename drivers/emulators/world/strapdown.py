@@ -91,7 +91,9 @@ def _set_rotation_vector(vector: FloatArray, C: FloatArray) -> None:
     vector[2] = 0.5 * (C[1, 0] - C[0, 1])
     sine = math.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
     if sine >= 1e-12:
-        vector *= math.atan2(sine, 0.5 * (C[0, 0] + C[1, 1] + C[2, 2] - 1.0)) / sine
+        scale = math.atan2(sine, 0.5 * (C[0, 0] + C[1, 1] + C[2, 2] - 1.0)) / sine
+        for i in range(3):
+            vector[i] *= scale
 
 
 @compiled
@@ -170,7 +172,12 @@ def _rows_of(w: float, x: float, y: float, z: float) -> tuple[_Row, _Row, _Row]:
 @compiled
 def matrix_of(q: FloatArray) -> FloatArray:
     """``C_nb`` (3, 3) of a unit quaternion (w, x, y, z)."""
-    return np.array(_rows_of(q[0], q[1], q[2], q[3]))
+    C = np.empty((3, 3))
+    first, second, third = _rows_of(q[0], q[1], q[2], q[3])
+    C[0, 0], C[0, 1], C[0, 2] = first
+    C[1, 0], C[1, 1], C[1, 2] = second
+    C[2, 0], C[2, 1], C[2, 2] = third
+    return C
 
 
 @compiled
@@ -179,17 +186,16 @@ def gyrocompass(rotation: FloatArray, velocity: FloatArray) -> FloatArray:
 
     The directions of the sums are those of the Earth's rotation and Up, body axes.
     """
-    up = velocity / _length(velocity)
-    east = np.array(
-        (
-            rotation[1] * up[2] - rotation[2] * up[1],
-            rotation[2] * up[0] - rotation[0] * up[2],
-            rotation[0] * up[1] - rotation[1] * up[0],
-        )
-    )
-    east /= _length(east)
-    C = np.empty((3, 3))
-    C[0], C[2] = east, up
+    C, length = np.empty((3, 3)), _length(velocity)
+    east, up = C[0], C[2]
+    for i in range(3):
+        up[i] = velocity[i] / length
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        east[i] = rotation[j] * up[k] - rotation[k] * up[j]
+    length = _length(east)
+    for i in range(3):
+        east[i] /= length
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         C[1, i] = up[j] * east[k] - up[k] * east[j]
@@ -198,27 +204,27 @@ def gyrocompass(rotation: FloatArray, velocity: FloatArray) -> FloatArray:
 
 @compiled
 def _quaternion_of_matrix(C: FloatArray) -> FloatArray:
-    squares = np.array(
-        (
-            1.0 + C[0, 0] + C[1, 1] + C[2, 2],
-            1.0 + C[0, 0] - C[1, 1] - C[2, 2],
-            1.0 - C[0, 0] + C[1, 1] - C[2, 2],
-            1.0 - C[0, 0] - C[1, 1] + C[2, 2],
-        )
-    )
-    q = np.empty(4)
+    squares, q = np.empty(4), np.empty(4)
+    squares[0] = 1.0 + C[0, 0] + C[1, 1] + C[2, 2]
+    squares[1] = 1.0 + C[0, 0] - C[1, 1] - C[2, 2]
+    squares[2] = 1.0 - C[0, 0] + C[1, 1] - C[2, 2]
+    squares[3] = 1.0 - C[0, 0] - C[1, 1] + C[2, 2]
     largest = 0  # the numerically best conditioned component
     for i in range(1, 4):
         if squares[i] > squares[largest]:
             largest = i
+    q[largest] = squares[largest]
     if largest == 0:
-        q[:] = squares[0], C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1]
+        q[1], q[2], q[3] = C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1]
     else:
         i = largest - 1
         j, k = (i + 1) % 3, (i + 2) % 3
-        q[0], q[1 + i] = C[k, j] - C[j, k], squares[largest]
+        q[0] = C[k, j] - C[j, k]
         q[1 + j], q[1 + k] = C[j, i] + C[i, j], C[k, i] + C[i, k]
-    return q / _length(q)
+    length = _length(q)
+    for i in range(4):
+        q[i] /= length
+    return q
 
 
 @compiled
@@ -295,7 +301,8 @@ def navigate(
         state[6] = latitude + mean_n * per_meridian * dt
         state[7] += mean_e * per_across * per_cosine * dt
         if k >= first and (k - first) % every == 0:
-            kept[row] = state
+            for i in range(STATE_SIZE):  # numba takes seconds to compile the assignment of a whole array
+                kept[row, i] = state[i]
             row += 1
     return kept
 

@@ -220,5 +220,6 @@ def _steps(
             rate[k, i] = (nodes[1 + i] - optics) * 3600.0 / dt
             into_case += optics_loss + electronics_loss
         nodes[0] += dt / case[0] * into_case
-        course[k] = nodes
+        for i in range(7):  # numba takes seconds to compile the assignment of a whole array
+            course[k, i] = nodes[i]
     return course, rate, convected

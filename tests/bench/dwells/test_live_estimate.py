@@ -1,8 +1,5 @@
 """The estimate while a dwell goes on, fed with a recorded dwell bit by bit."""
 
-import os
-import subprocess
-import sys
 from dataclasses import replace
 from itertools import cycle
 
@@ -163,23 +160,3 @@ def test_after_warming_up_no_estimate_compiles_anything(recorded, has_noise):
     measure_dwell(marks, frames, setup)
     assert Replayed(marks, frames, setup).estimate_at(end_of(recorded)) is not None
     assert list(whiten.dispatcher.signatures) == compiled
-
-
-@pytest.mark.long
-def test_warming_up_says_how_long_it_compiled_but_only_once(tmp_path):
-    code = (
-        "from gyrobench.bench.dwells.measurement_setup import measurement_setup\n"
-        "from gyrobench.bench.dwells.live_estimate import compile_estimator\n"
-        "from gyrobench.bench.foundations.shipped import find_document\n"
-        "from gyrobench.bench.station.station import Station\n"
-        "setup = measurement_setup(Station(find_document('stations', 'emulated')))\n"
-        "print(compile_estimator(setup), compile_estimator(setup))\n"
-    )
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    for is_first in (True, False):
-        printed = subprocess.run(
-            [sys.executable, "-c", code], env=environment, check=True, capture_output=True
-        )
-        first_s, second_s = map(float, printed.stdout.split())
-        assert (first_s > 0.0) == is_first
-        assert second_s == 0.0

@@ -1,6 +1,7 @@
 """Rotations and spins about the table's axes while the INS navigates: recorded, interrupted, resumed."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -292,3 +293,42 @@ def test_plan_observability_promises_what_the_run_states(bench, tmp_path):
         assert min(ratios) > 0.6
         assert max(ratios) < 1.5
         assert np.median(ratios) == pytest.approx(1.0, abs=0.15)
+
+
+COMPILING = """
+import sys
+from gyrobench import run
+from gyrobench.bench.engine.observers import RunObserver
+from gyrobench.bench.foundations.kernels import Kernel
+from gyrobench.drivers.emulators.bench import compile_world
+
+class Counter(RunObserver):
+    compiled = None
+
+    def noted(self, text):
+        if text.startswith("Compiled the estimators"):
+            print(text)
+
+    def step_started(self, planned, bench):
+        if planned.step.name == "go_to":
+            self.compiled = self.compiled or Kernel.compilations()
+
+compile_world()
+observer = Counter()
+run(sys.argv[1], station="quick", world="quick", out=sys.argv[2], observer=observer)
+print(Kernel.compilations() - observer.compiled)
+"""
+
+
+@pytest.mark.long
+def test_all_kernels_are_compiled_before_the_table_turns_and_only_once(tmp_path):
+    (tmp_path / "rotations.yaml").write_text(PROCEDURE)
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    for number in range(2):
+        command = [sys.executable, "-c", COMPILING, "rotations.yaml", f"run_{number}"]
+        printed = subprocess.run(command, cwd=tmp_path, env=environment, check=True, capture_output=True)
+        *said, later = printed.stdout.decode().splitlines()
+        assert [text.startswith("Compiled the estimators, once after") for text in said] == [True] * (
+            not number
+        )
+        assert later == "0"
