@@ -41,8 +41,7 @@ def clock_fault(ins_time_s: FloatArray, arrival_s: FloatArray, segment: IntArray
     known = np.isfinite(ins_time_s) & np.isfinite(arrival_s)
     time_s, arrival_s = ins_time_s[known], arrival_s[known]
     rate = _rate_over_resets(time_s, arrival_s, segment[known])
-    # Frames in a few bursts, or without stamps, say nothing about the rate.
-    if rate == 1.0 and len(np.unique(arrival_s)) >= _PARTS * _MIN_EPOCHS:
+    if rate == 1.0 and _is_spread(arrival_s):
         line = _line(time_s, arrival_s)
         rate = 1.0 + line.rate_error if line.is_wrong else 1.0
     if rate == 1.0:
@@ -61,7 +60,7 @@ def increments_fault(sent: FloatArray, arrival_s: FloatArray, period_s: float) -
     ``sent``, shape (2, n): samples sent so far, counted in two ways; lost samples disturb the first and
     jitter the second, a wrong period both. ``arrival_s``: shape (n,).
     """
-    if len(np.unique(arrival_s[np.isfinite(arrival_s)])) < _PARTS * _MIN_EPOCHS:
+    if not _is_spread(arrival_s[np.isfinite(arrival_s)]):
         return ""
     lines = [_line(period_s * count, arrival_s) for count in sent]
     errors = [line.rate_error for line in lines]
@@ -69,6 +68,11 @@ def increments_fault(sent: FloatArray, arrival_s: FloatArray, period_s: float) -
         return ""
     rate = 1.0 + min(lines, key=lambda line: line.scatter_s).rate_error
     return _period_text("increments", "ins.signals.increments.period_s", period_s, rate)
+
+
+def _is_spread(arrival_s: FloatArray) -> bool:
+    """Whether frames arrived often enough: in a few bursts, or without stamps, they say nothing of a rate."""
+    return int(np.count_nonzero(np.diff(arrival_s))) + 1 >= _PARTS * _MIN_EPOCHS
 
 
 def _period_text(what: str, key: str, period_s: float, rate: float) -> str:
