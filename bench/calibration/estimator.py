@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -59,6 +60,8 @@ _MAX_ELEMENT = 0.25
 _MAX_RATE_RATIO = 1.01
 #: Largest factor on the uncertainties.
 _MAX_WIDENING = 10.0
+#: Smallest tilt, rad, at which the angles of the gyros are compared with it, and their least share of it.
+_MIN_TILT, _MIN_ANGLE_SHARE = 0.2, 0.5
 #: Relative step of the variances whose contributions are derived, and those of the noise.
 _VARIANCE_STEP = 1e-3
 _NOISE = ("angle_random_walk", "velocity_random_walk", "white_angle", "white_velocity")
@@ -116,6 +119,7 @@ def calibrate(
             noise, angle_random_walk=np.full(3, walk), velocity_random_walk=np.full(3, velocity_walk)
         )
     _check_force(recordings, rests, gravity)
+    _check_angle(recordings, rests)
     rotations, problem = _problem(recordings, rests, noise, site, options)
     found, note = problem.solve(), ""
     if options.g_sensitivity is None and found.fit.p_value < UNEXPLAINED_P_VALUE:
@@ -262,6 +266,27 @@ def _check_force(
         raise MeasurementError(
             f"the specific force at rest is {force:.4g} m/s^2, gravity {gravity:.4g} m/s^2. Check "
             "'calibration.accelerometers.unit' and 'time' in the import map"
+        )
+
+
+def _check_angle(recordings: Sequence[IncrementRecording], rests: Sequence[Sequence[Rest]]) -> None:
+    """Raise MeasurementError if the gyros turn by far less than the specific force from rest to rest."""
+    by_force, by_gyros = [], []
+    for recording, stretches in zip(recordings, rests, strict=True):
+        for before, after in pairwise(stretches):
+            force = [recording.velocity[rest.begin : rest.end].mean(axis=0) for rest in (before, after)]
+            cosine = force[0] @ force[1] / np.prod(np.linalg.norm(force, axis=1))
+            by_force.append(np.arccos(np.clip(cosine, -1.0, 1.0)))
+            by_gyros.append(np.linalg.norm(recording.angle[before.end : after.begin], axis=1).sum())
+    # Disturbances between rests turn by little; about the vertical only the gyros turn.
+    turned = np.array(by_force) > _MIN_TILT
+    if not turned.any():
+        return
+    force, gyros = np.median(np.degrees([by_force, by_gyros])[:, turned], axis=1)
+    if gyros < _MIN_ANGLE_SHARE * force:
+        raise MeasurementError(
+            f"from rest to rest the specific force turns by {force:.3g} deg and the gyros by {gyros:.2g} "
+            "deg. Check 'gyro.unit' in the import map"
         )
 
 

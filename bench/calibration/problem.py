@@ -133,8 +133,10 @@ class CalibrationProblem:
             if (chi2 := linear.chi2(trial.values)) < _WORSE * lowest:
                 point, found, trajectories, lowest = trial, linear, tried, chi2
                 values, covariance, is_observed = found.solve(point.origin)
-            else:
+            elif np.isfinite(lowest):
                 least *= _FEWER
+            else:
+                break
             step = found.shown(values - point.values, least)
             trial, before, left = point.moved(step, len(used)), left, found.chi2(point.values + step)
             # Sizes count in units of the residuals where these exceed the noise.
@@ -147,8 +149,8 @@ class CalibrationProblem:
                     values, covariance, is_observed, common, trial.starts, fit, found, trajectories
                 )
         raise MeasurementError(
-            f"the estimate does not converge in {_MAX_ROUNDS} rounds: the increments do not follow from "
-            "rotations between rests at one place. Check signs, axes and units in the import map"
+            "the estimate does not converge: the increments do not follow from rotations between rests at "
+            "one place. Check signs, axes and units in the import map"
         )
 
     def with_g_sensitivity(self, found: Estimates) -> tuple[CalibrationProblem, Estimates, str]:

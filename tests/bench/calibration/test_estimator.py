@@ -542,6 +542,13 @@ def test_specific_force_in_another_unit_than_declared_is_refused():
         calibrate([recorded((angle, velocity * 9.80665), 13)], SITE)
 
 
+@pytest.mark.parametrize("scale", [np.pi / 180.0, 1e-3, np.pi / 180.0 / 3600.0])
+def test_angles_in_a_smaller_unit_than_declared_are_refused(scale):
+    angle, velocity = eighteen()
+    with pytest.raises(MeasurementError, match=r"force turns by 90 deg and the gyros by .*'gyro\.unit'"):
+        calibrate([recorded((angle * scale, velocity), 13)], SITE)
+
+
 def test_a_scale_factor_that_no_sensor_has_is_refused():
     angle, velocity = eighteen()
     with pytest.raises(MeasurementError, match=r"accelerometer scale factor z is 0\.4.*'calibration\.acc"):
