@@ -187,7 +187,8 @@ class Exported:
 def export_run(folder: RunFolder, selection: ExportSelection, out: Path, force: bool = False) -> Exported:
     """Write the selected data to the folder ``out``; an interrupted run may lack some of it.
 
-    With ``force`` existing files are replaced. Raises DocumentError if a table, station or DBC file is wrong.
+    With ``force`` existing files are replaced. Raises MissingPackageError if a format needs a package that is
+    not installed. Raises DocumentError if a table, station or DBC file is wrong.
     Raises RunFolderError if files exist, can't be read or written, or the run holds none of the selected
     data.
     """
@@ -197,6 +198,8 @@ def export_run(folder: RunFolder, selection: ExportSelection, out: Path, force: 
         raise RunFolderError(
             f"{folder.path}: " + "; ".join(f"{what}: {why}" for what, why in missing.items())
         )
+    if DataKind.CAN in kinds and Format.MF4 in selection.formats:
+        require("asammdf")  # before the first file is written
     destination = ExportFolder(out, data_origin(folder), force)
     destination.refuse_existing([name for what in kinds for name in _files(what, selection)])
     for what in kinds:
@@ -263,7 +266,6 @@ def _write_can(folder: RunFolder, name: str, destination: ExportFolder) -> None:
             write_blf(path, log)
         else:
             # Optional, since python-can loads this package at every use of CAN.
-            require("asammdf")
             from gyrobench.bench.exchange.mf4 import write_mf4
 
             write_mf4(path, log, dbc, destination.origin)

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import sys
 
 import duckdb
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.exchange.run_export import DataKind, ExportSelection, Format, export_run
-from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
+from gyrobench.bench.foundations.errors import DocumentError, MissingPackageError, RunFolderError
 from gyrobench.bench.foundations.text import flag_text
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.telemetry import read_telemetry
@@ -144,6 +145,15 @@ def test_what_is_said_of_files_written_earlier_stays(two_dwells, tmp_path):
     export_run(two_dwells, ExportSelection([DataKind.BINS]), tmp_path)
     about = json.loads((tmp_path / "export.json").read_text())
     assert set(about["files"]) == {"dwells.parquet", "bias_bins.parquet"}
+
+
+def test_a_format_whose_package_is_missing_is_refused_before_a_file_is_written(
+    two_dwells, tmp_path, monkeypatch
+):
+    monkeypatch.setitem(sys.modules, "asammdf", None)
+    with pytest.raises(MissingPackageError, match="asammdf"):
+        export_run(two_dwells, ExportSelection([], [Format.CSV, Format.MF4]), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_format_that_does_not_fit_is_refused():
