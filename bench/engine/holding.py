@@ -27,7 +27,9 @@ class Heartbeat:
     def __init__(self, run: RunContext, units: Units) -> None:
         self._run = run
         self._units = units
-        self._calendar_offset_s = 0.0
+        # A fast clock is ahead of the calendar when a run resumes.
+        clock = run.bench.clock
+        self._calendar_offset_s = 0.0 if clock.speed == 1.0 else clock.calendar_offset_s()
 
     def beat(self) -> None:
         """Let one tick pass."""

@@ -1,7 +1,11 @@
 """What trips while a run holds: everything is brought to its safe value again, and has to be good as well."""
 
+from types import SimpleNamespace
+from unittest.mock import Mock
+
 import pytest
 
+from gyrobench.bench.engine.holding import Heartbeat
 from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.operator import ConsentingOperator, RunCommand
 from gyrobench.bench.engine.run import run_job
@@ -84,3 +88,18 @@ def test_the_journal_has_who_started_paused_and_continued(tmp_path, monkeypatch)
     assert outcome.ended == "finished", outcome.reason
     who = {entry["event"]: entry.get("operator") for entry in entries if "operator" in entry}
     assert who == {"run_started": "A. Smith", "ordered": "A. Smith", "continued": "A. Smith"}
+
+
+@pytest.mark.parametrize("speed", [1.0, 10.0])
+def test_of_a_resumed_fast_run_the_calendar_counts_as_set_once_it_is(speed):
+    notes, clock = [], SimpleNamespace(speed=speed, offset_s=-165.8)
+    clock.calendar_offset_s = lambda: clock.offset_s
+    bench = SimpleNamespace(clock=clock, tick=lambda: None)
+    run = SimpleNamespace(bench=bench, note=notes.append, guard=Mock(), observers=Mock())
+    run.guard.beat.return_value = ""
+    heartbeat = Heartbeat(run, Mock())
+    heartbeat.beat()
+    assert [note[:25] for note in notes] == ["this machine's calendar w"] * (speed == 1.0)
+    clock.offset_s += 7.0
+    heartbeat.beat()
+    assert "is -158.8 s from the run's time" in notes[-1]
