@@ -44,7 +44,7 @@ def monitor(
         raise MissingRunError(f"{run}: no such folder. Give a run folder, or a folder of runs")
     with MonitorServer(Website(run, WallClock().utc).answer, port) as server:
         local = server.server_port
-        typer.echo(f"{run} is shown at {server.url} until Ctrl-C.")
+        typer.echo(f"{run.absolute()} is shown at {server.url} until Ctrl-C.")
         typer.echo("From another machine, run this there and open the same address:")
         typer.echo(f"  ssh -N -L {local}:127.0.0.1:{local} {getpass.getuser()}@{socket.gethostname()}")
         if open_browser:

@@ -6,6 +6,7 @@ import contextlib
 import math
 import secrets
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from datetime import datetime
 from functools import cache
 from http import HTTPStatus
@@ -54,6 +55,7 @@ from gyrobench.bench.navigation.positions import POSITIONS, position_label
 from gyrobench.bench.report.number_format import true_minus
 from gyrobench.bench.report.page import page_templates
 from gyrobench.bench.runs.folder import UNITS_FOLDER, RunFolder
+from gyrobench.bench.runs.provenance import watermark_of
 
 
 def run_fragment(
@@ -63,12 +65,13 @@ def run_fragment(
     home: str,
     verdict: str = "",
     is_of_unit: bool = False,
+    watermark: str = "",
 ) -> str:
     """Content of the page of a run, which the page refreshes by itself.
 
     ``verdict`` is that on the unit, empty if it was not judged. ``records`` has addresses and titles of the
     pages in the run folder; ``home`` is the address of the list of runs, empty if there is none; on the page
-    that ``is_of_unit``, one of several, that of the run.
+    that ``is_of_unit``, one of several, that of the run. ``watermark``: SIMULATED, or empty.
     """
     dwell = snapshot.dwell
     measured = f"unit {snapshot.unit}" if snapshot.unit else ""
@@ -77,6 +80,7 @@ def run_fragment(
     return _rendered(
         "run.html.j2",
         measured=measured,
+        watermark=watermark,
         title=_title(snapshot, freshness),
         snapshot=snapshot,
         freshness=freshness,
@@ -227,7 +231,8 @@ class Website:
         freshness = freshness_of(snapshot.state, snapshot.updated_utc, self._utc())
         shown = unit or run
         verdict = verdict_in(shown) if snapshot.state.is_over else ""
-        return run_fragment(snapshot, freshness, records_of(shown), home, verdict, unit is not None)
+        is_of_unit, watermark = unit is not None, watermark_of(run)
+        return run_fragment(snapshot, freshness, records_of(shown), home, verdict, is_of_unit, watermark)
 
     def _metrics(self) -> Response:
         """Metrics of the run, or of the newest runs of the folder; those that can't be read are left out."""
@@ -249,14 +254,16 @@ class Website:
         except RunFolderError as error:
             return _problem_fragment("Runs", str(error), "")
         rows = [self._row(run) for run in runs[:_MAX_LISTED]]
-        return _list_fragment(str(self._root), rows, max(0, len(runs) - _MAX_LISTED))
+        return _list_fragment(str(self._root.absolute()), rows, max(0, len(runs) - _MAX_LISTED))
 
     def _row(self, run: Path) -> ListRow:
         try:
             summary = self._summaries.of(run)
         except GyrobenchError as error:
             return unreadable_row(run.name, str(error))
-        return list_row(summary, freshness_of(summary.state, summary.updated_utc, self._utc()))
+        row = list_row(summary, freshness_of(summary.state, summary.updated_utc, self._utc()))
+        watermark = watermark_of(run)
+        return replace(row, facts=f"{watermark}, {row.facts}") if watermark else row
 
 
 def _page_or_fragment(fragment: str, what: str) -> Response:

@@ -1,3 +1,4 @@
+import json
 import os
 import threading
 
@@ -23,6 +24,16 @@ def test_the_page_of_a_run_holds_what_it_refreshes(tmp_path):
     assert "running" in fragment
     assert page.startswith("<!DOCTYPE html>")
     assert '<noscript><meta http-equiv="refresh" content="10"></noscript>' in page
+
+
+def test_pages_of_an_emulated_run_say_so(tmp_path):
+    for name, options in (("emulated", {"world": "quick"}), ("real", {})):
+        write_snapshot(tmp_path / name)
+        (tmp_path / name / "provenance.json").write_text(json.dumps({"options": options}))
+    site = Website(tmp_path, now)
+    assert "SIMULATED:" in text_of(site, "/runs/emulated/")
+    assert "SIMULATED" not in text_of(site, "/runs/real/")
+    assert text_of(site, "/").count("SIMULATED, ") == 1
 
 
 def test_the_policy_lets_in_nothing_but_the_style_and_the_script_of_the_page(tmp_path):
