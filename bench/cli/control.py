@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -53,6 +54,19 @@ def control(
             f"{run_folder}: process {holder.pid} can't be signalled: {error.strerror}"
         ) from error
     typer.echo(f"Sent to process {holder.pid}: {command} ({COMMAND_MEANINGS[command]}).")
+    if command in (RunCommand.PAUSE, RunCommand.HOLD, RunCommand.SKIP) and _holds(run_folder):
+        typer.echo(f"At its last snapshot the run was holding: it accepts continue or abort, not {command}.")
+
+
+def _holds(run: Path) -> bool:
+    """Whether a run held, for the operator or after a trip, at its last snapshot."""
+    from gyrobench.bench.monitor.snapshot import RunState, read_snapshot
+    from gyrobench.bench.runs.folder import RunFolder
+
+    try:
+        return read_snapshot(RunFolder(run).live).state in (RunState.HOLDING, RunState.PAUSED)
+    except RunFolderError:
+        return False
 
 
 def tell(run_folder: RunArgument, command: _CommandArgument) -> None:

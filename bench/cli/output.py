@@ -141,10 +141,12 @@ def print_tables(console: Console, folder: RunFolder) -> None:
 def print_unfinished(paths: Iterable[Path], on_stderr: bool = False) -> None:
     """State which paths are runs that have not finished, and how to resume them; nothing for others."""
     from gyrobench.bench.runs.folder import RunFolder
+    from gyrobench.bench.station.locks import holder_of
 
     for folder in filter(lambda each: each.is_unfinished, map(RunFolder, paths)):
+        state = f"has not finished. Resume it with: gyrobench resume {folder.run.path}"
         console(on_stderr).print(
-            f"{folder.path}: the run has not finished. Resume it with: gyrobench resume {folder.run.path}",
+            f"{folder.path}: the run {'is in progress.' if holder_of(folder.run.path) else state}",
             soft_wrap=True,
             style="bold yellow",
         )

@@ -239,6 +239,8 @@ class Engine:
                 self._is_hold_commanded = True
                 self._run.note("holds at the end of the dwell in progress")
             case RunCommand.CONTINUE:
+                if self._is_hold_commanded:
+                    self._run.note("does not hold at the end of the dwell in progress")
                 self._is_hold_commanded = False
             case _:
                 raise CommandReceivedError(given)

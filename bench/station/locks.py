@@ -188,10 +188,11 @@ class BenchLock(_Lock):
 
     def _advice(self, holder: Holder | None) -> str:
         if holder is not None and holder.command == GUARD_COMMAND:
-            return "It is bringing the bench to its safe state after that run. Try again in a minute."
+            return "Try again in a minute: it is bringing the bench to its safe state after that run."
         if holder is not None and holder.command == JOG_COMMAND:
-            return "An operator controls it manually; `quit` there releases it. Nothing was moved."
-        return "Wait for its end, or end it with `gyrobench control RUN abort`. Nothing was moved."
+            return "Nothing was moved: an operator controls it manually; `quit` there releases it."
+        run = "RUN" if holder is None else holder.run
+        return f"Nothing was moved: wait for its end, or end it with `gyrobench control {run} abort`."
 
 
 class RunLock(_Lock):

@@ -8,9 +8,12 @@ import sys
 import pytest
 
 import gyrobench
-from gyrobench.bench.cli.output import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
+from gyrobench.bench.cli.output import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, EXIT_WRONG_INPUT, print_unfinished
 from gyrobench.bench.engine.operator import RunCommand, take_sender
+from gyrobench.bench.monitor.snapshot import RunState
 from tests.bench.command_line import gyrobench as command
+from tests.bench.monitor.sample_snapshots import waiting_snapshot
+from tests.bench.monitor.served_run import write_snapshot
 
 #: Holds a run folder as a run does, and prints each signal that it gets.
 HOLDER = """
@@ -41,6 +44,24 @@ def test_a_command_is_sent_to_the_process_of_the_run(run_in_progress):
     assert done.returncode == 0, done.stderr
     assert f"Sent to process {holder.pid}: hold" in done.stdout
     assert holder.stdout.readline() == "SIGUSR1\n"
+
+
+def test_a_command_that_a_run_on_hold_does_not_accept_is_named(run_in_progress):
+    run, holder = run_in_progress
+    write_snapshot(run, waiting_snapshot(), state=RunState.HOLDING)
+    try:
+        done = command("control", run, "hold", cwd=run.parent)
+    finally:
+        (run / "live.json").unlink()
+    assert holder.stdout.readline() == "SIGUSR1\n"
+    assert done.stdout.endswith("it accepts continue or abort, not hold.\n")
+
+
+def test_a_report_of_a_run_in_progress_advises_no_resume(run_in_progress, capsys):
+    run, _ = run_in_progress
+    (run / "journal.jsonl").write_text("")
+    print_unfinished([run])
+    assert capsys.readouterr().out == f"{run}: the run is in progress.\n"
 
 
 @pytest.mark.parametrize("options", [[], ["--look"]])

@@ -52,6 +52,7 @@ def test_a_second_run_is_refused_with_all_that_is_known_of_the_first(make_statio
         with pytest.raises(BenchInUseError) as caught, BenchLock(station, tmp_path, WallClock()):
             pass
         message = str(caught.value)
+        assert message.endswith(f"or end it with `gyrobench control {tmp_path / 'run one'} abort`.")
         for part in (
             str(process.pid),
             str(tmp_path / "run one"),
