@@ -158,14 +158,14 @@ class ManualControl:
         self._refuse_while(_TABLE_TRIPS)
         if not self.bench.state.expected.table_prepared:
             self.bench.prepare_table()
-            self._display.print("servos closed")
+            self._display.print("servos on")
 
     def servo_off(self) -> None:
         """Stop the table and open its servos."""
         self._turning.clear()
         self.bench.state.table_released()
         self._retry(lambda: self.bench.instruments.table.release())
-        self._display.print("table stopped, servos open")
+        self._display.print("table stopped, servos off")
 
     def chamber_to(self, temperature_c: float, ramp_c_per_min: float | None) -> None:
         """Set the chamber's temperature and switch it on; does not wait."""
@@ -362,7 +362,7 @@ def readings(bench: LiveBench, tripped: Sequence[str]) -> list[str]:
     """All readings of the instruments, in lines of at most 80 columns."""
     now, absent = bench.readings, bench.instruments.absent
     angles, rates = bench.table_angles(), bench.station.table_axes_of(now.table.rate_dps)
-    servo = "servos closed" if now.table.is_servoed else "servos open"
+    servo = "servos on" if now.table.is_servoed else "servos off"
     single = bench.station.file.rate_table.is_single_axis
     table = [
         f"Table      {name} {angle:9.4f} deg  {rate:8.4f} deg/s"

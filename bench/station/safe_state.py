@@ -156,7 +156,7 @@ def _steps(station: Station, instruments: Outputs, release_table: bool) -> list[
     else:
         add(SafePart.UNIT, "INS left as it is", lambda: None)
     if release_table:
-        what = "rate table's interlocks opened"
+        what = "rate table's servos off"
         add(SafePart.TABLE_RELEASED, what, lambda: instruments.table.release(), _RELEASE_TIME_S)
     return steps
 

@@ -30,11 +30,11 @@ def test_the_table_moves_to_the_commanded_angles(tmp_path):
     run = jog("table outer 30", "table inner -100 at 25", "show", cwd=tmp_path)
     assert run.returncode == 0, run.stdout
     printed = answers(run)
-    assert printed["table outer 30"][0] == "servos closed"
+    assert printed["table outer 30"][0] == "servos on"
     outer, inner = printed["show"][:2]
     assert float(outer.split()[2]) == pytest.approx(30.0, abs=0.003)
     assert float(inner.split()[2]) == pytest.approx(-100.0, abs=0.003)
-    assert "servos closed; the unit is in none of the six positions" in printed["show"][2]
+    assert "servos on; the unit is in none of the six positions" in printed["show"][2]
 
 
 @pytest.mark.parametrize(("position", "azimuth"), [("z_down", 0), ("y_up", 180), ("x_down", 180)])
@@ -78,7 +78,7 @@ def test_an_impossible_command_is_refused_before_anything_moves(command, why, tm
     run = jog(command, "show", cwd=tmp_path)
     assert run.returncode == 1
     assert why in run.stdout
-    assert "servos closed" not in run.stdout
+    assert "servos on" not in run.stdout
     assert "jog> show" not in run.stdout  # later commands may depend on it
 
 
@@ -140,7 +140,7 @@ def test_the_bench_is_left_in_its_safe_state(tmp_path):
         "rate table stopped",
         "chamber's set point at 23 degC",
         "INS left as it is",
-        "rate table's interlocks opened",
+        "rate table's servos off",
     ]
 
 
@@ -185,7 +185,7 @@ def test_commands_come_from_a_pipe_with_comments(tmp_path):
     assert run.returncode == 0, run.stdout
     assert "jog> table outer 30" in run.stdout
     assert "never" not in run.stdout
-    assert run.stdout.rstrip().endswith("rate table's interlocks opened")
+    assert run.stdout.rstrip().endswith("rate table's servos off")
 
 
 @pytest.mark.parametrize("way", ["pipe", "arguments"])
@@ -195,7 +195,7 @@ def test_a_command_that_fails_ends_the_session_and_states_how_many_were_not_exec
     assert run.returncode == EXIT_NOT_FINISHED
     printed = answers(run)["table outer 999"]
     assert printed[1] == "Not executed: 2 commands after this one."
-    assert printed[-1] == "rate table's interlocks opened"
+    assert printed[-1] == "rate table's servos off"
 
 
 def test_after_the_last_command_none_is_stated_as_not_executed(tmp_path):

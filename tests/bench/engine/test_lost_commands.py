@@ -70,7 +70,7 @@ def test_a_table_whose_port_was_gone_in_a_move_is_stopped_as_soon_as_it_answers(
         if entry["event"] == "made_safe"
     )
     assert ("rate table stopped", False) in failed
-    assert repeated == [("rate table stopped", True), ("rate table's interlocks opened", True)]
+    assert repeated == [("rate table stopped", True), ("rate table's servos off", True)]
 
 
 def test_a_table_that_moves_although_it_was_stopped_trips(tmp_path):

@@ -43,7 +43,7 @@ def test_a_bench_that_was_not_made_safe_is_reported_with_what_it_reads_now(serve
         "The bench was NOT made safe at the end (safe state: neither the run nor its guard"
     )
     assert "inner" in found
-    assert "at 10.000 deg/s; servos closed" in found
+    assert "at 10.000 deg/s; servos on" in found
     assert "set point 60.0 degC" in found
     with BenchLock(served.station, begun.path, WallClock()):
         found = prepare_resumption(begun.path).describe_bench()

@@ -101,7 +101,7 @@ def test_a_busy_port_is_retried_and_the_other_instrument_does_not_wait_for_it(se
     log = tmp_path / "guard.log"
     with orphaned_guard(served, tmp_path) as guard:
         with serial.Serial(served.urls["table"], exclusive=True):
-            wait_for(lambda: log.exists() and "rate table's interlocks opened" in log.read_text())
+            wait_for(lambda: log.exists() and "rate table's servos off" in log.read_text())
             assert "chamber's set point at 23 degC: done" in log.read_text()
             assert "rate table stopped: rate table: can't open" in log.read_text()
         assert guard.wait(300) == 0
@@ -111,7 +111,7 @@ def test_a_busy_port_is_retried_and_the_other_instrument_does_not_wait_for_it(se
     assert [bool(action["problem"]) for action in first["safe_state"]] == [True, False, False, True]
     assert [action["what"] for action in last["safe_state"]] == [
         "rate table stopped",
-        "rate table's interlocks opened",
+        "rate table's servos off",
     ]
 
 

@@ -60,7 +60,7 @@ def test_a_terminal_that_closes_leaves_the_bench_safe(served, tmp_path):
     session.type("table rate inner 10", until="inner axis turns")
     code, printed = session.end(signal.SIGHUP)
     assert code == 1
-    assert "rate table's interlocks opened" in printed
+    assert "rate table's servos off" in printed
     rates_dps, interlocks, set_point_c = served.state()
     assert rates_dps == pytest.approx((0.0, 0.0), abs=0.01)
     assert interlocks == before

@@ -73,7 +73,7 @@ def test_one_dead_instrument_does_not_keep_the_others_from_their_safe_state(open
     monkeypatch.setattr(SerialLine, "write", fails)
     found = problems(make_safe(station, instruments))
     assert str(broken) in found["rate table stopped"]
-    assert str(broken) in found["rate table's interlocks opened"]
+    assert str(broken) in found["rate table's servos off"]
     assert found["chamber's set point at 23 degC"] == ""
     assert bench.world.air.set_point_c == 23.0
 
@@ -160,9 +160,7 @@ def test_a_table_that_does_not_come_to_rest_is_reported_and_its_servos_are_open(
     bench.world.axes[2].stop = lambda now_s: None
     bench.world.axes[2].release = lambda now_s: None
     action = make_safe(station, instruments)[-1]
-    assert action.text.startswith(
-        "FAILED: rate table's interlocks opened: rate table: still turns at 2 deg/s"
-    )
+    assert action.text.startswith("FAILED: rate table's servos off: rate table: still turns at 2 deg/s")
     assert bench.serial["table"].feed(b":Interlock? 2\r\n", bench.clock.now()).endswith(b"Open")
 
 
