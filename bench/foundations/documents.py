@@ -38,6 +38,8 @@ _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
 _WRITE_POINT = "A number has a decimal point, not a comma"
 #: Mistakes whose messages need no words of what was found.
 _COMPLETE = ("unknown_key", "unknown_kind", "missing_kind")
+#: Mistakes whose messages need the meaning of the key.
+_NEED_MEANING = ("string_pattern_mismatch", "list_type")
 #: The words of pydantic's messages in those of the bench.
 _PLAIN_WORDS = tuple(
     (re.compile(pattern), plain)
@@ -423,6 +425,9 @@ def _rewritten(detail: Any, model: type[BaseModel], old_keys: Mapping[str, str])
             message = _missing_key(key, model)
         else:
             message = re.sub(r"^(Input|String|List|Dictionary) should", f"{_quoted(key)} should", message)
+            field = model.model_fields.get(key)
+            if kind in _NEED_MEANING and field and field.description:
+                message += f" ({field.description})"
     return InitErrorDetails(type=PydanticCustomError(kind, message), loc=location, input=detail.get("input"))
 
 

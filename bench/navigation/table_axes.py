@@ -59,7 +59,9 @@ class TwoAxisTable:
             )
         C = self.C_mount
         if not (np.allclose(C @ C.T, np.eye(3), atol=_TOLERANCE) and np.linalg.det(C) > 0.0):
-            raise DocumentError(f"the mounting must be a right-handed rotation; found {C.tolist()}")
+            raise DocumentError(
+                "the mounting must be a right-handed rotation: three perpendicular body axes x, y and z"
+            )
 
     def attitude(self, outer_deg: ArrayLike, inner_deg: ArrayLike) -> FloatArray:
         """Attitudes ``C_nb`` (..., 3, 3) of the unit at these axis angles (...)."""

@@ -81,7 +81,7 @@ def _order_problems(planned: PlannedStep) -> Iterator[DocumentProblem]:
     step, bench = planned.step, planned.before
     if isinstance(step, PowerOn) and bench.powered:
         yield DocumentProblem(planned.location, "the INS is already on here. Put power_off before this step")
-    needs_power = isinstance(step, Align | Navigate | RotatingStep) or (
+    needs_power = isinstance(step, Align | Navigate | Turn | RotatingStep) or (
         isinstance(step, Soak) and step.for_s is None
     )
     if needs_power and not bench.powered:
@@ -90,7 +90,7 @@ def _order_problems(planned: PlannedStep) -> Iterator[DocumentProblem]:
         )
     if isinstance(step, Align) and bench.position is None:
         yield DocumentProblem(planned.location, "align needs a position. Put go_to before this step")
-    if isinstance(step, Navigate | Turn | RotatingStep) and not bench.aligned:
+    if isinstance(step, Navigate | Turn | RotatingStep) and bench.powered and not bench.aligned:
         yield DocumentProblem(
             planned.location,
             f"{step.name} needs an aligned INS. Put align before it, after the last go_to and power_on",

@@ -17,7 +17,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, PlainValidator, ValidationError
+from pydantic import BeforeValidator, Field, PlainValidator, ValidationError
 from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 
 from gyrobench.bench.bias.verdicts import AcceptanceLimits
@@ -97,11 +97,18 @@ def _checked_value(value: Any) -> Value:
     raise ValueError("expected a number or text")
 
 
+def _checked_variable(name: Any) -> Any:
+    """Raise ValueError if a variable can't have this name."""
+    if isinstance(name, str) and re.fullmatch("[a-z][a-z0-9_]*", name):
+        return name
+    raise ValueError("the name of a variable has lower-case letters, digits and underscores")
+
+
 class Repeat(StrictModel):
     """Steps done once for every combination of values, the first variable outermost."""
 
     over: dict[
-        Annotated[str, Field(pattern="^[a-z][a-z0-9_]*$")],
+        Annotated[str, Field(pattern="^[a-z][a-z0-9_]*$"), BeforeValidator(_checked_variable)],
         Annotated[list[Annotated[Value, PlainValidator(_checked_value)]], Field(min_length=1)],
     ] = Field(min_length=1, description="values of each loop variable")
     steps: list[_Entry] = Field(min_length=1, description="what to do with them")

@@ -31,6 +31,7 @@ ORDER = {
     ),
     "align without position": ("- power_on\n" + ALIGN, "4:3", "Put go_to before"),
     "align without power": ("- go_to: {position: z_up}\n" + ALIGN, "4:3", "Put power_on before"),
+    "turn without power": ("- turn: {angle_deg: 180}", "3:3", "turn needs the INS on. Put power_on before"),
     "soak on the gyros without power": (
         "- soak: {until_gyro_rate_below_c_per_h: 2}",
         "3:3",
@@ -115,7 +116,7 @@ def test_everything_wrong_is_listed_at_once(planned: PlanOf, limits: StationLimi
     lines = [line.split(": ")[0] for line in str(caught.value).splitlines()]
     assert lines == [
         "test.yaml:3:13", "test.yaml:3:32", "test.yaml:4:3", "test.yaml:4:3",
-        "test.yaml:5:3", "test.yaml:5:3", "test.yaml:5:3", "test.yaml:5:14",
+        "test.yaml:5:3", "test.yaml:5:3", "test.yaml:5:14",
     ]  # fmt: skip
 
 

@@ -60,7 +60,11 @@ WRONG_FILES = {
         "3:23",
         ["not other variables"],
     ),
-    "odd name": ("- repeat: {over: {N 1: [1]}, steps: [power_off]}", "3:19", ["pattern"]),
+    "odd name": (
+        "- repeat: {over: {N 1: [1]}, steps: [power_off]}",
+        "3:19",
+        ["lower-case letters, digits and underscores"],
+    ),
     "wrong within a loop": (
         "- repeat:\n    over: {n: [1]}\n    steps:\n      - turn: {angle_deg: 5, rate: 1}",
         "6:30",
