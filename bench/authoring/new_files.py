@@ -211,7 +211,12 @@ def new_procedure(name: str, like: str, path: Path) -> str:
         Of the new file.
     """
     template = read_document(find_document("procedures", TEMPLATES.get(like, like)))
-    values = {**template.data, "procedure": name, "description": f"Made from {like}.", "assumptions": []}
+    values = {
+        **template.data,
+        "procedure": name,
+        "description": f"Made from {template.data['procedure']}.",
+        "assumptions": [],
+    }
     schema = schema_of(PROCEDURE)
     steps = values.pop("steps")
     of_head = {key: each for key, each in schema["properties"].items() if key != "steps"}

@@ -15,7 +15,7 @@ _STANDARD_OUTPUT = Path("-")
 
 new = typer.Typer(
     help="Write a commented template: every key with its meaning, bounds and default.\n\n"
-    "Example: gyrobench new procedure my_check --like check",
+    "Example: gyrobench new procedure my_check --like ten_minute_check",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -38,7 +38,7 @@ def procedure(
 ) -> None:
     """Write a procedure file.
 
-    Example: gyrobench new procedure my_check --like check
+    Example: gyrobench new procedure my_check --like ten_minute_check
     """
     from gyrobench.bench.authoring.new_files import new_procedure
 

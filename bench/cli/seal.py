@@ -89,7 +89,8 @@ def seal(
     for path in check.not_sealed:
         terminal.print(f"Not sealed: {path}", soft_wrap=True)
     for finding in check.findings:
-        terminal.print(f"Changed: {finding.path}: {finding.text}", soft_wrap=True, style="bold red")
+        kind = "Invalid" if Path(finding.path).parent.name == "seals" else "Changed"
+        terminal.print(f"{kind}: {finding.path}: {finding.text}", soft_wrap=True, style="bold red")
     if not check.is_intact:
         raise typer.Exit(EXIT_NOT_FINISHED)
     size_mb = sum(each.size_bytes for each in check.files.values()) / 1e6

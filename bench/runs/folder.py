@@ -166,8 +166,8 @@ def create_run_folder(out: Path | None, name: str, parent: Path = RUNS) -> RunFo
 def open_run_folder(path: Path, may_have_units: bool = False) -> RunFolder:
     """Find an existing run folder; one of several units only where it ``may_have_units``.
 
-    Raises MissingRunError if there is none at that path, and RunFolderError if one of its folders is a link
-    to elsewhere.
+    Raises MissingRunError if there is none at that path, or one of several units, and RunFolderError if one
+    of its folders is a link to elsewhere.
     """
     folder = RunFolder(path)
     for name in (
@@ -195,7 +195,7 @@ def open_run_folder(path: Path, may_have_units: bool = False) -> RunFolder:
             "run that has started"
         )
     if not may_have_units and (units := folder.unit_folders):
-        raise RunFolderError(
+        raise MissingRunError(
             f"{path}: holds a run of several units. Give the folder of one of them: "
             f"{', '.join(str(unit.path) for unit in units)}"
         )

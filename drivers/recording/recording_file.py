@@ -127,7 +127,10 @@ def read_recording(path: Path) -> Recording:
         raise DocumentError(f"{path}: is not UTF-8 text: {error.reason} at byte {error.start}") from error
     head, end, body = text.partition(f"\n{_END_OF_HEADER}")
     if not end:
-        raise DocumentError(f"{path}:1:1: not a recording: the line '---' after its header is missing")
+        raise DocumentError(
+            f"{path}:1:1: not a recording: the line '---' after its header is missing. A CAN log is replayed "
+            "by a station file with `interface: replay`"
+        )
     document = parse_document(head + "\n", path)
     header = validate(document, RecordingHeader)
     first = head.count("\n") + 3

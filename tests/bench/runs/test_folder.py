@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.errors import MissingRunError, RunFolderError
 from gyrobench.bench.runs.folder import PathInside, RunFolder, create_run_folder, open_run_folder
 
 
@@ -26,6 +26,14 @@ def test_a_folder_with_something_in_it_is_refused(tmp_path):
 
 def test_a_folder_without_a_journal_is_no_run_folder(tmp_path):
     with pytest.raises(RunFolderError, match="not a run folder"):
+        open_run_folder(tmp_path)
+
+
+def test_a_run_of_several_units_is_no_run_of_one(tmp_path):
+    for folder in (tmp_path, tmp_path / "units" / "1101"):
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "journal.jsonl").write_text("")
+    with pytest.raises(MissingRunError, match=r"Give the folder of one of them: .*units/1101"):
         open_run_folder(tmp_path)
 
 

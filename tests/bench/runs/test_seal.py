@@ -181,6 +181,8 @@ def test_a_seal_of_another_key_is_not_the_trusted_one(folder, key, tmp_path):
     assert verify_seals(folder.path, key.with_name("seal.pem.pub")).is_intact
     (finding,) = verify_seals(folder.path, other).findings
     assert finding.text == "is not signed by the trusted key"
+    found = gyrobench("seal", folder.path, "--verify", "--key", other, cwd=tmp_path)
+    assert "Invalid: seals/001.jsonl: is not signed by the trusted key" in found.stdout
 
 
 def test_a_key_that_cant_be_used_leaves_the_seal_unsigned_or_is_an_error(folder, tmp_path, monkeypatch):
