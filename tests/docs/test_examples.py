@@ -1,5 +1,7 @@
 """What a reader types from the pages works, in the order in which it stands."""
 
+import shutil
+
 import pytest
 
 from gyrobench.bench.procedure.procedure_file import load_procedure
@@ -8,16 +10,37 @@ from tests.docs.pages import DOCS, blocks, pages
 
 #: Pages with commands that a reader types as they stand.
 TYPED = [page for page in pages() if any(block.language == "console" for block in blocks(page))]
-#: Pages whose commands take minutes.
-LONG = ("tutorial", "settle_a_cause", "write_a_procedure", "calibrate_all_coefficients")
+#: Pages whose commands take less than a second; others run or read a campaign.
+SHORT = ("bring_up_a_bench",)
+#: Finished runs that commands read, with their seeds.
+FINISHED = {"first-001": "1", "second-001": "2", "six_position_fig7-001": "1"}
+
+
+@pytest.fixture(scope="session")
+def finished_runs(made_once):
+    """Short campaigns, searched, by their seeds."""
+
+    def make(folder):
+        for seed in sorted(set(FINISHED.values())):
+            world = ("--station", "quick", "--world", "quick", "--seed", seed, "--out", seed)
+            for command in (("run", "quick_campaign", *world), ("close", seed)):
+                result = gyrobench(*command, cwd=folder)
+                assert result.returncode == 0, (command, result.stderr)
+
+    return made_once("searched-campaigns", make)
 
 
 @pytest.mark.parametrize(
     "page",
-    [pytest.param(page, marks=[pytest.mark.long] if page.stem in LONG else []) for page in TYPED],
+    [pytest.param(page, marks=[] if page.stem in SHORT else [pytest.mark.long]) for page in TYPED],
     ids=lambda page: page.stem,
 )
-def test_the_commands_of_a_page_work_one_after_the_other(page, tmp_path):
+def test_the_commands_of_a_page_work_one_after_the_other(page, tmp_path, request):
+    typed = "".join(block.text for block in blocks(page) if block.language == "console")
+    for name, seed in FINISHED.items():
+        if f"runs/{name}" in typed or " runs" in typed:
+            finished = request.getfixturevalue("finished_runs")
+            shutil.copytree(finished / seed, tmp_path / "runs" / name)
     for block in blocks(page):
         if block.deed == "file":
             (tmp_path / block.name).write_text(block.text, encoding="utf-8")
