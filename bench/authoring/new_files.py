@@ -17,6 +17,7 @@ import yaml
 from gyrobench.bench.authoring.file_kinds import (
     EDITOR_MARK,
     EFFECT,
+    IMPORT_MAP,
     PROCEDURE,
     STATION,
     WORLD,
@@ -279,9 +280,22 @@ def new_world(name: str, like: str, path: Path) -> str:
     """
     if not _NAME.fullmatch(name):
         raise DocumentError(f"{name}: not a name of a world; use letters, digits, underscore and hyphen")
-    lines = find_document("worlds", like).read_text(encoding="utf-8").splitlines(keepends=True)
-    kept = [line for line in lines if not line.startswith(EDITOR_MARK)]
-    return editor_line(WORLD, path) + _WORLD_NAME.sub(f"world: {name}", "".join(kept), count=1)
+    text = _copied(find_document("worlds", like))
+    return editor_line(WORLD, path) + _WORLD_NAME.sub(f"world: {name}", text, count=1)
+
+
+def new_import_map(like: str, path: Path) -> str:
+    """Copy an import map. ``like``: a shipped one, or a file. ``path``: of the new file.
+
+    Raises DocumentError if there is no such import map.
+    """
+    return editor_line(IMPORT_MAP, path) + _copied(find_document("imports", like))
+
+
+def _copied(path: Path) -> str:
+    """Text of a file without the line for editors."""
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    return "".join(line for line in lines if not line.startswith(EDITOR_MARK))
 
 
 def new_effect(name: str, path: Path) -> str:

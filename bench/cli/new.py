@@ -90,6 +90,21 @@ def world(
     _write(name, out, lambda path: new_world(name, like, path), "Edit it. Next: gyrobench validate")
 
 
+@new.command("import")
+def import_map(
+    name: _Name,
+    like: Annotated[str, typer.Option(help="Import map to copy: file or shipped name.")] = "example_log",
+    out: _Out = None,
+) -> None:
+    """Copy an import map, to describe the columns of a log.
+
+    Example: gyrobench new import my_log
+    """
+    from gyrobench.bench.authoring.new_files import new_import_map
+
+    _write(name, out, lambda path: new_import_map(like, path), "Edit it. Next: gyrobench validate")
+
+
 @new.command()
 def effect(name: _Name, out: _Out = None) -> None:
     """Write an effect file: a law that `gyrobench close` searches for.

@@ -63,7 +63,9 @@ def validate(
 def _line(check: FileCheck) -> str:
     if not check.is_good:
         return check.text
-    return f"{check.path}: valid {check.kind} file{f', {check.found}' if check.found else ''}"
+    return (
+        f"{check.path}: valid {check.kind.replace('_', ' ')} file{f', {check.found}' if check.found else ''}"
+    )
 
 
 def _record(check: FileCheck) -> dict[str, object]:

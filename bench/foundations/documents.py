@@ -178,7 +178,8 @@ def validate(document: Document, model: type[_ModelT], further: Sequence[Documen
     other = next((key for key in USES if key in document.data and key not in model.model_fields), None)
     if own and other and own not in document.data:
         use = USES[other].format(document.path)
-        raise document.error([DocumentProblem((other,), f"this is a {other} file, not a {own} file. {use}")])
+        kinds = f"a {other} file, not a {own} file".replace("_", " ")
+        raise document.error([DocumentProblem((other,), f"this is {kinds}. {use}")])
     notes: set[tuple[str, str, str]] = set()
     token = _renaming_notes.set(notes)
     try:

@@ -36,6 +36,7 @@ USES = MappingProxyType(
         "station": "Give the procedure first: gyrobench run PROCEDURE --station {0}",
         "world": "Give it with: --world {0}",
         "faults": "Give it with: --faults {0}",
+        "rotation_list": "Show what it determines with: gyrobench plan {0} --observability",
     }
 )
 
@@ -89,7 +90,7 @@ def find_document(kind: str, name: str) -> Path:
 
 
 def _folder_of(key: str) -> str:
-    return key if key.endswith("s") else f"{key}s"
+    return {"faults": "faults", "rotation_list": "rotations"}.get(key, f"{key}s")
 
 
 _CHOOSE_ROTATIONS = "Choose a list of rotations, a file or a shipped one: {}"
@@ -100,5 +101,5 @@ def _suggestion(kind: str, name: str) -> str:
     for other, use in USES.items():
         if name not in names and name in shipped_names(_folder_of(other)):
             advice = _CHOOSE_ROTATIONS.format(", ".join(names)) if kind == "rotations" else use.format(name)
-            return f", but a shipped {other}. {advice}"
+            return f", but a shipped {other.replace('_', ' ')}. {advice}"
     return f"{did_you_mean(name, names)}. Shipped {kind}: {', '.join(names)}"

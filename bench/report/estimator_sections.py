@@ -203,7 +203,7 @@ def _gain_table(sigmas: _Sigmas) -> SectionTable:
                 f"{float(np.median(own.gains)):.3f}",
             ]
     return SectionTable(
-        "Median standard uncertainty of a bias, single and joint, 10⁻³ deg/h, and their ratio",
+        "Median standard uncertainty of a bias, single and joint, 0.001 deg/h, and their ratio",
         [
             *("plateau", "level, single", "level, joint", "ratio"),
             *("vertical, single", "vertical, joint", "ratio"),
@@ -214,8 +214,8 @@ def _gain_table(sigmas: _Sigmas) -> SectionTable:
 
 def _plateau_table(plateaus: Sequence[JointPlateauRow]) -> SectionTable:
     return SectionTable(
-        "Shared parameters of each plateau: accelerometer biases in µg where observable, rates in 10⁻³ deg/h,"
-        " p-value of the fit",
+        "Shared parameters of each plateau: accelerometer biases in µg where observable, rates in "
+        "0.001 deg/h, p-value of the fit",
         ["plateau", "chamber °C", "dwells", "x", "y", "z", "rate North", "rate Up", "p"],
         [
             [

@@ -114,6 +114,23 @@ def test_a_schema_is_printed_alone(tmp_path):
     assert json.loads(answer.stdout)["title"] == "gyrobench procedure"
 
 
+def test_a_list_of_rotations_is_no_procedure(tmp_path):
+    answer = gyrobench("plan", "eighteen_rotations", cwd=tmp_path)
+    assert (answer.returncode, answer.stderr) == (
+        2,
+        "gyrobench: eighteen_rotations: no such file or shipped name, but a shipped rotation list. Show what "
+        "it determines with: gyrobench plan eighteen_rotations --observability\n",
+    )
+
+
+def test_a_new_import_map_is_valid(tmp_path):
+    made = gyrobench("new", "import", "my_log", cwd=tmp_path)
+    assert made.stdout == "my_log.yaml: written. Edit it. Next: gyrobench validate my_log.yaml\n"
+    checked = gyrobench("validate", "my_log.yaml", cwd=tmp_path)
+    assert checked.stdout == "my_log.yaml: valid import file\n"
+    assert gyrobench("new", "import", "x", "--like", "nowhere", cwd=tmp_path).returncode == 2
+
+
 def test_a_new_world_is_the_shipped_one_under_another_name(tmp_path):
     made = gyrobench("new", "world", "hidden", "--like", "gyro_b", cwd=tmp_path)
     assert made.returncode == 0
