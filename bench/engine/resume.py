@@ -316,7 +316,7 @@ def _table_now(station: Station, outputs: Outputs) -> str:
         strict=True,
     )
     motion = ", ".join(f"{axis} {angle:.3f} deg at {rate:.3f} deg/s" for axis, angle, rate in axes)
-    return f"rate table: {motion}; servos {'closed' if reading.is_servoed else 'open'}"
+    return f"rate table: {motion}; servos {'on' if reading.is_servoed else 'off'}"
 
 
 def _chamber_now(station: Station, outputs: Outputs) -> str:  # noqa: ARG001 - as for the table

@@ -210,8 +210,8 @@ class TableChecks:
         if not readings.table.is_servoed and not readings.table_faults:
             yield InterlockFinding(
                 "table_fault",
-                "an axis of the rate table is not under servo control although the bench closed its servos",
-                "Check whether the controller was restarted or the servos were opened at its panel.",
+                "an axis of the rate table is not under servo control although the bench switched its servos on",
+                "Check whether the controller was restarted or the servos were switched off at its panel.",
             )
 
 

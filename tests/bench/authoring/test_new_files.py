@@ -73,7 +73,7 @@ def test_a_new_station_is_wrong_until_each_number_of_the_bench_is_filled_in(tmp_
     problems = check_file(written(new_station("mine", path), path), STATION).problems()
     assert len(problems) == len(NUMBERS)
     for key, problem in zip(NUMBERS, problems, strict=True):
-        assert re.fullmatch(rf"'{key}' must be a (number|list); found \"fill_in\"", problem.message)
+        assert re.fullmatch(rf"'{key}' must be a (number|list \(.*\)); found \"fill_in\"", problem.message)
 
 
 def test_optional_keys_of_a_station_show_their_defaults(tmp_path):
