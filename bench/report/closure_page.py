@@ -158,10 +158,11 @@ def evidence_table(closure: Closure) -> SectionTable:
                 "p": p_text(each.p_value),
                 "odds": odds_text(each.log_odds_against) if each.log_odds_against > 0.0 else "",
             }
-            state = "found" if name in found else "tied" if name in tied else ""
-            rows.append([each.effect.display_name, state, *(cells[column] for column in shown)])
+            state = ["found" if name in found else "tied" if name in tied else ""] if found else []
+            rows.append([each.effect.display_name, *state, *(cells[column] for column in shown)])
     caption = f"Each effect alone. {'; '.join(f'{column}: {what}' for column, what in shown.items())}"
-    return SectionTable(caption, ["effect", "status", *shown], rows, words=2)
+    words = ["effect", *(["status"] if found else [])]
+    return SectionTable(caption, [*words, *shown], rows, words=len(words))
 
 
 def _composed(closure: Closure) -> Section | None:

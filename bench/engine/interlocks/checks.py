@@ -210,7 +210,7 @@ class TableChecks:
         if not readings.table.is_servoed and not readings.table_faults:
             yield InterlockFinding(
                 "table_fault",
-                "an axis of the rate table is not under servo control although the bench switched its servos on",
+                "an axis of the rate table is not under servo control although its servos were switched on",
                 "Check whether the controller was restarted or the servos were switched off at its panel.",
             )
 

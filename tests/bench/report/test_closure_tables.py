@@ -37,7 +37,7 @@ def test_effects_with_a_missing_input_have_no_row():
 
 def test_columns_that_would_be_empty_are_left_out():
     table = evidence_table(clean())
-    assert table.header == ["effect", "status", "p"]
+    assert table.header == ["effect", "p"]
     assert all(len(row) == len(table.header) for row in table.rows)
     assert "share" not in table.caption
     assert "odds" not in table.caption
