@@ -296,9 +296,9 @@ _HOW = (
     "means in the section Results do not. Errors that dwells have in common do not average out; drift of "
     "the accelerometers counts as independent from dwell to dwell.{2} Plateaus of one set point in several "
     "cycles are averaged where they agree and judged separately otherwise. The largest of several noisy "
-    "differences overestimates the largest true one, so the table gives confidence limits for the true one. Pass: "
-    "every pair of positions is below the limit with {0:g} % confidence. Fail: at least one pair is above"
-    " it with {0:g} % confidence, corrected for the number of pairs. Marginal: neither. The probability "
+    "differences overestimates the largest true one, so the table gives confidence limits for the true one. "
+    "Pass: every pair of positions is below the limit with {0:g} % confidence. Fail: at least one pair is "
+    "above it with {0:g} % confidence, corrected for the number of pairs. Marginal: neither. The probability "
     "of accepting a unit at a limit, and of rejecting one within all limits, is at most {1:g} %."
 )
 _SINGLE = (
