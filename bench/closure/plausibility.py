@@ -22,6 +22,12 @@ _KELVIN_FROM = 213.15
 #: Sigmas this many times the spread of all biases of a gyro are wrong. With right ones that has a
 #: probability below 1e-7 in the least number of dwells.
 _MAX_SIGMA_TO_SPREAD, _MIN_DWELLS = 10.0, 8
+#: No gyro has a smaller angle random walk, deg/sqrt(h): the best ones have 1e-5. Units that columns may be in
+#: by the factor that brings them to deg/h; one fits if it gives a random walk of gyros that a rate table tests.
+_MIN_RANDOM_WALK, _USUAL_RANDOM_WALK = 3e-6, (3e-5, 3e-2)
+_RATE_UNITS = {"deg/s": 3600.0, "rad/s": math.degrees(3600.0)}
+#: Spread of the biases, in sigmas, from which a wrong unit is that of the sigmas alone.
+_MAX_SPREAD_TO_SIGMA = 1e3
 #: Copies that are no chance of rounded values: their number, and their share of the dwells.
 _MIN_COPIES, _MIN_COPIED = 3, 0.05
 _TEMPERATURES = {
@@ -37,6 +43,7 @@ def implausible(rows: Sequence[DwellRow], quantity: Quantity = GYRO_BIAS) -> lis
     """Everything about the dwells without flags that can't be measured data, each as one sentence."""
     good = [row for row in rows if not row.flags]
     problems = [*_times(good), *_copies(good), *_temperatures(good), *_sigmas(good, quantity)] if good else []
+    problems += [] if problems or not quantity.is_gyro_bias else _too_small(good)
     return problems or contradictions(good)
 
 
@@ -119,3 +126,33 @@ def _sigmas(rows: Sequence[DwellRow], quantity: Quantity) -> Iterator[str]:
                 f"{column} is {stated:.2g} {quantity.unit}, although all {values} lie within "
                 f"{spread:.2g} {quantity.unit} rms: correct its values or their unit"
             )
+
+
+def _too_small(rows: Sequence[DwellRow]) -> Iterator[str]:
+    """Uncertainties below what the least noise of a gyro gives over the length of the dwells."""
+    biases, sigmas = (
+        np.array([getattr(row, name) for row in rows], dtype=np.float64) for name in ("bias_dph", "sigma_dph")
+    )
+    hours = np.array([row.end_s - row.start_s for row in rows])[:, np.newaxis] / 3600.0
+    known = [gyro for gyro in range(3) if np.isfinite(sigmas[:, gyro]).any()]
+    walks = {gyro: float(np.nanmedian(sigmas[:, [gyro]] * np.sqrt(hours))) for gyro in known}
+    wrong = [gyro for gyro, walk in walks.items() if walk < _MIN_RANDOM_WALK]
+    if not wrong:
+        return
+    gyros = ",".join("xyz"[gyro] for gyro in wrong)
+    gyros = f"{{{gyros}}}" if len(wrong) > 1 else gyros
+    walk = max(walks[gyro] for gyro in wrong)
+    low, high = _USUAL_RANDOM_WALK
+    units = {unit: factor for unit, factor in _RATE_UNITS.items() if low <= walk * factor <= high}
+    spread = np.nanstd(biases[:, wrong], axis=0) / np.nanmedian(sigmas[:, wrong], axis=0)
+    columns = f"sigma_{gyros}_dph"
+    if spread.max() < _MAX_SPREAD_TO_SIGMA:
+        columns = f"bias_{gyros}_dph and {columns}"
+    advice = f"correct {columns} or their unit"
+    if units:
+        factors = " or ".join(f"{factor:.6g}" for factor in units.values())
+        advice = f"the unit seems to be {' or '.join(units)}: multiply {columns} by {factors}"
+    yield (
+        f"sigma_{gyros}_dph in dwells of this length mean an angle random walk of {walk:.1g} deg/sqrt(h), less "
+        f"than the {_MIN_RANDOM_WALK:g} deg/sqrt(h) of any gyro: {advice}"
+    )

@@ -54,6 +54,37 @@ def test_sigmas_too_cautious_by_a_factor_of_five_are_no_problem(rows):
     assert implausible([replace(row, sigma_dph=tuple(5.0 * s for s in row.sigma_dph)) for row in rows]) == []
 
 
+def scaled(rows, factor, *columns):
+    return [
+        replace(row, **{name: tuple(factor * value for value in getattr(row, name)) for name in columns})
+        for row in rows
+    ]
+
+
+@pytest.mark.parametrize(
+    ("unit", "per_dph", "to_dph"), [("deg/s", 1 / 3600, "3600"), ("rad/s", 4.8481368e-6, "206265")]
+)
+def test_biases_and_sigmas_in_another_unit_are_named_with_the_unit(rows, unit, per_dph, to_dph):
+    advice = f"the unit seems to be {unit}: multiply"
+    (problem,) = implausible(scaled(rows, per_dph, "bias_dph", "sigma_dph"))
+    assert problem.endswith(f"{advice} bias_{{x,y,z}}_dph and sigma_{{x,y,z}}_dph by {to_dph}")
+    (problem,) = implausible(scaled(rows, per_dph, "sigma_dph"))
+    assert problem.endswith(f"{advice} sigma_{{x,y,z}}_dph by {to_dph}")
+
+
+def test_sigmas_of_a_very_good_and_of_a_poor_gyro_are_no_problem(rows):
+    for factor in (0.03, 1e4):
+        assert implausible(scaled(rows, factor, "bias_dph", "sigma_dph")) == []
+
+
+def test_sigmas_of_one_gyro_that_no_gyro_reaches_are_named(rows):
+    (problem,) = implausible(
+        [replace(row, sigma_dph=(*row.sigma_dph[:2], 1e-12 * row.sigma_dph[2])) for row in rows]
+    )
+    assert problem.startswith("sigma_z_dph in dwells of this length mean an angle random walk of ")
+    assert problem.endswith("correct sigma_z_dph or their unit")
+
+
 def test_a_cycle_that_was_pasted_twice_is_no_second_measurement(rows):
     first = [row for row in rows if row.cycle == 1]
     later_s = max(row.end_s for row in first) + 7200.0
