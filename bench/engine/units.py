@@ -236,6 +236,16 @@ class Units:
             state.skipped.add(dwell)
         self._run.observers.noted(f"dwell {dwell} is skipped")
 
+    def repeat_for(self, unit: MeasuredUnit, why: str) -> None:
+        """Let a unit repeat the dwell in progress; drop it if it may not.
+
+        Raises InvalidDwellError where units may not be dropped: then all repeat it.
+        """
+        if not self._may_drop:
+            raise InvalidDwellError(why)
+        if not self._set_aside(unit, why):
+            self._drop(unit, why)
+
     def fail(self, unit: MeasuredUnit, error: GyrobenchError) -> None:
         """Drop the unit for its error, or set it aside if the error may pass.
 

@@ -34,6 +34,7 @@ NUMBERS = ["1101", "1102", "1103", "1104"]
 SILENT = "fault: frames_lost, during: navigate, nth: 3, after_s: 20, for_s: 90000"
 #: As a plug with a loose contact.
 BRIEFLY_SILENT = SILENT.replace("90000", "10")
+RESTARTING = "fault: ins_restarts, during: align, nth: 2, after_s: 5"
 UNALIGNED = "fault: alignment_never_done, during: align, nth: 2"
 
 
@@ -245,6 +246,21 @@ def test_a_unit_that_is_silent_for_seconds_repeats_its_dwell(files, whole, tmp_p
         assert given_up == ([3] if is_faulty else [])
         same = [replace(a, other=()) == replace(b, other=()) for a, b in zip(rows, before, strict=True)]
         assert same[:3] == [True, True, not is_faulty]
+
+
+@pytest.mark.long
+def test_a_unit_that_restarts_while_it_aligns_repeats_its_dwell_in_another_power_cycle(files, tmp_path):
+    watcher = Watcher()
+    folder, outcome = run_of(job_of(files, faulty=[2], fault=RESTARTING), tmp_path / "run", watcher)
+    assert outcome.ended == "finished", outcome.reason
+    assert not watcher.lost
+    assert any("1102: dwell 2 is repeated: the INS left its alignment" in note for note in watcher.notes)
+    for number in NUMBERS:
+        rows = read_dwells(folder.unit(number).dwells)
+        assert [(row.dwell, row.flags) for row in rows] == [(dwell, ()) for dwell in range(1, 5)]
+        # Switched off and on after the first dwell, or after the second where that was good.
+        first = 1 if number == "1102" else 2
+        assert [row.run[-2:] for row in rows] == ["-1"] * first + ["-2"] * (4 - first)
 
 
 @pytest.mark.long
