@@ -33,6 +33,7 @@ class LoadableModel:
     compensation: Compensation
     effects: tuple[str, ...]  #: Names of the effects in it.
     notes: tuple[str, ...]  #: What of the model is not in it, or only in part; sentences without a period.
+    is_limited: bool = True  #: Whether the INS gets the limits of temperature; without them it extrapolates.
 
 
 def declared_model(closure: Closure) -> LoadableModel:
@@ -125,7 +126,7 @@ def with_coefficients(model: LoadableModel, closures: Iterable[Closure], *, effe
                     (float(at_c.min()), float(at_c.max())),
                 )
     compensation = replace(model.compensation, coefficients=corrections, rate_limit_c_per_h=limit)
-    return LoadableModel(compensation, tuple(names), tuple(notes))
+    return replace(model, compensation=compensation, effects=tuple(names), notes=tuple(notes))
 
 
 def _compensation(coefficients: Mapping[str, FloatArray], sigma: Mapping[str, FloatArray]) -> Compensation:

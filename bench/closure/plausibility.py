@@ -22,8 +22,8 @@ _KELVIN_FROM = 213.15
 #: Sigmas this many times the spread of all biases of a gyro are wrong. With right ones that has a
 #: probability below 1e-7 in the least number of dwells.
 _MAX_SIGMA_TO_SPREAD, _MIN_DWELLS = 10.0, 8
-#: No gyro has a smaller angle random walk, deg/sqrt(h): the best ones have 1e-5. Units that columns may be in
-#: by the factor that brings them to deg/h; one fits if it gives a random walk of gyros that a rate table tests.
+#: No gyro has a smaller angle random walk, deg/sqrt(h): the best ones have 1e-5. A unit that columns may be
+#: in, by the factor that brings them to deg/h, fits if it gives a random walk that gyros have.
 _MIN_RANDOM_WALK, _USUAL_RANDOM_WALK = 3e-6, (3e-5, 3e-2)
 _RATE_UNITS = {"deg/s": 3600.0, "rad/s": math.degrees(3600.0)}
 #: Spread of the biases, in sigmas, from which a wrong unit is that of the sigmas alone.
@@ -153,6 +153,6 @@ def _too_small(rows: Sequence[DwellRow]) -> Iterator[str]:
         factors = " or ".join(f"{factor:.6g}" for factor in units.values())
         advice = f"the unit seems to be {' or '.join(units)}: multiply {columns} by {factors}"
     yield (
-        f"sigma_{gyros}_dph in dwells of this length mean an angle random walk of {walk:.1g} deg/sqrt(h), less "
-        f"than the {_MIN_RANDOM_WALK:g} deg/sqrt(h) of any gyro: {advice}"
+        f"sigma_{gyros}_dph in dwells of this length mean an angle random walk of {walk:.1g} deg/sqrt(h), "
+        f"less than the {_MIN_RANDOM_WALK:g} deg/sqrt(h) of any gyro: {advice}"
     )

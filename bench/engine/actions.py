@@ -306,7 +306,9 @@ def _navigation_begun(context: StepContext) -> Ticks:
             unit.recorder.disturb("the INS left navigation in the turn")
         elif status.alignment is Alignment.NONE and status.mode in (InsMode.BOOT, InsMode.STANDBY):
             unit.live.state.restarted()
-            context.units.repeat_for(unit, "the INS left its alignment. Check its supply and the raw CAN log.")
+            context.units.repeat_for(
+                unit, "the INS left its alignment. Check its supply and the raw CAN log."
+            )
         elif status.alignment is Alignment.NONE:
             why = "the INS has not aligned, so it can't navigate. Increase the duration of align."
             context.units.fail(unit, InvalidDwellError(why))

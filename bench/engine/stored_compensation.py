@@ -55,6 +55,9 @@ class StoredCompensation:
             checksum = ins.load_compensation(self._required)
             ins.apply_compensation(checksum)
             unit.note(f"the compensation {checksum:08x} is loaded into the INS")
+            load = unit.live.station.file.ins.commands.load_compensation
+            if before is None and load and (note := load.extrapolation(self._required)):
+                unit.note(note)
         elif before is not None and before.compensation and not found.compensation:
             unit.note("the INS has lost its stored compensation: dwells before and after differ")
         self._agreed = ins.status()

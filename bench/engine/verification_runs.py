@@ -59,6 +59,7 @@ from gyrobench.bench.verification.compensation_verification import (
     VerificationResult,
     compare_runs,
 )
+from gyrobench.drivers.ins.command_map import CoefficientCommand
 from gyrobench.drivers.ins.compensation import Compensation
 
 _AZIMUTH_TOLERANCE_DEG = 1.0
@@ -106,12 +107,9 @@ class VerificationRuns:
             declared, whole = _with_coefficients(run, self.searches, declared, whole)
         if not whole.effects:
             declared = replace(declared, notes=whole.notes)
-        #: Models that can be loaded; without "effect" where the search found no effect to load.
-        self.models: Mapping[str, LoadableModel] = MappingProxyType(
-            {DECLARED: declared, **({EFFECT: whole} if whole.effects else {})}
-        )
+        models = {DECLARED: declared, **({EFFECT: whole} if whole.effects else {})}
         compensations: dict[str, Compensation | None] = {NONE: None}
-        compensations |= {name: model.compensation for name, model in self.models.items()}
+        compensations |= {name: model.compensation for name, model in models.items()}
         if set(only) - compensations.keys():
             raise DocumentError(
                 f"{run.path}: the search found no effect that an INS can compensate. "
@@ -128,6 +126,11 @@ class VerificationRuns:
             }
         )
         self._job = self.jobs[self.selected[0]]
+        load = self._job.station.file.ins.commands.load_compensation
+        #: Models that can be loaded; without "effect" where the search found no effect to load.
+        self.models: Mapping[str, LoadableModel] = MappingProxyType(
+            {name: _as_loaded(model, load) for name, model in models.items()}
+        )
         _check_new(run, self._job)
         if coefficients and not any(each.step.name in _ROTATIONS for each in self._job.plan.steps):
             raise DocumentError(
@@ -188,6 +191,7 @@ class VerificationRuns:
                         check_dwells,
                         fitted.get(name),
                         self.models[name].compensation if name in self.models else None,
+                        is_limited=self.models[DECLARED].is_limited,
                     )
                     for name, (_, check_dwells) in measured.items()
                 ],
@@ -327,6 +331,12 @@ def is_run_of(folder: RunFolder, job: Job) -> bool:
     if job.compensation is None or not folder.compensation.exists():
         return job.compensation is None and not folder.compensation.exists()
     return read_compensation(folder.compensation).is_like(job.compensation)
+
+
+def _as_loaded(model: LoadableModel, load: CoefficientCommand | None) -> LoadableModel:
+    """The model with a note where the INS does not get its limits of temperature."""
+    note = load.extrapolation(model.compensation) if load else ""
+    return replace(model, notes=(*model.notes, note), is_limited=False) if note else model
 
 
 def _new_attitudes(fitted: Sequence[DwellRow], measured: Sequence[DwellRow]) -> int:

@@ -80,7 +80,9 @@ def model_sentences(
     """
     declared = models[DECLARED].compensation
     low_c, high_c = declared.low_c.min(), declared.high_c.max()
-    limits = f"Temperatures are limited to the fitted range, {low_c:z.0f} to {high_c:z.0f} °C."
+    fitted = f"the fitted range, {low_c:z.0f} to {high_c:z.0f} °C."
+    is_limited = models[DECLARED].is_limited
+    limits = f"Temperatures are {'' if is_limited else 'not '}limited to {fitted}"
     if EFFECT in models:
         effects = listed([closure.label(name) for name in models[EFFECT].effects])
         what = f"Two compensations: the declared model (a polynomial for each gyro), and one with {effects}."

@@ -171,6 +171,7 @@ class MeasuredRun:
     #: Draws of the model that was loaded, and the effects that the INS subtracts; None without one.
     model: tuple[Draws, Collection[str]] | None = None
     loaded: Compensation | None = None  #: What was loaded; None without one.
+    is_limited: bool = True  #: Whether the INS got the limits of temperature.
 
 
 def compare_runs(
@@ -219,7 +220,9 @@ def _changes(
         return sorted(good, key=lambda row: row.dwell)
 
     found = {
-        run.compensation: measured_change(rows(run), rows(after), (run.loaded, after.loaded))
+        run.compensation: measured_change(
+            rows(run), rows(after), (run.loaded, after.loaded), is_limited=after.is_limited
+        )
         for run in before
     }
     return {name: each for name, each in found.items() if each is not None}
@@ -238,7 +241,7 @@ def _measured_rows(
     good = [row for row in run.dwells if not row.flags]
     counts = np.array([row.dwell in everywhere for row in good], dtype=bool)
     varying = _varying(good, np.array([row.bias_dph for row in good]).reshape(-1, 3), counts)
-    roots = _uncertainty(good, run.model, counts)
+    roots = _uncertainty(good, run, counts)
     checks, rows = [], []
     for number, (plateau, some) in enumerate(zip(plateaus, compared, strict=True), start=1):
         if plateau[index]:
@@ -308,22 +311,25 @@ def _varying(rows: Sequence[DwellRow], bias_dph: FloatArray, counts: BoolArray) 
     return without_cycle_means(bias_dph, weights, np.array([row.run for row in rows]), counts)
 
 
-def _uncertainty(
-    rows: Sequence[DwellRow], model: tuple[Draws, Collection[str]] | None, counts: BoolArray
-) -> FloatArray:
+def _uncertainty(rows: Sequence[DwellRow], run: MeasuredRun, counts: BoolArray) -> FloatArray:
     """Varying bias (N, n, 3) of draws of a compensation; the sum of their squares is its variance.
 
-    None (N = 0) without a compensation, or where temperatures are missing that the model needs.
+    At temperatures that the INS clips to those fitted it is that at the limit. None (N = 0) without a
+    compensation, or where temperatures are missing that the model needs.
     """
-    if model is None:
+    if run.model is None:
         return np.zeros((0, len(rows), 3))
-    draws, effects = model
+    draws, effects = run.model
     try:
         campaign = campaign_of(rows)
     except MeasurementError:
         return np.zeros((0, len(rows), 3))
     if len(campaign) < len(rows):
         return np.zeros((0, len(rows), 3))
+    if run.loaded is not None and run.is_limited:
+        gyro_c = np.clip(campaign.gyro_c, run.loaded.low_c, run.loaded.high_c)
+        board_c = campaign.board_c + gyro_c - campaign.gyro_c
+        campaign = replace(campaign, gyro_c=gyro_c, board_c=board_c)
     order = np.argsort(np.argsort([row.start_s for row in rows], kind="stable"))
     varying = _varying(rows, draws.bias_dph(campaign, effects)[:, order], counts)
     return np.asarray((varying - varying.mean(axis=0)) / math.sqrt(len(varying)))

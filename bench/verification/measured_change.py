@@ -84,8 +84,13 @@ def measured_change(
     before: Sequence[DwellRow],
     after: Sequence[DwellRow],
     loaded: tuple[Compensation | None, Compensation | None],
+    *,
+    is_limited: bool = True,
 ) -> MeasuredChange | None:
     """Compare the same dwells of two runs with what was loaded in each; None where nothing is comparable.
+
+    Without limits of temperature in the INS (``is_limited``), dwells beyond them are not compared: what it
+    subtracts there is not known.
 
     Each gyro's means over the dwells that share their power cycles are taken out first, as of the varying
     bias.
@@ -94,6 +99,10 @@ def measured_change(
     for place, (rows, compensation) in enumerate(zip((before, after), loaded, strict=True)):
         if compensation is not None:
             changes[place] = subtracted_dph(compensation, rows)
+            if not is_limited:
+                gyro_c = np.array([row.gyro_c for row in rows]).reshape(-1, 3)
+                is_known = (gyro_c >= compensation.low_c) & (gyro_c <= compensation.high_c)
+                changes[place] = np.where(is_known, changes[place], np.nan)
     expected = changes[1] - changes[0]
     first, second = (np.array([row.bias_dph for row in rows]).reshape(-1, 3) for rows in (before, after))
     sigmas = [np.array([row.sigma_dph for row in rows]).reshape(-1, 3) for rows in (before, after)]

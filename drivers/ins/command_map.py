@@ -127,6 +127,8 @@ def _as_list(index: int | list[int] | None) -> list[int]:
 _LIMITS = 14
 #: What signals of too few bits may take off a polynomial, deg/h, and off other numbers, relative.
 _MAX_LOST_DPH, _MAX_LOST = 1e-4, 0.01
+#: How far beyond its limits a compensation is evaluated, K, to state what an INS without them does there.
+_BEYOND_K = 10.0
 #: Relative rounding of a floating-point number of 32 bits, rounded up.
 _FLOAT32 = 1e-6
 
@@ -184,6 +186,25 @@ class CoefficientCommand(Command):
         if degree >= self.coefficients:
             parts.insert(0, f"a polynomial of degree {degree}")
         return parts
+
+    def extrapolation(self, compensation: Compensation) -> str:
+        """What an INS that does not get the limits of temperature may subtract beyond them; empty with them.
+
+        A clause, for a sentence or a note.
+        """
+        missing = [key for key in ("lowest_index", "highest_index") if getattr(self, key) is None]
+        if not missing or not compensation.polynomial_dph[:, 1:].any():
+            return ""
+        beyond_dph = max(
+            abs(np.polyval(row[::-1], at_c + off_k) - np.polyval(row[::-1], at_c))
+            for limits, off_k in ((compensation.low_c, -_BEYOND_K), (compensation.high_c, _BEYOND_K))
+            for row, at_c in zip(compensation.polynomial_dph, limits, strict=True)
+        )
+        return (
+            f"the INS does not get the temperature limits ({' and '.join(missing)} of load_compensation): "
+            f"{_BEYOND_K:g} K outside {compensation.low_c.min():z.0f} to {compensation.high_c.max():z.0f} °C "
+            f"it may subtract {beyond_dph:.2g} deg/h more or less than was measured at the limit"
+        )
 
     def altered(self, codec: DbcCodec, compensation: Compensation) -> list[str]:
         """Numbers of a compensation that the signals can't carry, in words: clipped, or rounded too much.

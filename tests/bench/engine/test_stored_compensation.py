@@ -13,6 +13,7 @@ from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.compensation_file import read_compensation
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
+from gyrobench.bench.station.station import Station
 from gyrobench.drivers.ins.compensation import Compensation
 from tests.bench.engine.intervention import Intervention
 
@@ -90,6 +91,18 @@ def run(tmp_path):
 def biases_dph(outcome):
     assert outcome.ended == "finished", outcome.reason
     return np.array([dwell.row.bias_dph for dwell in outcome.dwells])
+
+
+def test_a_compensation_beyond_whose_limits_the_ins_extrapolates_is_noted_with_what_that_adds():
+    load = Station(find_document("stations", "emulated")).file.ins.commands.load_compensation
+    curve = Compensation(np.tile([0.0, 1e-3], (3, 1)), np.full(3, -20.0), np.full(3, 60.0))
+    assert load.extrapolation(curve) == ""
+    unlimited = load.model_copy(update={"highest_index": None})
+    assert unlimited.extrapolation(curve) == (
+        "the INS does not get the temperature limits (highest_index of load_compensation): 10 K outside "
+        "-20 to 60 °C it may subtract 0.01 deg/h more or less than was measured at the limit"
+    )
+    assert unlimited.extrapolation(WHOLE) == ""
 
 
 def test_an_ins_that_compensates_nothing_is_checked_and_measured(run):

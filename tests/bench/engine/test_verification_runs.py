@@ -19,6 +19,7 @@ from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.engine.verification_runs import VerificationRuns, new_emulation
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
 from gyrobench.bench.monitor.terminal_view import LinesView
+from gyrobench.bench.report.verification_text import model_sentences
 from gyrobench.bench.runs.compensation_file import read_compensation
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
@@ -187,6 +188,23 @@ def test_an_ins_that_takes_no_such_term_can_still_be_verified_with_the_declared_
     only = ["none", "declared"]
     able = VerificationRuns(run, closure, procedure, str(poor), new_emulation(run), tmp_path / "out", only)
     assert able.selected == only
+
+
+def test_an_ins_that_gets_no_limits_of_temperature_is_stated_to_extrapolate(campaign, tmp_path):
+    run, closure, procedure = campaign
+    station = yaml.safe_load(run.station.read_text())
+    unlimited = tmp_path / "unlimited.yaml"
+    for key in ("lowest_index", "highest_index"):
+        del station["ins"]["commands"]["load_compensation"][key]
+    unlimited.write_text(yaml.safe_dump(station))
+    runs = VerificationRuns(run, closure, procedure, str(unlimited), new_emulation(run), tmp_path / "out")
+    [sentence, *notes] = model_sentences(closure, runs.models)
+    assert "Temperatures are not limited to the fitted range" in sentence
+    assert notes[-1].startswith("The INS does not get the temperature limits (lowest_index and highest_index")
+    limited = verification_of(campaign, tmp_path / "out").models
+    [sentence, *notes] = model_sentences(closure, limited)
+    assert "Temperatures are limited to the fitted range" in sentence
+    assert not any("temperature limits" in note for note in notes)
 
 
 def test_a_campaign_that_the_ins_compensated_already_is_refused(campaign, tmp_path):

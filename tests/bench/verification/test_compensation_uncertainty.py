@@ -9,8 +9,11 @@ from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.effects.laws import G_SENSITIVITY
 from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.closure.problem import predict
+from gyrobench.bench.closure.uncertainty import Draws
+from gyrobench.bench.verification.compensation_verification import MeasuredRun, compare_runs
+from gyrobench.drivers.ins.compensation import Compensation
 from tests.bench.closure.thermal_bench import measure
-from tests.bench.report.made_up_verification import SITE
+from tests.bench.report.made_up_verification import SITE, rows_of
 from tests.bench.verification.runs_alone import compensation_result
 
 SIZES = {"g_sensitivity": 4.0}
@@ -52,6 +55,25 @@ def test_a_compensation_without_the_effect_does_not_agree():
     total = remaining(0, "declared")
     assert total.agreement_p_value < 1e-9
     assert total.varying_rms_dph > 3.0 * total.compensation_sigma_dph
+
+
+def test_beyond_the_limits_of_an_ins_its_compensation_is_as_uncertain_as_at_the_limit():
+    random = np.random.default_rng(5)
+    powers = random.normal(0.0, 1e-3, (50, 3, 3))
+    draws = Draws(
+        np.concatenate([powers, np.zeros((50, 3, 1))], axis=2), ("run 9",), {}, ((),), np.zeros(50, int)
+    )
+    rows = rows_of(0.0)
+    limits = Compensation(np.zeros((3, 1)), np.full(3, 20.0), np.full(3, 40.0))
+    at_limit = [replace(row, gyro_c=tuple(np.clip(row.gyro_c, 20.0, 40.0))) for row in rows]
+
+    def sigma_dph(rows, **how):
+        run = MeasuredRun("declared", rows, (), (draws, ()), limits, **how)
+        [result] = compare_runs([run], SITE, np.zeros((1, 3)))
+        return result.total.compensation_sigma_dph
+
+    assert sigma_dph(rows) == pytest.approx(sigma_dph(at_limit))
+    assert sigma_dph(rows, is_limited=False) > 1.5 * sigma_dph(rows)
 
 
 def test_without_a_compensation_there_is_no_uncertainty():

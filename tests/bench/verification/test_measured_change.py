@@ -73,6 +73,15 @@ def test_without_a_temperature_that_the_compensation_needs_nothing_is_compared()
     assert measured_change(rows, rows, (None, None)) is None
 
 
+def test_where_the_ins_gets_no_limits_dwells_beyond_them_are_not_compared():
+    narrow = replace(ALONG_UP, low_c=np.full(3, 30.0))
+    rows = rows_with(np.zeros((3, 3)), 1), rows_with(0.02 * np.eye(3), 2)
+    beyond = [replace(row, bias_dph=(9.0, 9.0, 9.0)) if row.gyro_c[0] < 30.0 else row for row in rows[1]]
+    found = measured_change(rows[0], beyond, (None, narrow), is_limited=False)
+    assert found.factors == pytest.approx(np.ones(3), abs=4.0 * found.sigmas.max())
+    assert not found.contradicts.any()
+
+
 def test_what_is_subtracted_is_what_the_emulated_ins_subtracts():
     """In the middle of dwells at constant temperatures, inside and outside the limits."""
     random = np.random.default_rng(3)
