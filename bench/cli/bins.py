@@ -20,17 +20,24 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
     from gyrobench.bench.bias.dwell_table import read_dwells
     from gyrobench.bench.bias.verdicts import read_acceptance
     from gyrobench.bench.dwells.run_results import recompute_run
+    from gyrobench.bench.foundations.clock import WallClock
     from gyrobench.bench.report.run_report import write_report
+    from gyrobench.bench.runs.folder import open_run_folder
     from gyrobench.bench.runs.tables.budget_table import budget_records, read_budget
     from gyrobench.bench.runs.tables.calibration_check_table import read_calibration_check
+    from gyrobench.bench.station.locks import RunLock
 
-    folder = recompute_run(run_folder, is_sealed=False)
+    with RunLock(
+        open_run_folder(run_folder).run.path, WallClock()
+    ):  # a run writes the same files
+        folder = recompute_run(run_folder, is_sealed=False)
+        report = write_report(folder, are_tables_new=True)
     if as_json:
         check = folder.calibration_check
         print_json(
             {
                 "folder": folder.path,
-                "report": write_report(folder, are_tables_new=True),
+                "report": report,
                 "bins": with_power_cycles(read_bins(folder.bias_bins), read_dwells(folder.dwells)),
                 "budget": budget_records(read_budget(folder.budget) if folder.budget.exists() else []),
                 "verification": read_calibration_check(check) if check.exists() else [],
@@ -41,5 +48,4 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
     terminal = console()
     print_tables(terminal, folder)
     terminal.print(f"Tables   {', '.join(path.name for path in folder.tables)}")
-    report = write_report(folder, are_tables_new=True)
     terminal.print(f"Report   {report}\nFolder   {folder.path}", soft_wrap=True)

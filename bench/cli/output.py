@@ -144,11 +144,11 @@ def print_unfinished(paths: Iterable[Path], on_stderr: bool = False) -> None:
     from gyrobench.bench.station.locks import holder_of
 
     for folder in filter(lambda each: each.is_unfinished, map(RunFolder, paths)):
-        state = f"has not finished. Resume it with: gyrobench resume {folder.run.path}"
+        is_held = holder_of(folder.run.path) is not None
+        state = "is still in progress: these are its dwells so far" if is_held else "has not finished"
+        resume = "" if is_held else f" Resume it with: gyrobench resume {folder.run.path}"
         console(on_stderr).print(
-            f"{folder.path}: the run {'is in progress.' if holder_of(folder.run.path) else state}",
-            soft_wrap=True,
-            style="bold yellow",
+            f"{folder.path}: the run {state}.{resume}", soft_wrap=True, style="bold yellow"
         )
 
 

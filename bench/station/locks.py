@@ -72,7 +72,7 @@ class Holder:
         )
 
 
-_IN_PROGRESS = "That run is still in progress; only an interrupted run can be resumed."
+_IN_PROGRESS = "Wait for its end, or end a run in progress with `gyrobench control RUN abort`."
 
 
 class _LockFile:

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 import gyrobench
-from gyrobench.bench.cli.output import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, EXIT_WRONG_INPUT, print_unfinished
+from gyrobench.bench.cli.output import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
 from gyrobench.bench.engine.operator import RunCommand, take_sender
 from gyrobench.bench.monitor.snapshot import RunState
 from tests.bench.command_line import gyrobench as command
@@ -55,13 +55,6 @@ def test_a_command_that_a_run_on_hold_does_not_accept_is_named(run_in_progress):
         (run / "live.json").unlink()
     assert holder.stdout.readline() == "SIGUSR1\n"
     assert done.stdout.endswith("it accepts continue or abort, not hold.\n")
-
-
-def test_a_report_of_a_run_in_progress_advises_no_resume(run_in_progress, capsys):
-    run, _ = run_in_progress
-    (run / "journal.jsonl").write_text("")
-    print_unfinished([run])
-    assert capsys.readouterr().out == f"{run}: the run is in progress.\n"
 
 
 @pytest.mark.parametrize("options", [[], ["--look"]])

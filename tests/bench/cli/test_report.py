@@ -7,10 +7,11 @@ import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells, write_dwells
 from gyrobench.bench.bias.verdicts import Acceptance, write_acceptance
-from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
+from gyrobench.bench.cli.output import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
+from gyrobench.bench.station.locks import RunLock
 from tests.bench.command_line import gyrobench
 
 
@@ -44,6 +45,21 @@ def test_a_run_that_has_not_finished_is_stated_with_how_to_resume_it(ended, tmp_
             journal.record("run_ended", ended=ended, reason="", safe_state=[])
     text = gyrobench("report", folder.path, cwd=tmp_path).stdout
     assert (f"Resume it with: gyrobench resume {folder.path}" in text) == (ended != "finished")
+
+
+def test_of_a_run_in_progress_the_report_says_so_and_its_tables_are_not_written_again(tmp_path):
+    folder = RunFolder(tmp_path / "run")
+    folder.path.mkdir()
+    with Journal(folder.journal, VirtualClock()) as journal:
+        journal.record("run_started", procedure="six_position_fig7", station="emulated")
+    with RunLock(folder.path, VirtualClock(), command="gyrobench run six_position_fig7"):
+        text = gyrobench("report", folder.path, cwd=tmp_path).stdout
+        bins = gyrobench("bins", folder.path, cwd=tmp_path)
+    assert "the run is still in progress: these are its dwells so far." in text
+    assert "Resume" not in text
+    assert bins.returncode == EXIT_INSTRUMENT
+    assert "is in use by" in bins.stderr
+    assert not folder.dwells.exists()
 
 
 def test_the_report_of_a_unit_of_an_unfinished_run_states_how_to_resume_the_whole_run(run, tmp_path):
