@@ -27,9 +27,8 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
     from gyrobench.bench.runs.tables.calibration_check_table import read_calibration_check
     from gyrobench.bench.station.locks import RunLock
 
-    with RunLock(
-        open_run_folder(run_folder).run.path, WallClock()
-    ):  # a run writes the same files
+    # A run in progress writes the same files.
+    with RunLock(open_run_folder(run_folder).run.path, WallClock()):
         folder = recompute_run(run_folder, is_sealed=False)
         report = write_report(folder, are_tables_new=True)
     if as_json:

@@ -27,6 +27,7 @@ from gyrobench.bench.dwells.recorded_dwells import measure_recorded
 from gyrobench.bench.engine.job import Job, prepare_job
 from gyrobench.bench.engine.resume import prepare_resumption, resume_state_of
 from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.procedure.plan import DwellPurpose
 from gyrobench.bench.procedure.procedure_file import STEP_KINDS
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
@@ -251,6 +252,18 @@ class KilledRun:
         readable(folder, self._job)
         rows = read_dwells(folder.dwells)
         numbers = Counter(row.dwell for row in rows)
+        # Rotations have no row of their own: they are measured where the journal has their end.
+        rotated = {
+            planned.dwell
+            for planned in self._job.plan.steps
+            if planned.dwell and planned.purpose is DwellPurpose.ROTATIONS
+        }
+        ended = Counter(
+            entry["marks"]["dwell"]
+            for entry in read_journal(folder.journal)
+            if entry["event"] == "dwell_finished"
+        )
+        numbers.update({number: ended[number] for number in rotated if ended[number]})
         with tally.lock:
             tally.runs += 1
             tally.dwells += len(numbers)
