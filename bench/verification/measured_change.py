@@ -22,6 +22,8 @@ from gyrobench.drivers.ins.compensation import Compensation
 _MAX_SIGMA = 0.25
 #: What the mean temperatures of a dwell leave open of the subtracted bias, as a share of it.
 _EVALUATION = 0.1
+#: The play of hysteresis is known if what it may have been at first leaves less open than this, K.
+_PLAY_KNOWN_K = 0.1
 #: p-value from which a change is one.
 SIGNIFICANT_P = 1e-3
 #: The same for a change that is not the loaded one.
@@ -46,7 +48,8 @@ class MeasuredChange:
 def subtracted_dph(compensation: Compensation, rows: Sequence[DwellRow]) -> FloatArray:
     """Biases (n, 3) that an INS subtracts in dwells, deg/h, from their mean temperatures.
 
-    NaN where a temperature is missing that a term needs, and for hysteresis, which a dwell does not show.
+    NaN where a temperature is missing that a term needs, and where hysteresis still depends on temperatures
+    before the first dwell of a power cycle. ``rows``: in the order of time.
     """
     numbers = compensation
     gyro_c = np.array([row.gyro_c for row in rows]).reshape(-1, 3)
@@ -73,11 +76,30 @@ def subtracted_dph(compensation: Compensation, rows: Sequence[DwellRow]) -> Floa
         (numbers.rate_dph_per_c_per_h, rate),
         (factor, hotter_k),
         (numbers.warm_up_dph, decay),
-        (np.where(numbers.hysteresis_dph_per_k, np.nan, 0.0), np.ones_like(at_c)),
+        (numbers.hysteresis_dph_per_k, _play_k([row.run for row in rows], at_c, numbers.half_width_k)),
     )
     for size, driver in terms:
         total = total + np.where(size == 0.0, 0.0, size * driver)
     return np.asarray(total + up @ numbers.gravity_dph_per_g.T)
+
+
+def _play_k(cycles: Sequence[str], at_c: FloatArray, half_width_k: FloatArray) -> FloatArray:
+    """How far the play of hysteresis is from the temperatures of dwells (n, 3), K.
+
+    Between dwells the temperature is taken to change one way. NaN while the play depends on what it was at
+    the first dwell of its power cycle.
+    """
+    found = np.full(at_c.shape, np.nan)
+    lowest_c = highest_c = np.zeros(3)
+    for number, (cycle, now_c) in enumerate(zip(cycles, at_c, strict=True)):
+        low_c, high_c = now_c - half_width_k, now_c + half_width_k
+        is_first = not number or cycle != cycles[number - 1]
+        lowest_c = low_c if is_first else np.clip(lowest_c, low_c, high_c)
+        highest_c = high_c if is_first else np.clip(highest_c, low_c, high_c)
+        found[number] = np.where(
+            highest_c - lowest_c < _PLAY_KNOWN_K, 0.5 * (lowest_c + highest_c) - now_c, np.nan
+        )
+    return found
 
 
 def measured_change(

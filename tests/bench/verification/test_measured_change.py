@@ -82,6 +82,38 @@ def test_where_the_ins_gets_no_limits_dwells_beyond_them_are_not_compared():
     assert not found.contradicts.any()
 
 
+def rows_of_hysteresis(times, seed):
+    """Rows, up and down again, of a unit with play, of which a number of times is subtracted."""
+    random, played, rows = np.random.default_rng(seed), -30.0, []
+    for at_c in [-20.0, 5.0, 30.0, 55.0, 30.0, 5.0, -20.0]:
+        played = float(np.clip(played, at_c - 4.0, at_c + 4.0))
+        for row in rows_of(0.0)[:2]:
+            left_dph = (1.0 - times) * 0.005 * (played - at_c) + 0.002 * random.standard_normal(3)
+            number = len(rows) + 1
+            rows.append(replace(row, dwell=number, gyro_c=(at_c,) * 3, bias_dph=tuple(left_dph)))
+    return rows
+
+
+@pytest.mark.parametrize(("times", "is_right"), [(1.0, True), (0.0, False), (-1.0, False), (2.0, False)])
+def test_hysteresis_that_is_subtracted_otherwise_than_loaded_contradicts_it(times, is_right):
+    loaded = Compensation(
+        np.zeros((3, 1)),
+        np.full(3, -40.0),
+        np.full(3, 80.0),
+        hysteresis_dph_per_k=np.full(3, 0.005),
+        half_width_k=np.full(3, 4.0),
+    )
+    before = rows_of_hysteresis(0.0, 1)
+    subtracted = subtracted_dph(loaded, before)
+    # What the play was before the first dwell is not known.
+    assert np.isnan(subtracted[:2]).all()
+    assert subtracted[2:8] == pytest.approx(np.full((6, 3), -0.02))
+    assert subtracted[8:] == pytest.approx(np.full((6, 3), 0.02))
+    found = measured_change(before, rows_of_hysteresis(times, 2), (None, loaded))
+    assert found.factors == pytest.approx(np.full(3, times), abs=4.0 * found.sigmas.max())
+    assert found.contradicts.any() == (not is_right)
+
+
 def test_what_is_subtracted_is_what_the_emulated_ins_subtracts():
     """In the middle of dwells at constant temperatures, inside and outside the limits."""
     random = np.random.default_rng(3)
