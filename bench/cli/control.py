@@ -31,6 +31,7 @@ def control(
     from gyrobench.bench.engine.operator import COMMAND_MEANINGS, send_command
     from gyrobench.bench.foundations.operator_name import operator_name
     from gyrobench.bench.runs.folder import RunFolder
+    from gyrobench.bench.runs.provenance import read_provenance
     from gyrobench.bench.station.locks import holder_of, is_held_by
 
     if not run_folder.is_dir():
@@ -54,17 +55,19 @@ def control(
             f"{run_folder}: process {holder.pid} can't be signalled: {error.strerror}"
         ) from error
     typer.echo(f"Sent to process {holder.pid}: {command} ({COMMAND_MEANINGS[command]}).")
-    if command in (RunCommand.PAUSE, RunCommand.HOLD, RunCommand.SKIP) and _holds(run_folder):
+    if command in (RunCommand.PAUSE, RunCommand.HOLD, RunCommand.SKIP) and _holds(RunFolder(run_folder).live):
         typer.echo(f"At its last snapshot the run was holding: it accepts continue or abort, not {command}.")
+    is_virtual = read_provenance(RunFolder(run_folder)).get("options", {}).get("clock") == "virtual"
+    if is_virtual and command in (RunCommand.PAUSE, RunCommand.HOLD):
+        typer.echo("The run is on virtual time, where it waits for no operator: it continues at once.")
 
 
-def _holds(run: Path) -> bool:
+def _holds(live: Path) -> bool:
     """Whether a run held, for the operator or after a trip, at its last snapshot."""
     from gyrobench.bench.monitor.snapshot import RunState, read_snapshot
-    from gyrobench.bench.runs.folder import RunFolder
 
     try:
-        return read_snapshot(RunFolder(run).live).state in (RunState.HOLDING, RunState.PAUSED)
+        return read_snapshot(live).state in (RunState.HOLDING, RunState.PAUSED)
     except RunFolderError:
         return False
 

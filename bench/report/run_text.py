@@ -21,7 +21,7 @@ from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.statistics import uniformity_p_value
 from gyrobench.bench.bias.verdicts import Acceptance, Judgement, RunVerdict
 from gyrobench.bench.bias.vertical_pairs import Finding
-from gyrobench.bench.foundations.text import counted, flag_text, listed
+from gyrobench.bench.foundations.text import agreeing, counted, flag_text, listed
 from gyrobench.bench.navigation.positions import AXES, gyro_label, position_label
 from gyrobench.bench.report.number_format import dph_with_sigma, p_in_brackets, p_text, temperature_ranges
 from gyrobench.bench.runs.journal import RunFacts
@@ -432,7 +432,11 @@ _NOTHING = "No plateau has good dwells in two positions."
 _UNDECIDED = "The uncertainty is too large for a verdict. {}."
 _DECIDED = "{:.0f} cycles in one run, instead of {}, give one if the differences stay as measured"
 _MAX_CYCLES = 20
-_LACKING = "{} not compared with the others of the plateau, so the unit can't be accepted."
+_LACKING = (
+    "{} not compared with the others of the plateau, so the unit can't be accepted. Measure all positions of "
+    "{} again in one power cycle."
+)
+_MAX_PLATEAUS = 3
 
 
 def acceptance_sentence(acceptance: Acceptance) -> str:
@@ -476,8 +480,17 @@ def _limit(acceptance: Acceptance) -> str:
 
 
 def _lacking_sentence(acceptance: Acceptance) -> str:
-    dwells = {(each.cycle, each.chamber_set_c, each.position) for each in acceptance.not_measured}
-    return _LACKING.format(f"{counted(len(dwells), 'planned dwell')} {'was' if len(dwells) == 1 else 'were'}")
+    places = ((each.cycle, each.chamber_set_c, each.position) for each in acceptance.not_measured)
+    dwells = list(dict.fromkeys(places))
+    plateaus = list(dict.fromkeys((cycle, set_c) for cycle, set_c, _ in dwells))
+    named = [
+        f"cycle {cycle}" + ("" if set_c is None else f" at {set_c:zg} °C in the chamber")
+        for cycle, set_c in plateaus[:_MAX_PLATEAUS]
+    ]
+    if more := len(plateaus) - len(named):
+        named.append(counted(more, "other plateau"))
+    were = agreeing(len(dwells), "was", "were")
+    return _LACKING.format(f"{counted(len(dwells), 'planned dwell')} {were}", listed(named))
 
 
 def _plateaus(acceptance: Acceptance) -> str:

@@ -72,7 +72,9 @@ class Holder:
         )
 
 
-_IN_PROGRESS = "Wait for its end, or end a run in progress with `gyrobench control RUN abort`."
+_IN_PROGRESS = (
+    "That run is still in progress: wait for its end, or end it with `gyrobench control RUN abort`."
+)
 
 
 class _LockFile:

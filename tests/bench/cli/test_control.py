@@ -57,6 +57,17 @@ def test_a_command_that_a_run_on_hold_does_not_accept_is_named(run_in_progress):
     assert done.stdout.endswith("it accepts continue or abort, not hold.\n")
 
 
+def test_a_hold_of_a_run_on_virtual_time_is_stated_to_end_at_once(run_in_progress):
+    run, holder = run_in_progress
+    provenance = run / "provenance.json"
+    for clock, is_stated in (("virtual", True), ("wall", False)):
+        provenance.write_text(json.dumps({"options": {"clock": clock}}))
+        done = command("control", run, "hold", cwd=run.parent)
+        assert ("waits for no operator: it continues at once" in done.stdout) is is_stated
+        assert holder.stdout.readline() == "SIGUSR1\n"
+    provenance.unlink()
+
+
 @pytest.mark.parametrize("options", [[], ["--look"]])
 def test_resume_of_a_run_in_progress_says_that_it_is_in_progress(run_in_progress, options):
     run, holder = run_in_progress

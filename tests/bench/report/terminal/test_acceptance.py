@@ -38,7 +38,9 @@ def test_what_was_not_measured_is_counted(dwells):
     limits = AcceptanceLimits(position_difference_dph=0.1)
     planned = [PlannedDwell(900 + i, 9, name, 99.0, (99.0,) * 3) for i, name in enumerate(("z_up", "z_down"))]
     lines = printed(judge(dwells, limits, planned))
-    assert "Unit not judged. 2 planned dwells were not compared" in " ".join(lines)
+    text = " ".join(lines)
+    assert "Unit not judged. 2 planned dwells were not compared with the others of the plateau" in text
+    assert "Measure all positions of cycle 9 at 99 °C in the chamber again in one power cycle." in text
 
 
 def test_a_run_without_comparisons_says_so(dwells):
