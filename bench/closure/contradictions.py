@@ -39,6 +39,9 @@ _MIN_SAME, _SAME_SETTLING, _MAX_SETTLING_FACTOR = 0.8, 0.35, 5.0
 _POWER_ON_S, _CLOCK_DRIFT = 60.0, 1e-3
 #: A dwell with a turn in it lasts longer than this, s; and probably less long than that.
 _MIN_DWELL_S, _MAX_DWELL_S = 2.0, 1e5
+#: Range of a chamber's or case's temperatures, degC, from which that of a gyro shows its unit: self-heating
+#: adds less than the difference. The gyro's range in degF is 1.8 times the other one, to this share.
+_MIN_PROFILE_C, _SAME_RANGE = 40.0, 0.08
 #: Change of another temperature that each gyro shows at least a little of, degC.
 _MIN_MOVED_C = 5.0
 
@@ -54,7 +57,7 @@ def contradictions(rows: Sequence[DwellRow]) -> list[str]:
     def power_cycle(row: DwellRow) -> tuple[str, str]:
         return row.unit, row.run
 
-    if problems := [*_stuck_sensors(rows)]:
+    if problems := [*_stuck_sensors(rows), *_degrees_fahrenheit(rows)]:
         return problems
     ordered = sorted(rows, key=lambda row: (*power_cycle(row), row.start_s))
     cycles = [list(pairwise(group)) for _, group in groupby(ordered, key=power_cycle)]
@@ -74,13 +77,40 @@ def _stuck_sensors(rows: Sequence[DwellRow]) -> Iterator[str]:
         if len({row.gyro_c[index] for row in rows}) > 1:
             continue
         for name, values in others.items():
-            change_c = np.ptp([value for value in values if math.isfinite(value)] or [0.0])
+            change_c = _range(values)
             if change_c > _MIN_MOVED_C:
                 yield (
                     f"gyro_{axis}_c is {rows[0].gyro_c[index]:g} degC in all dwells, but {name} changes by "
                     f"{change_c:.0f} degC: correct its values, or check its sensor"
                 )
                 break
+
+
+def _degrees_fahrenheit(rows: Sequence[DwellRow]) -> Iterator[str]:
+    """Gyro temperatures that change 1.8 times as much as the chamber or the case, which no gyro does."""
+    for name in ("chamber_set_c", "chamber_c", "case_c"):
+        other_c = _range([getattr(row, name) for row in rows])
+        if other_c < _MIN_PROFILE_C:
+            continue
+        ranges = [_range([row.gyro_c[index] for row in rows]) for index in range(len(AXES))]
+        found = [
+            (axis, gyro_c)
+            for axis, gyro_c in zip(AXES, ranges, strict=True)
+            if abs(gyro_c / other_c / _DEGF_PER_DEGC - 1.0) <= _SAME_RANGE
+        ]
+        if found:
+            axes = ",".join(axis for axis, _ in found)
+            axes = f"{{{axes}}}" if len(found) > 1 else axes
+            yield (
+                f"gyro_{axes}_c changes by {found[0][1]:.0f} degC in all, but {name} by {other_c:.0f} degC: "
+                f"gyro_{axes}_c seems to be in degF: correct its values"
+            )
+            return
+
+
+def _range(values: Sequence[float]) -> float:
+    """Largest less smallest of the known values; 0 without any."""
+    return float(np.ptp([value for value in values if math.isfinite(value)] or [0.0]))
 
 
 def _wrong_scales(pairs: _Pairs, where: str) -> Iterator[str]:

@@ -1,5 +1,6 @@
 """Columns with a wrong unit or sign, which a search would explain, are refused with a repair."""
 
+import math
 import re
 from dataclasses import replace
 
@@ -65,6 +66,33 @@ SINCE = ("since_power_on_s",)
 def test_a_wrong_unit_or_sign_is_named_with_what_repairs_it(rows, change, message):
     problems = implausible([replace(row, **change(row)) for row in rows])
     assert any(message in problem for problem in problems), problems
+
+
+def in_degf(row):
+    return {
+        "gyro_c": tuple(1.8 * each + 32.0 for each in row.gyro_c),
+        "gyro_rate_c_per_h": tuple(1.8 * each for each in row.gyro_rate_c_per_h),
+    }
+
+
+@pytest.mark.parametrize("known", ["chamber_set_c", "chamber_c"])
+def test_temperatures_and_rates_in_degf_are_named_by_those_of_the_chamber(rows, known):
+    others = dict.fromkeys({"chamber_set_c", "chamber_c"} - {known}, math.nan)
+    changed = [replace(row, **in_degf(row), **others) for row in rows]
+    (problem,) = implausible(changed)
+    assert "gyro_{x,y,z}_c seems to be in degF: correct its values" in problem
+    # A short profile does not show it: self-heating may change by as much.
+    short = [row for row in changed if abs(getattr(row, known) - 20.0) < 15.0]
+    assert not any("degF" in problem for problem in implausible(short))
+
+
+def test_temperatures_of_one_gyro_in_degf_are_named(rows):
+    one = [
+        replace(row, **{name: (*getattr(row, name)[:2], value[2]) for name, value in in_degf(row).items()})
+        for row in rows
+    ]
+    (problem,) = implausible(one)
+    assert "gyro_z_c seems to be in degF" in problem
 
 
 def test_close_refuses_contradictory_columns_and_searches_nothing(rows, tmp_path):
