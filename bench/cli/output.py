@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeVar
 
 import typer
 
-from gyrobench.bench.foundations.errors import GyrobenchError
+from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -198,7 +198,16 @@ def print_end(
     from gyrobench.bench.runs.journal import facts_of, read_journal
     from gyrobench.bench.runs.provenance import watermark_of
 
-    report = write_units_report(folder) if outcome.units else write_report(folder)
+    try:
+        report = write_units_report(folder) if outcome.units else write_report(folder)
+    except RunFolderError:  # as of a full disk
+        if is_finished:
+            console.print(
+                f"{safe_state}\nAll steps are finished, and all dwells are kept.\n"
+                f"Report   gyrobench resume {folder.path}",
+                soft_wrap=True,
+            )
+        raise
     if outcome.units:
         console.print(section_view(units_section(folder)))
     else:

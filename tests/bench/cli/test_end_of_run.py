@@ -10,9 +10,11 @@ from rich.console import Console
 from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, print_end
 from gyrobench.bench.engine.run_outcome import RunOutcome
 from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
+from gyrobench.bench.station.safe_state import SafeAction, SafePart
 from tests.bench.command_line import gyrobench
 
 
@@ -56,6 +58,23 @@ def test_a_wrong_station_file_is_corrected_in_the_run_folder_before_the_run_resu
     assert seal.strip() == f"gyrobench seal {tmp_path} --accept-changes"
     assert resume.strip() == f"gyrobench resume {tmp_path}"
     assert new_run.startswith("New run  correct your own station file")
+
+
+def test_a_finished_run_whose_report_can_not_be_written_states_the_safe_state_and_how_to_write_it(tmp_path):
+    folder, printed = RunFolder(tmp_path), io.StringIO()
+    lines_of(folder, RunOutcome(ended="stopped"))
+    folder.report.unlink()
+    folder.report.mkdir()  # as a full disk
+    safe = SafeAction("rate table stopped", SafePart.TABLE_AT_REST)
+    with pytest.raises(RunFolderError, match=r"report\.html: can't be written"):
+        print_end(
+            Console(file=printed, width=80), folder, RunOutcome(ended="finished", safe_state=[safe]), "x.yaml"
+        )
+    assert printed.getvalue().splitlines()[-3:] == [
+        "rate table stopped",
+        "All steps are finished, and all dwells are kept.",
+        f"Report   gyrobench resume {tmp_path}",
+    ]
 
 
 def test_the_flag_that_ends_a_run_is_printed_once(tmp_path):
