@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,7 @@ class Job:
     #: Customer, order and item of the certificate, as far as they are given.
     certificate_order: Mapping[str, str]
     acknowledged: tuple[str, ...]  #: Instruments past due whose use the operator acknowledges.
+    unit: str = ""  #: Serial number of the only INS that it is for; empty for any.
 
     def plan_of(self, unit: Station) -> Plan:
         """The plan with the positions of one unit of the station, whose mounting may differ."""
@@ -59,7 +60,8 @@ class Job:
     @property
     def options(self) -> dict[str, str | int]:
         """How it is run, as provenance and journal keep it; :func:`emulation_of` reads it."""
-        return {"clock": self.station.file.clock, **self.emulated_world(), **self.certificate_order}
+        unit = {"unit": self.unit} if self.unit else {}
+        return {"clock": self.station.file.clock, **unit, **self.emulated_world(), **self.certificate_order}
 
     def past_due(self) -> dict[str, str]:
         """Instruments whose calibration is past due today, and since when."""
@@ -146,9 +148,11 @@ def job_in(folder: RunFolder, options: Mapping[str, Any] | None = None) -> Job:
     """The job of a run as its folder holds it; ``options`` as in :func:`emulation_of`."""
     compensation = read_compensation(folder.compensation) if folder.compensation.exists() else None
     calibration = folder.calibration if folder.calibration.exists() else None
-    return prepare_job(
+    options = read_provenance(folder).get("options", {}) if options is None else options
+    job = prepare_job(
         str(folder.procedure), str(folder.station), emulation_of(folder, options), calibration, compensation
     )
+    return replace(job, unit=str(options.get("unit", "")))
 
 
 def require_one_unit(job: Job) -> None:

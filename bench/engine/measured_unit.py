@@ -34,7 +34,7 @@ class MeasuredUnit:
         self.is_identified = bool(self.run.state.unit)
         self.tripped_s: float | None = None  #: since when its interlock is tripped
         self._contradicted = False
-        live.state.number = self.run.state.unit or self.run.number
+        live.state.number = self.run.state.unit or self.run.number or context.job.unit
 
     def note(self, text: str) -> None:
         """Record something that the operator should know of this unit; notify the observers."""

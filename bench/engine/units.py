@@ -157,11 +157,9 @@ class Units:
     def _identify(self, unit: MeasuredUnit) -> None:
         ins, known = unit.live.ins, unit.live.state.number
         identity = ins.identify()
-        number = str(ins.identity().get("serial_number", unit.run.number or "unknown"))
+        number = str(ins.identity().get("serial_number", unit.run.number or known or "unknown"))
         if known not in ("", number):
-            raise FaultError(
-                ins.name, f"is unit {number}, but this run measures {known}. Connect {known} again."
-            )
+            raise FaultError(ins.name, f"is unit {number}, but this run measures {known}. Connect {known}.")
         unit.live.state.number, unit.is_identified = number, True
         unit.journal.record("ins_identified", unit=number, identity=identity)
         self._run.observers.identified(number)

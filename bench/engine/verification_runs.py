@@ -117,10 +117,13 @@ class VerificationRuns:
             )
         #: Compensations to measure with.
         self.selected = [name for name in compensations if name in only or not only]
+        unit = closure.campaign.unit if closure.campaign.unit != "unknown" else ""
         #: One for each compensation that is selected or has a run already, in order.
         self.jobs: Mapping[str, Job] = MappingProxyType(
             {
-                name: prepare_job(procedure, station, emulation, compensation=compensation)
+                name: replace(
+                    prepare_job(procedure, station, emulation, compensation=compensation), unit=unit
+                )
                 for name, compensation in compensations.items()
                 if name in self.selected or (folder / name).exists()
             }

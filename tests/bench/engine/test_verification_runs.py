@@ -2,8 +2,10 @@
 
 import io
 import json
+import re
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from gyrobench.bench.closure.inputs import read_campaign
 from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.operator import ConsentingOperator
+from gyrobench.bench.engine.resume import prepare_resumption
 from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.engine.verification_runs import VerificationRuns, new_emulation
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
@@ -188,6 +191,19 @@ def test_an_ins_that_takes_no_such_term_can_still_be_verified_with_the_declared_
     only = ["none", "declared"]
     able = VerificationRuns(run, closure, procedure, str(poor), new_emulation(run), tmp_path / "out", only)
     assert able.selected == only
+
+
+def test_nothing_is_loaded_into_another_unit_than_the_campaigns(campaign, tmp_path):
+    text = (world := Path(new_emulation(campaign[0]).world)).read_text()
+    [number] = re.findall(r"serial_number: (\d+)", text)
+    (tmp_path / world.name).write_text(text.replace(f"serial_number: {number}", "serial_number: 4711"))
+    verification = verification_of(campaign, tmp_path / "out", world=str(tmp_path / world.name))
+    job = verification.jobs["declared"]
+    folder, outcome = verification.measure("declared", watched(job), ConsentingOperator(patience=1))
+    assert outcome.ended == "stopped"
+    assert f"is unit 4711, but this run measures {number}. Connect {number}." in outcome.reason
+    assert not any(entry["event"] == "compensation" for entry in read_journal(folder.journal))
+    assert prepare_resumption(folder.path).job.unit == number
 
 
 def test_an_ins_that_gets_no_limits_of_temperature_is_stated_to_extrapolate(campaign, tmp_path):
