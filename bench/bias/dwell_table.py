@@ -61,6 +61,10 @@ NEIGHBOURS_ON = "neighbours_on"
 NOT_MEASURED: Triple = (math.nan, math.nan, math.nan)
 
 
+#: Unit of an INS that does not report its serial number.
+UNKNOWN_UNIT = "unknown"
+
+
 @dataclass(frozen=True, slots=True)
 class DwellRow:
     """One position at one temperature; fields of three values are those of the x, y and z gyro."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -59,7 +60,7 @@ def run(
     from gyrobench.bench.foundations.errors import DocumentError
     from gyrobench.bench.foundations.text import listed
     from gyrobench.bench.monitor.terminal_view import observe_in_terminal
-    from gyrobench.bench.runs.compensation_file import read_compensation
+    from gyrobench.bench.runs.compensation_file import read_compensation, unit_of_compensation
     from gyrobench.bench.station.instruments import Emulation
 
     terminal = console(as_json)
@@ -73,6 +74,8 @@ def run(
         {"customer": customer, "order": order, "item": item},
         acknowledge or (),
     )
+    if compensation:
+        job = replace(job, unit=unit_of_compensation(compensation))
     if missing := [key for key in job.station.not_filled_in if key != "description"]:
         raise DocumentError(f"{job.station.path}: not filled in yet: {listed(missing)}. Fill them in")
     gc.freeze()  # what is loaded stays: no collection needs to search it

@@ -189,7 +189,7 @@ def _write_inputs(job: Job, clock: Clock, folder: RunFolder, instruments: Instru
             of_unit = [row for row in job.calibration if not station.number or row.unit == station.number]
             write_dwells(inside.calibration, of_unit)
         if job.compensation is not None:
-            write_compensation(inside.compensation, job.compensation)
+            write_compensation(inside.compensation, job.compensation, job.unit)
         write_whole(inside.path / station.dbc_path.name, station.dbc_path.read_bytes())
         write_provenance(inside, clock.epoch, identities, job.options)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 
+from gyrobench.bench.bias.dwell_table import UNKNOWN_UNIT
 from gyrobench.bench.engine.interlocks.watch import Trip, text_of_trips, trip_of_error
 from gyrobench.bench.engine.measured_unit import MeasuredUnit
 from gyrobench.bench.engine.run_context import RunContext
@@ -157,7 +158,7 @@ class Units:
     def _identify(self, unit: MeasuredUnit) -> None:
         ins, known = unit.live.ins, unit.live.state.number
         identity = ins.identify()
-        number = str(ins.identity().get("serial_number", unit.run.number or known or "unknown"))
+        number = str(ins.identity().get("serial_number", unit.run.number or known or UNKNOWN_UNIT))
         if known not in ("", number):
             raise FaultError(ins.name, f"is unit {number}, but this run measures {known}. Connect {known}.")
         unit.live.state.number, unit.is_identified = number, True

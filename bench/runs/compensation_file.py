@@ -58,6 +58,9 @@ _HEAD = """\
 class CompensationFile(StrictModel):
     """Numbers of a :class:`~gyrobench.drivers.ins.compensation.Compensation`, those of each gyro in a row."""
 
+    unit: str | int | None = Field(
+        default=None, description="serial number of the only INS that gets it; by default any"
+    )
     polynomial_dph: _Polynomials = Field(description="coefficients from degree 0 up, T in degC")
     low_c: _OfGyros = Field(description="lowest T used")
     high_c: _OfGyros = Field(description="highest T used")
@@ -112,16 +115,16 @@ class CompensationFile(StrictModel):
         return Compensation(**numbers, sigma=sigma, coefficients=corrections)
 
 
-def write_compensation(path: Path, compensation: Compensation) -> None:
+def write_compensation(path: Path, compensation: Compensation, unit: str = "") -> None:
     """Write a compensation file; numbers that are zero for all gyros are left out where they may be.
 
-    Raises RunFolderError if the file can't be written.
+    ``unit``: serial number of the only INS that gets it; empty for any. Raises RunFolderError if the file
+    can't be written.
     """
     values = {name: getattr(compensation, name) for name in NUMBERS}
     required = {name for name, field in CompensationFile.model_fields.items() if field.is_required()}
-    content: dict[str, Any] = {
-        name: value.tolist() for name, value in values.items() if name in required or value.any()
-    }
+    content: dict[str, Any] = {"unit": unit} if unit else {}
+    content |= {name: value.tolist() for name, value in values.items() if name in required or value.any()}
     sigma = {name: value.tolist() for name, value in compensation.sigma.items() if value.any()}
     content |= {"sigma": sigma} if sigma else {}
     corrections = {name: _entry(compensation.coefficients[name]) for name in compensation.corrected()}
@@ -143,6 +146,11 @@ def _entry(correction: Correction) -> dict[str, Any]:
 def read_compensation(path: Path) -> Compensation:
     """Read a compensation file. Raises DocumentError, which lists everything wrong with it, with places."""
     return validate(read_document(path), CompensationFile).compensation()
+
+
+def unit_of_compensation(path: Path) -> str:
+    """Serial number of the only INS that gets a compensation; empty for any. Raises as reading it does."""
+    return str(validate(read_document(path), CompensationFile).unit or "")
 
 
 def compensations_in_use(run: RunFolder) -> list[str]:

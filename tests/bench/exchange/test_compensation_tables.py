@@ -6,7 +6,7 @@ import pytest
 from gyrobench.bench.closure.loadable_model import declared_model, model_with_effects
 from gyrobench.bench.exchange.export_folder import ExportFolder
 from gyrobench.bench.exchange.run_export import compensation_files, export_compensation
-from gyrobench.bench.runs.compensation_file import read_compensation
+from gyrobench.bench.runs.compensation_file import read_compensation, unit_of_compensation
 from tests.bench.report import made_up_closure
 
 
@@ -62,6 +62,7 @@ def test_the_file_is_one_that_a_run_takes(exported):
     loaded, model = read_compensation(out / "compensation.yaml"), model_with_effects(closure).compensation
     np.testing.assert_array_equal(loaded.polynomial_dph, model.polynomial_dph)
     assert loaded.terms() == model.terms()
+    assert unit_of_compensation(out / "compensation.yaml") == closure.campaign.unit
 
 
 def test_verdict_and_what_is_left_out_are_reported(exported):

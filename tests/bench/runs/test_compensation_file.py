@@ -12,6 +12,7 @@ from gyrobench.bench.runs.compensation_file import (
     _Name,
     compensations_in_use,
     read_compensation,
+    unit_of_compensation,
     write_compensation,
 )
 from gyrobench.bench.runs.folder import RunFolder
@@ -31,7 +32,15 @@ def written(tmp_path):
 
 
 def test_every_number_of_a_compensation_has_its_key():
-    assert list(CompensationFile.model_fields) == [each.name for each in fields(Compensation)]
+    assert list(CompensationFile.model_fields) == ["unit", *(each.name for each in fields(Compensation))]
+
+
+@pytest.mark.parametrize(("line", "unit"), [("", ""), ("unit: 1001\n", "1001"), ("unit: 'A-7'\n", "A-7")])
+def test_a_compensation_is_for_the_unit_that_it_names(written, tmp_path, line, unit):
+    path = written(line + POLYNOMIAL)
+    assert unit_of_compensation(path) == unit
+    write_compensation(tmp_path / "again.yaml", read_compensation(path), unit)
+    assert unit_of_compensation(tmp_path / "again.yaml") == unit
 
 
 def test_a_compensation_is_read_as_it_was_written(tmp_path):
