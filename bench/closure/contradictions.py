@@ -42,6 +42,8 @@ _MIN_DWELL_S, _MAX_DWELL_S = 2.0, 1e5
 #: Range of a chamber's or case's temperatures, degC, from which that of a gyro shows its unit: self-heating
 #: adds less than the difference. The gyro's range in degF is 1.8 times the other one, to this share.
 _MIN_PROFILE_C, _SAME_RANGE = 40.0, 0.08
+#: Time after power-on from which self-heating changes little, s.
+_WARM_S = 7200.0
 #: Change of another temperature that each gyro shows at least a little of, degC.
 _MIN_MOVED_C = 5.0
 
@@ -87,7 +89,8 @@ def _stuck_sensors(rows: Sequence[DwellRow]) -> Iterator[str]:
 
 
 def _degrees_fahrenheit(rows: Sequence[DwellRow]) -> Iterator[str]:
-    """Gyro temperatures that change 1.8 times as much as the chamber or the case, which no gyro does."""
+    """Gyro temperatures that change 1.8 times as much as the chamber or the case, which no warm gyro does."""
+    rows = [row for row in rows if row.since_power_on_s >= _WARM_S]
     for name in ("chamber_set_c", "chamber_c", "case_c"):
         other_c = _range([getattr(row, name) for row in rows])
         if other_c < _MIN_PROFILE_C:

@@ -86,6 +86,23 @@ def test_temperatures_and_rates_in_degf_are_named_by_those_of_the_chamber(rows, 
     assert not any("degF" in problem for problem in implausible(short))
 
 
+def test_a_unit_that_heats_itself_after_a_cold_start_is_not_taken_for_one_in_degf(rows):
+    """By 32 K, in a profile of 40 K that begins with a power-on at its coldest temperature."""
+    places = [(-40.0, -38.0, 600.0), (0.0, 32.0, 20_000.0)] * 2
+    dwells = [
+        replace(
+            row,
+            run=f"R{number}",
+            chamber_set_c=set_c,
+            chamber_c=set_c,
+            gyro_c=(gyro_c + 0.1 * number,) * 3,
+            since_power_on_s=since_s,
+        )
+        for number, (row, (set_c, gyro_c, since_s)) in enumerate(zip(rows, places, strict=False))
+    ]
+    assert implausible(dwells) == []
+
+
 def test_temperatures_of_one_gyro_in_degf_are_named(rows):
     one = [
         replace(row, **{name: (*getattr(row, name)[:2], value[2]) for name, value in in_degf(row).items()})
