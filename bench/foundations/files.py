@@ -208,5 +208,6 @@ _ADVICE = {
     **dict.fromkeys((errno.ENOENT, errno.ENOTDIR), " Choose a path in an existing folder."),
     **dict.fromkeys((errno.ENOSPC, errno.EDQUOT), " Free some space on its disk."),
     **dict.fromkeys((errno.EACCES, errno.EPERM), " Check the permissions of its folder."),
+    errno.EFBIG: " Raise the limit of file sizes (`ulimit -f`).",
     errno.EROFS: " Choose a folder on a writable disk.",
 }

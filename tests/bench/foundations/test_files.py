@@ -150,7 +150,12 @@ def test_what_is_no_json_is_a_value_error(text):
 
 @pytest.mark.parametrize(
     ("number", "advice"),
-    [(errno.ENOSPC, "Free some space"), (errno.EACCES, "Check the permissions"), (errno.EIO, "")],
+    [
+        (errno.ENOSPC, "Free some space"),
+        (errno.EFBIG, "ulimit -f"),
+        (errno.EACCES, "Check the permissions"),
+        (errno.EIO, ""),
+    ],
 )
 def test_the_advice_fits_the_cause_of_a_failed_write(tmp_path, number, advice):
     error = cant_be_written(tmp_path, OSError(number, os.strerror(number)))
