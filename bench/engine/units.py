@@ -129,11 +129,14 @@ class Units:
         dwell = self._bench.state.at.dwell
         return bool(dwell) and dwell not in unit.run.state.finished
 
-    def _set_aside(self, unit: MeasuredUnit, why: str) -> bool:
-        """Stop measuring a unit in the dwell in progress; returns False where the dwell can't be repeated."""
+    def _set_aside(self, unit: MeasuredUnit, why: str, *, may_flag: bool = False) -> bool:
+        """Stop measuring a unit in the dwell in progress; returns False where the dwell can't be repeated.
+
+        ``may_flag``: whether the dwell is flagged then instead.
+        """
         if unit in self._aside:
             return True
-        if self._is_in_dwell(unit) and not unit.may_repeat(self._bench.state.at.dwell):
+        if self._is_in_dwell(unit) and not (may_flag or unit.may_repeat(self._bench.state.at.dwell)):
             return False
         self._waiting.pop(unit, None)
         self._aside[unit] = why
@@ -184,9 +187,14 @@ class Units:
             except SignalMapError as error:
                 self.fail(unit, error)
         for unit in [unit for unit in self._aside if self._is_in_dwell(unit)]:
-            unit.repeat_dwell(dwell, self._aside[unit])
+            why = self._aside[unit]
             self._take_back(unit)
-            is_over = False
+            if unit.may_repeat(dwell):
+                unit.repeat_dwell(dwell, why)
+                is_over = False
+            else:
+                unit.recorder.disturb(why)
+                unit.finish_dwell()
         if is_over:
             run.state.finished.add(dwell)
             if len(run.units) > 1:
@@ -236,14 +244,13 @@ class Units:
         self._run.observers.noted(f"dwell {dwell} is skipped")
 
     def repeat_for(self, unit: MeasuredUnit, why: str) -> None:
-        """Let a unit repeat the dwell in progress; drop it if it may not.
+        """Let a unit repeat the dwell in progress, or flag the dwell if it may not be repeated.
 
         Raises InvalidDwellError where units may not be dropped: then all repeat it.
         """
         if not self._may_drop:
             raise InvalidDwellError(why)
-        if not self._set_aside(unit, why):
-            self._drop(unit, why)
+        self._set_aside(unit, why, may_flag=True)
 
     def fail(self, unit: MeasuredUnit, error: GyrobenchError) -> None:
         """Drop the unit for its error, or set it aside if the error may pass.

@@ -264,6 +264,20 @@ def test_a_unit_that_restarts_while_it_aligns_repeats_its_dwell_in_another_power
 
 
 @pytest.mark.long
+def test_a_unit_that_restarts_while_it_aligns_has_its_dwell_flagged_where_none_is_repeated(files, tmp_path):
+    job = job_of(files, faulty=[2], fault=RESTARTING)
+    procedure = job.plan.procedure.model_copy(update={"disturbed_dwell": "flag"})
+    flagging = replace(job, plan=replace(job.plan, procedure=procedure))
+    folder, outcome = run_of(flagging, tmp_path / "run")
+    assert outcome.ended == "finished", outcome.reason
+    for number in NUMBERS:
+        rows = read_dwells(folder.unit(number).dwells)
+        assert [row.dwell for row in rows] == [1, 2, 3, 4]
+        assert [bool(row.flags) for row in rows] == [False, number == "1102", False, False]
+        assert [row.run[-2:] for row in rows] == ["-1", "-1", "-2", "-2"]
+
+
+@pytest.mark.long
 def test_a_dropped_unit_stays_dropped_when_the_run_resumes(files, tmp_path):
     path, watcher = tmp_path / "run", Watcher("navigate", 7)
     with pytest.raises(KilledError):
