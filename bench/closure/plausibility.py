@@ -42,8 +42,11 @@ _TEMPERATURES = {
 def implausible(rows: Sequence[DwellRow], quantity: Quantity = GYRO_BIAS) -> list[str]:
     """Everything about the dwells without flags that can't be measured data, each as one sentence."""
     good = [row for row in rows if not row.flags]
-    problems = [*_times(good), *_copies(good), *_temperatures(good), *_sigmas(good, quantity)] if good else []
-    problems += [] if problems or not quantity.is_gyro_bias else _too_small(good)
+    if not good:
+        return []
+    problems = [*_times(good), *_copies(good), *_temperatures(good), *_sigmas(good, quantity)]
+    if not problems and quantity.is_gyro_bias:
+        problems += _too_small(good)
     return problems or contradictions(good)
 
 
