@@ -161,12 +161,15 @@ def rotate_for_each(
     return navigate_with_drift(steps_s, attitudes @ np.stack(body_dph, axis=2), site)
 
 
+@lru_cache(maxsize=8)
 def _steps(duration_s: float, scheme: RotationScheme) -> tuple[FloatArray, FloatArray]:
     """Lengths (n,) and attitudes (n, 3, 3) of the steps of a time, which is rounded up to whole ones."""
     steps_s, attitudes = _cycle(scheme)
     cycles = int(np.ceil(duration_s / steps_s.sum()))
     steps_s, attitudes = np.tile(steps_s, cycles), np.tile(attitudes, (cycles, 1, 1))
     count = int(np.searchsorted(np.cumsum(steps_s), duration_s - 1e-6)) + 1
+    for each in (steps_s, attitudes):  # all navigations of this time share them
+        each.setflags(write=False)
     return steps_s[:count], attitudes[:count]
 
 
@@ -183,9 +186,10 @@ def navigate_with_drift(steps_s: FloatArray, drift_enu_dph: FloatArray, site: Si
     inputs = np.zeros((len(steps_s), INPUTS, *drift_enu_dph.shape[2:]))
     inputs[:, :3] = DPH_TO_RADPS * drift_enu_dph
     driven = np.einsum("nij,nj...->ni...", intervals.response[which], inputs)
-    states = np.zeros((len(steps_s) + 1, STATES, *drift_enu_dph.shape[2:]))
-    for k, (kind, response) in enumerate(zip(which, driven, strict=True)):
-        states[k + 1] = intervals.transition[kind] @ states[k] + response
+    states = np.concatenate([np.zeros((1, STATES, *drift_enu_dph.shape[2:])), driven])
+    transitions, each_state = list(intervals.transition), list(states)
+    for kind, (before, after) in zip(which.tolist(), itertools.pairwise(each_state), strict=True):
+        after += transitions[kind].dot(before)
     velocity_east = states[:, _EAST_VELOCITY]
     means_mps = 0.5 * (velocity_east[:-1] + velocity_east[1:])
     meridian_m, _ = curvature_radii(site.latitude, site.height)

@@ -121,7 +121,13 @@ def _spread_noise(rows: Sequence[DwellRow]) -> float:
     if len(counts) < 2:
         return math.nan
     sigma_dph = rms([[sigma / math.sqrt(counts[row.position]) for sigma in row.sigma_dph] for row in rows])
-    return sigma_dph * float(studentized_range.ppf(0.5 ** (1.0 / len(AXES)), len(counts), math.inf))
+    return sigma_dph * _median_largest_range(len(counts))
+
+
+@lru_cache(maxsize=len(POSITIONS))
+def _median_largest_range(count: int) -> float:
+    """Median of the largest of three ranges of normal numbers, in standard deviations."""
+    return float(studentized_range.ppf(0.5 ** (1.0 / len(AXES)), count, math.inf))
 
 
 def _largest_velocity_east(each: CheckDwell) -> float:
