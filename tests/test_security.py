@@ -31,11 +31,20 @@ def test_rules_against_eval_unsafe_yaml_and_shells_are_on_and_have_no_exception(
         assert not re.search(rf"noqa(?!:)|noqa:.*\b({'|'.join(RULES)})\b", path.read_text()), path
 
 
+def dotted(function: ast.expr) -> str:
+    """A function's name with that of its module; it begins with a dot where the module has no name."""
+    if isinstance(function, ast.Attribute):
+        return f"{dotted(function.value)}.{function.attr}"
+    return function.id if isinstance(function, ast.Name) else ""
+
+
 def test_no_source_calls_eval_exec_or_a_shell():
+    words = re.compile(r"\b(eval|exec|compile|system|popen|load|pickle|marshal|shelve|shell)\b")
     for path in SOURCES:
-        for node in ast.walk(ast.parse(path.read_text())):
+        text = path.read_text()
+        for node in ast.walk(ast.parse(text)) if words.search(text) else ():
             if isinstance(node, ast.Call):
-                name = ast.unparse(node.func)
+                name = dotted(node.func)
                 assert name not in ("eval", "exec", "compile", "os.system", "os.popen", "yaml.load"), path
                 assert not name.startswith(("pickle.", "marshal.", "shelve.")), path
                 assert not any(each.arg == "shell" for each in node.keywords), path

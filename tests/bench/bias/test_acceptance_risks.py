@@ -19,9 +19,17 @@ LIMITS = AcceptanceLimits(position_difference_dph=LIMIT_DPH)
 SIGMA_DPH = 0.0011
 SIGMAS_DPH = np.full((len(POSITIONS), 3), SIGMA_DPH)
 PLATEAUS_C = (72.5, 32.5, 2.5, -22.5)
-DRAWS = 60
-#: Errors in ``DRAWS`` draws with a chance of 5 % each, with three standard deviations of luck.
-MOST = DRAWS * 0.05 + 3 * math.sqrt(DRAWS * 0.05 * 0.95)
+
+
+@pytest.fixture(params=[20, pytest.param(60, marks=pytest.mark.long)])
+def draws(request):
+    """Number of runs of a unit; the quick ones find what is wrong by far."""
+    return request.param
+
+
+def most(draws):
+    """Errors in some draws with a chance of 5 % each, with three standard deviations of luck."""
+    return draws * 0.05 + 3 * math.sqrt(draws * 0.05 * 0.95)
 
 
 def steady(place):
@@ -39,6 +47,7 @@ def one_power_on(cycle, plateau, place):
 
 def verdicts(
     true_dph,
+    draws,
     *,
     drift=steady,
     cycles=2,
@@ -49,7 +58,6 @@ def verdicts(
     sigma_dph=SIGMAS_DPH,
     scatter_dph=None,
     limits=LIMITS,
-    draws=DRAWS,
 ):
     """Count the verdicts on runs of a unit.
 
@@ -123,10 +131,10 @@ def flat_and_sloping(unit, *, quick):
 
 
 @pytest.mark.parametrize("unit", flat_and_sloping(equal, quick="sloping"))
-def test_a_sound_unit_is_accepted_in_most_runs_and_never_rejected_for_its_temperature(unit):
-    found = verdicts(unit, drift=drifting)
-    assert found["accepted"] > 0.75 * DRAWS
-    assert found["rejected"] <= MOST
+def test_a_sound_unit_is_accepted_in_most_runs_and_never_rejected_for_its_temperature(unit, draws):
+    found = verdicts(unit, draws, drift=drifting)
+    assert found["accepted"] > 0.75 * draws
+    assert found["rejected"] <= most(draws)
 
 
 def by_attitude(level_dph, vertical_dph):
@@ -161,89 +169,98 @@ FIG7_SHARES = {
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[] if name == "sound" else [pytest.mark.long]) for name in FIG7_SHARES]
+    ("name", "draws"),
+    [("sound", 50), *(pytest.param(name, 200, marks=pytest.mark.long) for name in FIG7_SHARES)],
 )
-def test_fig7_accepts_as_many_units_as_its_comment_states_and_rejects_none(name):
+def test_fig7_accepts_as_many_units_as_its_comment_states_and_rejects_none(name, draws):
     unit, cycles, level_dph, share = FIG7_SHARES[name]
-    draws = 200
     found = verdicts(
         unit,
+        draws,
         cycles=cycles,
         plateaus_c=(74.0, 59.0, 33.0, 3.0, -24.0),
         sigma_dph=by_attitude(0.0016, 0.00105),
         scatter_dph=by_attitude(level_dph, 0.00105),
         limits=fig7_limits(),
-        draws=draws,
     )
     assert found["accepted"] == pytest.approx(draws * share, abs=3 * math.sqrt(draws * share * (1 - share)))
-    assert found["rejected"] <= draws * 0.05 + 3 * math.sqrt(draws * 0.05 * 0.95)
+    assert found["rejected"] <= most(draws)
 
 
 @pytest.mark.parametrize("unit", flat_and_sloping(one_pair_at_the_limit, quick="flat"))
-def test_a_unit_at_the_limit_is_accepted_in_no_more_than_one_of_twenty_runs(unit):
-    assert verdicts(unit, drift=drifting)["accepted"] <= MOST
+def test_a_unit_at_the_limit_is_accepted_in_no_more_than_one_of_twenty_runs(unit, draws):
+    assert verdicts(unit, draws, drift=drifting)["accepted"] <= most(draws)
 
 
-def test_errors_that_all_cycles_share_accept_a_unit_at_the_limit_in_no_more_than_one_of_twenty_runs():
-    found = verdicts(one_pair_at_the_limit, cycles=4, plateaus_c=PLATEAUS_C[:1], shared_dph=0.001)
-    assert found["accepted"] <= MOST
+def test_errors_that_all_cycles_share_accept_a_unit_at_the_limit_in_no_more_than_one_of_twenty_runs(draws):
+    found = verdicts(one_pair_at_the_limit, draws, cycles=4, plateaus_c=PLATEAUS_C[:1], shared_dph=0.001)
+    assert found["accepted"] <= most(draws)
 
 
 @pytest.mark.parametrize("unit", flat_and_sloping(half_at_the_limit, quick="sloping"))
-def test_a_unit_just_within_the_limit_is_rejected_in_no_more_than_one_of_twenty_runs(unit):
-    assert verdicts(unit, drift=drifting)["rejected"] <= MOST
+def test_a_unit_just_within_the_limit_is_rejected_in_no_more_than_one_of_twenty_runs(unit, draws):
+    assert verdicts(unit, draws, drift=drifting)["rejected"] <= most(draws)
 
 
-def test_a_slope_over_temperature_does_not_hide_a_difference():
+def test_a_slope_over_temperature_does_not_hide_a_difference(draws):
     found = verdicts(
-        lambda cycle, plateau, place, gyro_c: np.full(3, 0.0025 * gyro_c - 0.0024 * place), drift=drifting
+        lambda cycle, plateau, place, gyro_c: np.full(3, 0.0025 * gyro_c - 0.0024 * place),
+        draws,
+        drift=drifting,
     )
-    assert found == {"rejected": DRAWS}
+    assert found == {"rejected": draws}
 
 
-def test_a_slope_that_the_run_does_not_show_leaves_the_verdict_open():
-    found = verdicts(sloping(equal), drift=drifting, plateaus_c=PLATEAUS_C[:1])
-    assert found == {"marginal": DRAWS}
+def test_a_slope_that_the_run_does_not_show_leaves_the_verdict_open(draws):
+    found = verdicts(sloping(equal), draws, drift=drifting, plateaus_c=PLATEAUS_C[:1])
+    assert found == {"marginal": draws}
 
 
-def test_opposite_differences_in_two_cycles_do_not_average_out():
-    found = verdicts(lambda cycle, plateau, place, gyro_c: np.full(3, (0.02, -0.02)[cycle] * (place == 0)))
-    assert found == {"rejected": DRAWS}
-
-
-def test_a_difference_at_the_limit_in_one_cycle_of_every_plateau_does_not_pass():
+def test_opposite_differences_in_two_cycles_do_not_average_out(draws):
     found = verdicts(
-        lambda cycle, plateau, place, gyro_c: np.array([(LIMIT_DPH, 0.0)[cycle] * (place == 0), 0, 0])
+        lambda cycle, plateau, place, gyro_c: np.full(3, (0.02, -0.02)[cycle] * (place == 0)), draws
     )
-    assert found["accepted"] <= MOST
+    assert found == {"rejected": draws}
 
 
-def test_positions_on_two_sides_of_a_bin_edge_are_compared():
+def test_a_difference_at_the_limit_in_one_cycle_of_every_plateau_does_not_pass(draws):
+    found = verdicts(
+        lambda cycle, plateau, place, gyro_c: np.array([(LIMIT_DPH, 0.0)[cycle] * (place == 0), 0, 0]), draws
+    )
+    assert found["accepted"] <= most(draws)
+
+
+def test_positions_on_two_sides_of_a_bin_edge_are_compared(draws):
     found = verdicts(
         lambda cycle, plateau, place, gyro_c: np.full(3, 0.02 * (place % 2)),
+        draws,
         drift=lambda place: 0.1 if place % 2 else -0.1,
         plateaus_c=(35.0,),
     )
-    assert found == {"rejected": DRAWS}
+    assert found == {"rejected": draws}
 
 
-def test_another_power_on_at_another_plateau_changes_no_verdict():
+def test_another_power_on_at_another_plateau_changes_no_verdict(draws):
     found = verdicts(
-        equal, power_on=lambda cycle, plateau, place: int(plateau > 1), turn_on_dph=0.01, cycles=1
+        equal, draws, power_on=lambda cycle, plateau, place: int(plateau > 1), turn_on_dph=0.01, cycles=1
     )
-    assert found["rejected"] <= MOST
+    assert found["rejected"] <= most(draws)
     found = verdicts(
-        one_pair_at_the_limit, power_on=lambda cycle, plateau, place: int(plateau > 1), turn_on_dph=0.01
+        one_pair_at_the_limit,
+        draws,
+        power_on=lambda cycle, plateau, place: int(plateau > 1),
+        turn_on_dph=0.01,
     )
-    assert found["accepted"] <= MOST
+    assert found["accepted"] <= most(draws)
 
 
-def test_another_power_on_within_a_plateau_leaves_its_dwells_not_compared():
+def test_another_power_on_within_a_plateau_leaves_its_dwells_not_compared(draws):
     found = verdicts(
         equal,
+        draws,
         power_on=lambda cycle, plateau, place: int((plateau, place) > (1, 2)),
         turn_on_dph=0.01,
         cycles=1,
     )
-    assert found["rejected"] <= MOST
+    assert found["rejected"] <= most(draws)
     assert found["accepted"] == 0

@@ -34,16 +34,16 @@ def error_dynamics(schuler, earth):
     )
 
 
-def simulated_outputs(noise, schuler=1.0, earth=0.0, seed=1):
-    """Velocity East, velocity North and rotation about Up, each (1221, TRIALS), of pure noise."""
+def simulated_outputs(noise, schuler=1.0, earth=0.0, seed=1, trials=TRIALS):
+    """Velocity East, velocity North and rotation about Up, each (1221, trials), of pure noise."""
     rng = np.random.default_rng(seed)
     dynamics = error_dynamics(schuler, earth)
     step, half_step = expm(dynamics), expm(0.5 * dynamics)
     sigma = np.array([noise.angle_random_walk] * 3 + [noise.velocity_random_walk] * 2)[:, np.newaxis]
-    states = np.zeros((len(TIME), 5, TRIALS))
+    states = np.zeros((len(TIME), 5, trials))
     for k in range(1, len(TIME)):
-        states[k] = step @ states[k - 1] + half_step @ (sigma * rng.normal(size=(5, TRIALS)))
-    white = rng.normal(size=(3, len(TIME), TRIALS))
+        states[k] = step @ states[k - 1] + half_step @ (sigma * rng.normal(size=(5, trials)))
+    white = rng.normal(size=(3, len(TIME), trials))
     return (
         states[:, 3] + noise.velocity_white * white[0],
         states[:, 4] + noise.velocity_white * white[1],
@@ -89,9 +89,10 @@ def test_variance_of_slopes_is_that_of_simulated_noise(name):
     assert (vertical @ both(heading)).std() == pytest.approx(predicted_vertical, rel=0.06)
 
 
-def test_earth_rate_coupling_changes_the_standard_deviation_little(gyro_noise):
+@pytest.mark.parametrize("trials", [800, pytest.param(TRIALS, marks=pytest.mark.long)])
+def test_earth_rate_coupling_changes_the_standard_deviation_little(gyro_noise, trials):
     level, vertical = pair_weights()
-    east, north, heading = simulated_outputs(gyro_noise, earth=1.0)
+    east, north, heading = simulated_outputs(gyro_noise, earth=1.0, trials=trials)
     predicted_level = np.sqrt(gyro_noise.velocity_variance(both(TIME), level, GRAVITY))
     predicted_vertical = np.sqrt(gyro_noise.heading_variance(both(TIME), vertical))
     for velocity in (east, north):

@@ -394,7 +394,7 @@ def test_gyro_biases_that_follow_the_specific_force_are_found_where_noise_explai
 @pytest.mark.parametrize(
     ("latitude_deg", "off_deg"),
     [
-        pytest.param(at_deg, off_deg, marks=[] if (at_deg, off_deg) in {(45.0, 0.1), (-60.0, -0.1)} else LONG)
+        pytest.param(at_deg, off_deg, marks=[] if (at_deg, off_deg) == (-60.0, -0.1) else LONG)
         for at_deg in (45.0, 20.0, -60.0)
         for off_deg in (0.1, -0.1)
     ],
@@ -421,7 +421,7 @@ def test_noise_above_the_declared_one_passes_for_no_bias_that_follows_the_specif
     assert not any(each.notes for each in found)
 
 
-@pytest.mark.parametrize("off_deg", [1.5, 0.6])
+@pytest.mark.parametrize("off_deg", [1.5, pytest.param(0.6, marks=LONG)])
 def test_a_wrong_latitude_is_hidden_by_no_true_sensitivity(off_deg):
     """At the equator its error is a rate Up alone, as an equal own sensitivity of all gyros."""
     still = {"force_matrix": np.zeros((3, 3)), "force_bias": np.zeros(3)}
@@ -498,7 +498,7 @@ def test_a_bias_along_the_only_level_axis_is_not_observed_and_keeps_no_estimate_
 
 def test_lever_arms_and_delay_are_estimated_where_asked_for():
     arms = np.array([[0.03, 0.0, 0.01], [-0.02, 0.04, 0.0], [0.01, -0.03, 0.05]])
-    unit = rotated_unit(rate_dps=30.0, sample_hz=50.0, arms=arms, delay_s=0.002)
+    unit = rotated_unit(rate_dps=30.0, sample_hz=50.0, dwell_s=30.0, arms=arms, delay_s=0.002)
     log = recorded(unit.increments(), 7, 50.0)
     found = calibrate([log], SITE, CalibrationOptions(lever_arms=True, delay=True))
     truth = np.concatenate([TRUTH, (arms[1:] - arms[0]).ravel(), [0.002]])

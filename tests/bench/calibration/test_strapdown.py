@@ -1,5 +1,7 @@
 """Attitude from increments of fast motion, against the closed form; responses, against differences."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -29,6 +31,7 @@ def coning_increments(dt, duration_s, cone=0.01, hz=2.0):
     return steps.reshape(-1, 200, 3).sum(axis=1), attitude[0].as_matrix(), attitude[-1].as_matrix()
 
 
+@cache
 def drift(dt, duration_s=20.0):
     """Error of the attitude, rad/s, from increments every ``dt``."""
     angle, first, last = coning_increments(dt, duration_s)

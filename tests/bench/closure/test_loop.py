@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.effects import all_effects, bias_jump, chamber_state
+from gyrobench.bench.closure.effects import all_effects, attitude_thermal, bias_jump, chamber_state
 from gyrobench.bench.closure.effects.laws import (
     G_SENSITIVITY,
     TEMPERATURE_RATE,
+    THERMAL_G_SENSITIVITY,
+    THERMAL_GRADIENT,
     THERMAL_HYSTERESIS,
     THERMAL_LAG,
     TIME_DRIFT,
@@ -20,7 +22,15 @@ from gyrobench.bench.closure.validation import LACK_OF_FIT_P
 from gyrobench.bench.foundations.errors import MeasurementError
 from tests.bench.closure.thermal_bench import SHARES, SIGMA_DPH, UP, measure
 
+LONG = pytest.mark.long
 TRIANGLE = ((-20.0, 0.2, 0.0), (60.0, 0.2, 0.0), (20.0, 0.2, 0.0))
+
+
+def among(*candidates):
+    """The quick test searches for some effects, the long one for all."""
+    return pytest.mark.parametrize(
+        "candidates", [pytest.param(candidates, id="some"), pytest.param(None, id="all", marks=LONG)]
+    )
 
 
 def residual_of_direct_fit(campaign, searched, terms=None):
@@ -63,7 +73,7 @@ def test_an_effect_is_explained_with_its_size(closed):
     "candidates",
     [
         pytest.param([TEMPERATURE_RATE, THERMAL_HYSTERESIS, TIME_DRIFT], id="some"),
-        pytest.param(None, id="all", marks=pytest.mark.long),
+        pytest.param(None, id="all", marks=LONG),
     ],
 )
 def test_a_form_that_the_data_do_not_exclude_is_stated_with_its_probability(candidates):
@@ -133,8 +143,10 @@ def test_an_effect_without_its_candidate_is_unexplained():
     assert closure.verdict == "unexplained"
 
 
-def test_with_an_unexplained_residual_a_cross_validated_effect_is_kept_with_its_probability(closed):
-    closure = closed({"g_sensitivity": 4.0, "sinusoid": 1.5}, cycles=3, seed=1)
+@among(bias_jump.EFFECT, G_SENSITIVITY, TEMPERATURE_RATE, TIME_DRIFT)
+def test_with_an_unexplained_residual_a_cross_validated_effect_is_kept_with_its_probability(candidates):
+    rows = measure({"g_sensitivity": 4.0, "sinusoid": 1.5}, headings_deg=(0.0, 90.0), seed=1).rows
+    closure = close_loop(campaign_of(rows), effects=candidates)
     [found] = closure.effects
     assert closure.verdict == "unexplained"
     assert found.candidate.effect.name == "g_sensitivity"
@@ -280,8 +292,9 @@ def test_noise_understated_by_up_to_1_6_is_recognized(closed):
     assert closure.noise_scale == pytest.approx(1.55, rel=0.08)
 
 
-def test_much_more_noise_than_stated_is_unexplained_without_any_effect(closed):
-    closure = closed(noise=2.2, headings_deg=(0.0,))
+@among(attitude_thermal.EFFECT, bias_jump.EFFECT, TEMPERATURE_RATE, TIME_DRIFT, WARM_UP)
+def test_much_more_noise_than_stated_is_unexplained_without_any_effect(candidates):
+    closure = close_loop(campaign_of(measure(cycles=2, noise=2.2).rows), effects=candidates)
     assert closure.verdict == "unexplained"
     assert closure.noise_scale == 1.0
     assert closure.effects == ()
@@ -318,9 +331,11 @@ def test_evidence_names_missing_inputs():
     assert lacks["time_drift"] is None
 
 
-def test_positions_in_blocks_give_the_same_answer():
+@among(attitude_thermal.EFFECT, G_SENSITIVITY, TEMPERATURE_RATE, TIME_DRIFT)
+def test_positions_in_blocks_give_the_same_answer(candidates):
     blocks = [each for each in UP for _ in range(6)]
-    closure = close_loop(campaign_of(measure({"attitude_thermal": 4.0}, positions=blocks, cycles=2).rows))
+    rows = measure({"attitude_thermal": 4.0}, positions=blocks, cycles=2).rows
+    closure = close_loop(campaign_of(rows), effects=candidates)
     assert closure.verdict == "explained"
     assert [each.candidate.effect.name for each in closure.effects] == ["attitude_thermal"]
 
@@ -331,8 +346,10 @@ def test_one_position_alone_shows_no_gravity():
     assert {each.effect.name: each.candidate for each in closure.evidence}["g_sensitivity"] is None
 
 
-def test_an_effect_of_thirty_times_the_noise_is_explained_by_itself_alone():
-    closure = close_loop(campaign_of(measure({"attitude_thermal": 30.0}, cycles=2).rows))
+@among(attitude_thermal.EFFECT, bias_jump.EFFECT, G_SENSITIVITY, THERMAL_G_SENSITIVITY)
+def test_an_effect_of_thirty_times_the_noise_is_explained_by_itself_alone(candidates):
+    campaign = campaign_of(measure({"attitude_thermal": 30.0}, cycles=2).rows)
+    closure = close_loop(campaign, effects=candidates)
     assert closure.verdict == "explained"
     assert [each.candidate.effect.name for each in closure.effects] == ["attitude_thermal"]
 
@@ -408,9 +425,10 @@ def test_not_even_the_length_of_the_held_out_cycle_changes_the_outcome():
     assert one.after == other.after
 
 
-def test_an_effect_that_an_untried_one_imitates_is_ambiguous():
+@among(TEMPERATURE_RATE, THERMAL_GRADIENT, THERMAL_LAG, TIME_DRIFT)
+def test_an_effect_that_an_untried_one_imitates_is_ambiguous(candidates):
     rows = measure({"temperature_rate": 5.0}, cycles=3, sensors=("air", "set")).rows
-    closure = close_loop(campaign_of(rows))
+    closure = close_loop(campaign_of(rows), effects=candidates)
     assert closure.verdict == "ambiguous"
     [found] = closure.effects
     assert found.candidate.effect.name == "temperature_rate"
@@ -424,7 +442,7 @@ def test_an_effect_that_an_untried_one_imitates_is_ambiguous():
             [TEMPERATURE_RATE, THERMAL_HYSTERESIS, THERMAL_LAG, TIME_DRIFT, WARM_UP],
             id="what follows temperature or time",
         ),
-        pytest.param(None, id="all", marks=pytest.mark.long),
+        pytest.param(None, id="all", marks=LONG),
     ],
 )
 def test_a_constant_gyro_temperature_without_other_temperatures_is_searched(candidates):

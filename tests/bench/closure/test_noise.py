@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.effects import bias_jump
+from gyrobench.bench.closure.effects import bias_jump, supply_power
 from gyrobench.bench.closure.effects.laws import AGEING, TEMPERATURE_RATE, THERMAL_LAG, TIME_DRIFT, WARM_UP
 from gyrobench.bench.closure.loop import close_loop, without_search
 from gyrobench.bench.closure.noise import OUTLIER_SIGMA, estimate_campaign_noise, outweighing_dwell
@@ -122,7 +122,14 @@ def test_an_effect_is_found_beside_a_dwell_that_is_thousands_of_sigmas_off(dwell
     assert closure.error_after_dph == pytest.approx(without.error_after_dph, rel=0.05)
 
 
-def test_an_effect_that_explains_a_dwell_far_off_is_found_with_it():
+@pytest.mark.parametrize(
+    "candidates",
+    [
+        pytest.param([TEMPERATURE_RATE, TIME_DRIFT, bias_jump.EFFECT, supply_power.EFFECT], id="some"),
+        pytest.param(None, id="all", marks=pytest.mark.long),
+    ],
+)
+def test_an_effect_that_explains_a_dwell_far_off_is_found_with_it(candidates):
     random = np.random.default_rng(0)
     rows = measure(seed=1).rows
     watts = 30.0 + random.normal(size=len(rows))
@@ -138,7 +145,7 @@ def test_an_effect_that_explains_a_dwell_far_off_is_found_with_it():
     campaign = campaign_of(rows)
     searched = campaign.cycle != campaign.last_cycle
     assert {each.dwell for each in outweighing_dwell(campaign, searched).outliers} == {rows[20].dwell}
-    closure = close_loop(campaign)
+    closure = close_loop(campaign, effects=candidates)
     assert closure.names == ("supply_power",)
     assert closure.noise.outliers == ()
 

@@ -141,6 +141,7 @@ def test_each_unit_is_a_run_for_commands_that_evaluate_runs(whole):
     assert not folder.bias_bins.exists()
 
 
+@pytest.mark.long
 def test_a_killed_run_resumes_with_all_units(files, whole, tmp_path):
     path = tmp_path / "run"
     with pytest.raises(KilledError):

@@ -213,6 +213,7 @@ class OnTerminal:
 @pytest.fixture
 def folder(tmp_path):
     (tmp_path / "short.yaml").write_text(PROCEDURE)
+    (tmp_path / "shorter.yaml").write_text(PROCEDURE.replace("20000", "20"))
     return tmp_path
 
 
@@ -261,7 +262,7 @@ def test_text_alone_goes_where_no_cursor_moves(folder, environment, is_terminal)
     console = RunConsole(
         file=output, force_terminal=is_terminal, width=80, markup=False, _environ=environment
     )
-    job = prepare_job(str(folder / "short.yaml"), "emulated", Emulation("ideal"))
+    job = prepare_job(str(folder / "shorter.yaml"), "emulated", Emulation("ideal"))
     with observe_in_terminal(console, job, wants_live=True) as (progress, operator):
         run_job(job, folder / "run", progress, operator)
     assert console.file is output

@@ -20,23 +20,35 @@ LONG = pytest.mark.long
 
 def closed(effect, *others, size=6.0, **options):
     """A search among some effects, or all."""
-    candidates = [EFFECTS[each] for each in (effect, *others)] if others else None
-    return close_loop(campaign_of(measure({effect: size}, **options).rows), effects=candidates)
+    rows = measure({effect: size}, **options).rows
+    return close_loop(campaign_of(rows), effects=among(effect, *others))
+
+
+def among(effect, *others):
+    """Some effects; None, which is all, without others."""
+    return [EFFECTS[each] for each in (effect, *others)] if others else None
+
+
+#: What an effect needs of the bench.
+SHOWN = {
+    "magnetic_sensitivity": {"headings_deg": HEADINGS},
+    "supply_power": {"sensors": ("set", "air", "board", "supply")},
+    "thermal_g_sensitivity": {"headings_deg": HEADINGS},
+    "daily_course": {"sensors": ("set", "air", "board", "room"), "cycles": 3},
+    "neighbouring_unit": {"sensors": ("set", "air", "board", "neighbours")},
+    "ageing": {"power_on_each_cycle": True, "cycles": 4},
+}
 
 
 @pytest.mark.parametrize(
-    ("effect", "options"),
+    ("effect", "others"),
     [
-        ("magnetic_sensitivity", {"headings_deg": HEADINGS}),
-        ("supply_power", {"sensors": ("set", "air", "board", "supply")}),
-        pytest.param("thermal_g_sensitivity", {"headings_deg": HEADINGS}, marks=LONG),
-        pytest.param("daily_course", {"sensors": ("set", "air", "board", "room"), "cycles": 3}, marks=LONG),
-        pytest.param("neighbouring_unit", {"sensors": ("set", "air", "board", "neighbours")}, marks=LONG),
-        pytest.param("ageing", {"power_on_each_cycle": True, "cycles": 4}, marks=LONG),
+        *((each, ("g_sensitivity", "temperature_rate", "warm_up")) for each in SHOWN),
+        *(pytest.param(each, (), marks=LONG) for each in SHOWN),
     ],
 )
-def test_an_effect_is_found_where_the_bench_shows_it(effect, options):
-    closure = closed(effect, **({"cycles": 2} | options))
+def test_an_effect_is_found_where_the_bench_shows_it(effect, others):
+    closure = closed(effect, *others, **({"cycles": 2} | SHOWN[effect]))
     assert [each.effect.name for each in closure.effects] == [effect]
     assert closure.error_after_dph < 1.3 * closure.noise_dph
 
@@ -69,14 +81,21 @@ def test_a_drift_in_less_than_two_days_may_be_the_room():
     assert "daily_course" not in longer.effects[0].tied_with
 
 
-def test_what_the_room_warms_may_follow_it_later():
+@pytest.mark.parametrize(
+    "others",
+    [
+        pytest.param(("temperature_rate", "time_drift"), id="two others"),
+        pytest.param((), id="all", marks=LONG),
+    ],
+)
+def test_what_the_room_warms_may_follow_it_later(others):
     def behind_the_room(course):
         step_h = course.time_h[1] - course.time_h[0]
         share = 1.0 - np.exp(-step_h / 1.5)
         return np.array([*accumulate(course.room_c, lambda was, now: was + share * (now - was))])[:, None]
 
     rows = measure({behind_the_room: 8.0}, cycles=3, sensors=("set", "air", "board", "room")).rows
-    [found] = close_loop(campaign_of(rows)).effects
+    [found] = close_loop(campaign_of(rows), effects=among("daily_course", *others)).effects
     assert (found.effect.name, found.candidate.form.name) == ("daily_course", "lagging")
     assert found.candidate.values[0] == pytest.approx(1.5 * 3600.0, rel=0.3)
 
