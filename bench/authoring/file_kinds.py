@@ -106,17 +106,6 @@ _TIMEOUT_S = 120.0
 _WRONG_FILE = 2
 
 
-def emulator_schema(kind: str) -> dict[str, Any]:
-    """JSON Schema of ``world`` or ``faults`` files, from the emulators' program."""
-    schema: dict[str, Any] = json.loads(_emulator_schema(kind))
-    return schema
-
-
-@cache
-def _emulator_schema(kind: str) -> str:
-    return _emulator_documents("schema", kind)
-
-
 def _check_emulator_file(kind: str, path: Path) -> None:
     """Check a ``world`` or ``faults`` file; a DocumentError lists all problems with their places."""
     _emulator_documents("check", kind, str(path))
@@ -223,11 +212,18 @@ EDITOR_MARK = "# yaml-language-server: $schema="
 
 def schema_of(kind: FileKind) -> Schema:
     """Write the schema of a kind of file from its model, draft 2020-12."""
-    if kind is PROCEDURE:
-        return _procedure_schema(kind.title)
+    schema: Schema = json.loads(_schema_document(kind))
+    return schema
+
+
+@cache
+def _schema_document(kind: FileKind) -> str:
+    """JSON of a schema; that of ``world`` or ``faults`` files comes from the emulators' program."""
     if kind.model is None:
-        return emulator_schema(kind.name)
-    return json_schema(kind.model, kind.title)
+        return _emulator_documents("schema", kind.name)
+    return json.dumps(
+        _procedure_schema(kind.title) if kind is PROCEDURE else json_schema(kind.model, kind.title)
+    )
 
 
 def write_schemas(folder: Path) -> None:

@@ -1,12 +1,18 @@
 """What a file is, and everything wrong with it."""
 
+import io
+import subprocess
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from gyrobench.bench.authoring import file_kinds
 from gyrobench.bench.authoring.file_kinds import KINDS, PROCEDURE, check_file
 from gyrobench.bench.foundations.shipped import find_document, shipped_names
 from gyrobench.bench.station.station import Station
+from gyrobench.drivers.emulators.check_file import main as emulators_program
 
 #: The emulators' files are checked by a process of their own; one of each shows that.
 SHIPPED = [
@@ -35,6 +41,22 @@ def test_a_compensation_is_known_for_what_it_is(tmp_path):
     assert check_file(path).is_good
 
 
+@pytest.fixture
+def without_a_process(monkeypatch):
+    """The emulators' program runs in this process."""
+
+    def run(command, **options):
+        assert command[1:3] == ["-P", "-m"]
+        printed, complained = io.StringIO(), io.StringIO()
+        with redirect_stdout(printed), redirect_stderr(complained):
+            code = emulators_program(command[4:])
+        return subprocess.CompletedProcess(command, code, printed.getvalue(), complained.getvalue())
+
+    monkeypatch.setattr(
+        file_kinds, "subprocess", SimpleNamespace(run=run, TimeoutExpired=subprocess.TimeoutExpired)
+    )
+
+
 def changed(tmp_path, folder, name, *pairs):
     text = find_document(folder, name).read_text()
     for old, new in pairs:
@@ -45,6 +67,7 @@ def changed(tmp_path, folder, name, *pairs):
     return path
 
 
+@pytest.mark.usefixtures("without_a_process")
 @pytest.mark.parametrize(
     ("folder", "name", "pairs", "kind", "said"),
     [
@@ -88,6 +111,7 @@ def test_everything_wrong_is_reported_with_its_place(folder, name, pairs, kind, 
         assert any(words in problem.message and problem.line for problem in check.problems())
 
 
+@pytest.mark.usefixtures("without_a_process")
 @pytest.mark.parametrize(
     ("folder", "name", "right", "wrong", "message"),
     [

@@ -67,7 +67,7 @@ def test_evidence_of_one_term_is_that_of_numerical_quadrature(problem, monkeypat
     assert found == pytest.approx(expected, abs=1e-3)
 
 
-@pytest.mark.parametrize("count", [40, pytest.param(600, marks=pytest.mark.long)])
+@pytest.mark.parametrize("count", [20, pytest.param(600, marks=pytest.mark.long)])
 def test_probabilities_are_frequencies_of_data_from_the_prior(problem, count):
     """Half the data have a drift of a magnitude from the prior, half nothing."""
     clean, random = problem(cycles=2), np.random.default_rng(5)
@@ -161,17 +161,18 @@ def test_effects_that_are_not_significant_count(problem):
     assert 0.0 < min(weak) <= max(weak) < 0.1
 
 
-def test_a_remainder_of_the_stated_size_is_shown_in_nine_of_ten(problem):
+@pytest.mark.parametrize(("count", "within"), [(15, 0.25), pytest.param(40, 0.15, marks=pytest.mark.long)])
+def test_a_remainder_of_the_stated_size_is_shown_in_nine_of_ten(problem, count, within):
     clean, random = problem(), np.random.default_rng(6)
     remainder = remainder_of(clean)
     index = remainder.names.index("temperature")
     size = detectable_dph(clean)["temperature"] / np.sqrt(np.mean(clean.sigma_dph**2))
     shown = []
-    for _ in range(40):
+    for _ in range(count):
         noise = random.standard_normal((clean.searched.sum(), 3))
         for gyro in range(3):
             amplitudes = size * np.sqrt(remainder.powers[gyro, index]) * random.standard_normal(RANK)
             noise[:, gyro] += remainder.directions[gyro, index] @ amplitudes
         data = with_biases(clean, noise)
         shown.append(Evidences(data, []).posterior([hypothesis(data, [])]).not_on_list > 0.5)
-    assert np.mean(shown) == pytest.approx(0.9, abs=0.15)  # three standard deviations
+    assert np.mean(shown) == pytest.approx(0.9, abs=within)  # three standard deviations

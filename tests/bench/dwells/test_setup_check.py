@@ -70,7 +70,7 @@ def test_a_scale_that_each_dwell_leaves_open_is_found_by_all_together():
 
 
 @pytest.mark.parametrize(
-    "turned_deg", [20.0, *(pytest.param(each, marks=LONG) for each in (-30.0, 60.0, -165.0)), 120.0]
+    "turned_deg", [*(pytest.param(each, marks=LONG) for each in (20.0, -30.0, 60.0, -165.0)), 120.0]
 )
 def test_velocities_in_axes_turned_about_up_are_named_with_the_angle(turned_deg):
     """As of an INS that navigates in wander azimuth and sends the true heading."""
@@ -94,11 +94,7 @@ def test_axes_turned_about_up_are_found_beside_a_drift_of_the_accelerometers():
 
 @pytest.mark.parametrize(
     "latitude_deg",
-    [
-        pytest.param(each, marks=[] if each in (-35.0, 52.0) else [LONG])
-        for each in LATITUDES_DEG
-        if abs(each) > 30.0
-    ],
+    [pytest.param(each, marks=[] if each == -35.0 else [LONG]) for each in LATITUDES_DEG if abs(each) > 30.0],
 )
 def test_a_latitude_of_the_wrong_hemisphere_is_named_in_nearly_every_dwell(latitude_deg):
     """The Coriolis acceleration needs a velocity, which is small by chance where biases cancel."""
@@ -123,7 +119,7 @@ def test_a_wrong_hemisphere_is_named_by_the_error_model_in_a_unit_with_other_err
 @pytest.mark.parametrize(
     ("unit", "latitude_deg"),
     [
-        pytest.param(unit, at_deg, marks=[] if number % 4 == 2 * place else [LONG])
+        pytest.param(unit, at_deg, marks=[] if number % 6 == 3 * place else [LONG])
         for number, unit in enumerate(UNITS)
         for place, at_deg in enumerate((36.4, -52.0))
     ],
@@ -176,7 +172,10 @@ def test_short_windows_of_a_free_inertial_ins_do_not_pass_for_damped_ones(window
 
 @pytest.mark.parametrize(
     ("step_dph", "seed", "positions"),
-    [((0.0, 0.02, 0.0), 3, ("y_up", "x_down")), ((0.02, 0.0, 0.0), 4, ("y_up", "x_down"))],
+    [
+        ((0.0, 0.02, 0.0), 3, ("y_up", "x_down")),
+        pytest.param((0.02, 0.0, 0.0), 4, ("y_up", "x_down"), marks=LONG),
+    ],
 )
 def test_a_bias_that_steps_does_not_pass_for_the_other_hemisphere(step_dph, seed, positions):
     """The other latitude leaves much less of chi2, but not as little as a step of the bias does."""

@@ -12,6 +12,7 @@ from tests.adversarial.harness import Case, any_unit, dwell_angles, setup_of
 from tests.adversarial.rows import EULER, VELOCITY
 from tests.adversarial.strapdown import Place, Schedule, simulate
 
+LONG = pytest.mark.long
 SIGNALS = "ins.signals"
 EXCHANGED = {f"{SIGNALS}.velocity_{a}": f"{VELOCITY}{b}" for a, b in (("east", "NORTH"), ("north", "EAST"))}
 SHORT = Schedule(window_s=75.0)
@@ -31,7 +32,12 @@ def measured(station, position="z_up", seed=1, schedule=None, **unit):
 
 
 @pytest.mark.parametrize(
-    ("name", "position"), [("east", "z_up"), ("north", "z_up"), ("east", "y_down"), ("north", "x_up")]
+    ("name", "position"),
+    [
+        ("east", "y_down"),
+        ("north", "z_up"),
+        *(pytest.param(*each, marks=LONG) for each in (("east", "z_up"), ("north", "x_up"))),
+    ],
 )
 def test_a_velocity_with_the_wrong_sign_is_named_and_gives_no_bias(name, position):
     dwell = measured(MIRRORED[name], position)
@@ -55,7 +61,7 @@ def test_short_windows_pass_any_axes_and_do_not_count_as_a_test(station):
 
 
 @pytest.mark.parametrize("position", ["z_up", "x_down"])
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(each, marks=LONG) for each in (2, 3))])
 def test_windows_of_ten_minutes_test_signs_and_axes(position, seed):
     assert measured({}, position, seed).are_signs_tested
 
@@ -69,7 +75,7 @@ def test_east_and_north_exchanged_are_named():
     assert fault.startswith(f"{SIGNALS}.velocity_east and {SIGNALS}.velocity_north are exchanged")
 
 
-@pytest.mark.parametrize("position", ["y_up", "x_down"])
+@pytest.mark.parametrize("position", ["y_up", pytest.param("x_down", marks=LONG)])
 def test_a_heading_with_the_wrong_sense_is_named(position):
     fault = measured({f"{EULER}.yaw_positive": "up"}, position).setup_fault
     assert fault.startswith(f"{EULER}.yaw_positive is 'up' in place of 'down': the attitude lies")
@@ -78,7 +84,9 @@ def test_a_heading_with_the_wrong_sense_is_named(position):
     assert otherwise_deg < 5.0
 
 
-@pytest.mark.parametrize(("angle", "position"), [("ROLL", "z_up"), ("PITCH", "z_up"), ("ROLL", "x_up")])
+@pytest.mark.parametrize(
+    ("angle", "position"), [pytest.param("ROLL", "z_up", marks=LONG), ("PITCH", "z_up"), ("ROLL", "x_up")]
+)
 def test_roll_or_pitch_with_the_wrong_sign_is_named(angle, position):
     name = f"{EULER}.{angle.lower()}"
     fault = measured({name: {"signal": f"ROLL_PITCH.{angle}", "sign": -1}}, position).setup_fault
@@ -104,8 +112,8 @@ def fault_of_table(wrong, position):
     ("axis", "direction", "position"),
     [
         ("inner_axis", "down", "y_up"),
-        ("inner_axis", "down", "x_down"),
-        ("outer_axis", "west", "y_down"),
+        pytest.param("inner_axis", "down", "x_down", marks=LONG),
+        pytest.param("outer_axis", "west", "y_down", marks=LONG),
         ("outer_axis", "west", "x_up"),
     ],
 )
@@ -123,7 +131,7 @@ def test_wrong_directions_of_both_axes_are_named():
     assert "; or" not in fault
 
 
-@pytest.mark.parametrize("position", ["z_up", "z_down"])
+@pytest.mark.parametrize("position", ["z_up", pytest.param("z_down", marks=LONG)])
 def test_with_z_vertical_a_wrong_inner_axis_and_a_wrong_heading_are_both_named(position):
     of_table = fault_of_table({"rate_table.inner_axis": "down"}, position)
     of_heading = measured({f"{EULER}.yaw_positive": "up"}, position).setup_fault

@@ -68,7 +68,11 @@ def damage_journal(run):
 
 
 @pytest.mark.parametrize(
-    ("damages", "lost"), [((damage_blf, damage_provenance), [1]), ((damage_journal, damage_telemetry), [1])]
+    ("damages", "lost"),
+    [
+        ((damage_blf, damage_provenance), [1]),
+        pytest.param((damage_journal, damage_telemetry), [1], marks=pytest.mark.long),
+    ],
 )
 def test_damage_is_named_and_given_up_only_on_command(run, tmp_path, damages, lost):
     names = [damage(run) for damage in damages]

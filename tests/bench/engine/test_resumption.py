@@ -131,11 +131,10 @@ def test_a_killed_run_is_resumed_by_another_process(procedure, undisturbed, tmp_
     ("kind", "nth"),
     [
         ("soak", 1),
-        ("align", 3),
         ("turn", 4),
         *(
             pytest.param(*each, marks=pytest.mark.long)
-            for each in (("power_on", 1), ("chamber", 2), ("go_to", 2))
+            for each in (("align", 3), ("power_on", 1), ("chamber", 2), ("go_to", 2))
         ),
     ],
 )

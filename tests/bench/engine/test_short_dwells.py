@@ -89,7 +89,7 @@ def test_no_bias_is_estimated_before_the_turn_and_the_last_one_is_near_the_resul
     assert (np.abs(last.bias_dph - final.bias_dph) < 4.0 * scatter_dph).all()
 
 
-@pytest.mark.parametrize("world", ["ideal", "gyro_a"])
+@pytest.mark.parametrize("world", [pytest.param("ideal", marks=pytest.mark.long), "gyro_a"])
 def test_four_azimuths_give_the_bias_better_than_two_but_not_by_the_papers_method(measured, world):
     two, _ = measured(half_turn(), world)
     four, watcher = measured(FOUR_AZIMUTHS, world)

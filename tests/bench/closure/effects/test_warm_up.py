@@ -31,7 +31,7 @@ def test_a_dwell_of_no_length_is_no_division_by_zero(clean):
     assert np.isfinite(FORM.columns(still, (TAU_S,))).all()
 
 
-@pytest.mark.parametrize(("cycles", "size"), [(3, 4.0), (4, 2.0)])
+@pytest.mark.parametrize(("cycles", "size"), [(4, 2.0), pytest.param(3, 4.0, marks=pytest.mark.long)])
 def test_a_decay_longer_than_twelve_hours_is_no_drift(closed, cycles, size):
     closure = closed({_slow_decay: size}, cycles=cycles, seed=3)
     [found] = closure.effects

@@ -54,9 +54,16 @@ def share_that_holds(rng, count, **kind):
     return float(np.mean(holds))
 
 
-@pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
-def test_dates_hold(kind):
-    assert share_that_holds(np.random.default_rng(1), 25, **kind) >= 0.84  # of 25 at 95 %: p = 0.007
+@pytest.mark.parametrize(
+    ("kind", "count"),
+    [
+        *(pytest.param(each, 8, id=name) for name, each in KINDS.items()),
+        *(pytest.param(each, 25, id=f"{name}, 25", marks=pytest.mark.long) for name, each in KINDS.items()),
+    ],
+)
+def test_dates_hold(kind, count):
+    # Of 25 at 95 %: p = 0.007 for 20 or fewer; of 8 p = 0.006 for 5 or fewer.
+    assert share_that_holds(np.random.default_rng(1), count, **kind) >= (0.84 if count == 25 else 0.75)
 
 
 @pytest.mark.long
