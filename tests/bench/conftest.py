@@ -34,6 +34,7 @@ class Watcher(LinesView):
         super().__init__(console, job.plan)
         self.estimates, self.true_bias_dph = [], []
         self._emulation = job.emulation if job.is_virtual else None
+        self._bench = None
         self._navigates = False
         self._estimated, self._true = [], []
 
@@ -44,9 +45,10 @@ class Watcher(LinesView):
     def ticked(self, bench, left_s):
         super().ticked(bench, left_s)
         if self._navigates and self._emulation:
-            world = str(find_document("worlds", self._emulation.world))
-            emulated = bench_at(BenchAddress(bench.clock.name, world, self._emulation.seed))
-            self._true.append(emulated.world.true_gyro_bias() * RADPS_TO_DPH)
+            if self._bench is None:
+                world = str(find_document("worlds", self._emulation.world))
+                self._bench = bench_at(BenchAddress(bench.clock.name, world, self._emulation.seed))
+            self._true.append(self._bench.world.true_gyro_bias() * RADPS_TO_DPH)
 
     def estimable(self, estimate):
         super().estimable(estimate)

@@ -15,7 +15,7 @@ steps:
       over: {temperature_c: [35, 25]}
       steps:
         - chamber: {temperature_c: $temperature_c, ramp_c_per_min: 10}
-        - soak: {for_s: 600}
+        - soak: {for_s: 120}
         - repeat:
             over: {position: [z_up, y_down]}
             steps:
@@ -43,6 +43,7 @@ class Intervention(RunObserver):
         self.done = False
         self.now = ""
         self.bench = None
+        self._world = str(find_document("worlds", "ideal"))
 
     def step_started(self, planned, bench):
         self.now = planned.step.name
@@ -50,8 +51,7 @@ class Intervention(RunObserver):
 
     def ticked(self, live, left_s):
         clock = live.clock
-        world = str(find_document("worlds", "ideal"))
-        self.bench = bench_at(BenchAddress(clock.name, world, 0))
+        self.bench = self.bench or bench_at(BenchAddress(clock.name, self._world, 0))
         if self.now == self.kind and self.left == 0 and not self.done:
             self.done = True
             self.bench.advance()

@@ -26,6 +26,7 @@ class Observer(Watcher):
         super().__init__()
         self.faults, self.is_held, self.moved_s, self.last_s = faults, False, 0.0, 0.0
         self.act = lambda bench, now_s: None
+        self._emulated = None
 
     def held(self, why, needs_person, command):
         self.is_held = True
@@ -35,12 +36,14 @@ class Observer(Watcher):
 
     def beat(self, bench):
         now_s = bench.clock.now()
-        world = str(find_document("worlds", "quick"))
-        emulated = bench_at(BenchAddress(bench.clock.name, world, 0, self.faults))
-        moves = any(abs(axis.encoder(now_s).rate_dps) > 0.01 for axis in emulated.world.axes.values())
+        if self._emulated is None:
+            world = str(find_document("worlds", "quick"))
+            self._emulated = bench_at(BenchAddress(bench.clock.name, world, 0, self.faults))
+        axes = self._emulated.world.axes.values()
+        moves = any(abs(axis.encoder(now_s).rate_dps) > 0.01 for axis in axes)
         self.moved_s += (now_s - self.last_s) * (self.is_held and moves)
         self.last_s = now_s
-        self.act(emulated, now_s)
+        self.act(self._emulated, now_s)
 
 
 def run(tmp_path, fault, act=None):

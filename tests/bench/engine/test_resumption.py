@@ -174,7 +174,7 @@ def test_the_approach_is_noted_as_it_begins(in_third_dwell):
     (way,) = [text for text in watcher.notes if text.startswith("returning to step")]
     assert "power on" in way
     assert "chamber to 25 degC" in way
-    assert "soak 10 min" in way
+    assert "soak 2 min" in way
     assert "go to z_up" in way
 
 
