@@ -69,7 +69,7 @@ def test_a_page_of_a_finished_run_has_no_finding(written, name, width_px, tmp_pa
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
-@pytest.mark.parametrize("width_px", WIDTHS_PX)
+@pytest.mark.parametrize("width_px", [WIDTHS_PX[0], pytest.param(WIDTHS_PX[1], marks=pytest.mark.long)])
 @pytest.mark.parametrize(
     "name",
     ["monitor", *(pytest.param(name, marks=pytest.mark.long) for name in ("question", "list of runs"))],

@@ -124,7 +124,7 @@ class SerialServer:
         os.close(self._device)
 
 
-@pytest.mark.parametrize("way", ["tcp", "serial server"])
+@pytest.mark.parametrize("way", ["tcp", pytest.param("serial server", marks=pytest.mark.long)])
 def test_slcan_on_a_socket_comes_at_full_rate_and_nothing_is_imported_from_the_current_folder(
     emulate, tmp_path, way
 ):

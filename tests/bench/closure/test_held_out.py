@@ -145,9 +145,10 @@ CLEAN = (
 )
 
 
+@pytest.mark.parametrize("count", [2, pytest.param(4, marks=pytest.mark.long)])
 @pytest.mark.parametrize("options", CLEAN, ids=str)
-def test_clean_tables_do_not_differ_from_the_prediction(options):
-    assert p_values(4, **options).min() > 1e-3
+def test_clean_tables_do_not_differ_from_the_prediction(options, count):
+    assert p_values(count, **options).min() > 1e-3
 
 
 @pytest.mark.long

@@ -33,7 +33,7 @@ steps:
       over: {temperature_c: [57, 22, -13]}
       steps:
         - chamber: {temperature_c: $temperature_c, ramp_c_per_min: 10}
-        - soak: {for_s: 600}
+        - soak: {for_s: 120}
         - repeat:
             over: {position: [z_up, z_down, y_up, y_down]}
             steps:

@@ -26,7 +26,7 @@ steps:
       over: {cycle: [1, 2], temperature_c: [40, 10]}
       steps:
         - chamber: {temperature_c: $temperature_c, ramp_c_per_min: 5.0}
-        - soak: {for_s: 600}
+        - soak: {for_s: 120}
         - repeat:
             over: {position: [z_up, y_down, x_up]}
             steps:
