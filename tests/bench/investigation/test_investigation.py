@@ -1,5 +1,4 @@
 import json
-import pickle
 import sys
 from dataclasses import replace
 from types import SimpleNamespace
@@ -43,7 +42,9 @@ def search_once():
     done = {}
 
     def search(campaign, held_out):
-        key = pickle.dumps((campaign, held_out))
+        # Not the campaign as a whole: what was computed of it is kept in it.
+        table = (campaign.start_s, campaign.cycle, campaign.gyro_c, campaign.bias_dph, campaign.sigma_dph)
+        key = (tuple(held_out), *(each.tobytes() for each in table))
         if key not in done:
             done[key] = searched(campaign, held_out)
         return done[key]
