@@ -127,6 +127,7 @@ def _disturbed_axes(time):
 
 
 # pandas 3 ignores an argument of pyins with a warning.
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::Warning")
 def test_quiet_stretches_of_1847_s_with_disturbed_axes_give_earth_rate_and_noise():
     """Increments of the real motion by python-ins, as of a ring-laser INS at 64 Hz."""

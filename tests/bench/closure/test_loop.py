@@ -109,9 +109,10 @@ def test_the_stated_size_is_that_in_the_dwells_searched(closed):
     assert found.rms_dph == pytest.approx(rms(part - part.mean(axis=0)), rel=0.15)
 
 
-def test_gyros_that_show_an_effect_are_named_and_others_seldom():
+@pytest.mark.parametrize("seeds", [4, pytest.param(10, marks=LONG)])
+def test_gyros_that_show_an_effect_are_named_and_others_seldom(seeds):
     named = []
-    for seed in range(10):
+    for seed in range(seeds):
         rows, clean = (measure(each, cycles=2, seed=seed).rows for each in ({"time_drift": 5.0}, None))
         mixed = [
             replace(row, bias_dph=(none.bias_dph[0], row.bias_dph[1], none.bias_dph[2]))
@@ -119,8 +120,8 @@ def test_gyros_that_show_an_effect_are_named_and_others_seldom():
         ]
         [found] = close_loop(campaign_of(mixed), effects=[TIME_DRIFT]).effects
         named += found.axes
-    assert named.count("y") == 10
-    assert len(named) <= 15
+    assert named.count("y") == seeds
+    assert len(named) <= 1.5 * seeds
 
 
 def test_two_effects_that_fit_equally_well_are_ambiguous(closed):
@@ -412,6 +413,7 @@ def test_a_cause_more_probable_than_the_one_found_has_the_objection_to_itself(cl
     assert rejected.startswith("a parameter is at its upper bound")
 
 
+@LONG
 def test_not_even_the_length_of_the_held_out_cycle_changes_the_outcome():
     rows = measure({"thermal_hysteresis": 5.0}, cycles=3).rows
     few = [row for row in rows if row.cycle < 3] + [row for row in rows if row.cycle == 3][:4]

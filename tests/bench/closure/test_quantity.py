@@ -184,6 +184,7 @@ def of_plateaus(closure, chosen):
     return replace(closure.campaign.whole, quantity=rows).part(chosen)
 
 
+@pytest.mark.long
 def test_one_cycle_of_plateaus_is_searched_whole_and_confirms_nothing(scale_factor, tmp_path):
     whole, _ = scale_factor
     closure = close_loop(of_plateaus(whole, whole.campaign.cycle == 1))

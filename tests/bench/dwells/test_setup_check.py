@@ -87,6 +87,7 @@ def test_a_right_angle_about_up_is_named_as_exchanged_axes():
     assert all("are exchanged and ins.signals.velocity_" in dwell.setup_fault for dwell in dwells)
 
 
+@LONG
 def test_axes_turned_about_up_are_found_beside_a_drift_of_the_accelerometers():
     dwells = dwells_of(velocity_turned_deg=20.0, accelerometer_drift_ug_per_h=(100.0, -100.0, 100.0))
     assert re.search(r"are turned by (1[6-9]|2[0-4])", dwells[-1].setup_fault), dwells[-1].setup_fault
@@ -160,7 +161,7 @@ def test_the_tilt_shows_a_damped_velocity_in_short_windows(window_s, damping_s):
     "unit",
     [
         {},
-        {"accelerometer_transient_ug": (20.0, -20.0, 20.0)},
+        pytest.param({"accelerometer_transient_ug": (20.0, -20.0, 20.0)}, marks=LONG),
         {"accelerometer_drift_ug_per_h": (100.0, -100.0, 100.0)},
     ],
 )

@@ -22,8 +22,11 @@ from tests.bench.report.made_up_closure import (
 )
 
 SEARCHES = [
-    *(clean, explained, ambiguous, unexplained),
-    *(pytest.param(search, marks=pytest.mark.long) for search in (faint, quiet, without_boards)),
+    *(clean, explained),
+    *(
+        pytest.param(search, marks=pytest.mark.long)
+        for search in (ambiguous, unexplained, faint, quiet, without_boards)
+    ),
 ]
 
 

@@ -1,8 +1,10 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.supply_power import EFFECT
 from gyrobench.bench.closure.loop import close_loop
 from tests.bench.closure.thermal_bench import STEP_S, measure
@@ -51,8 +53,16 @@ def test_dwells_that_are_held_out_do_not_change_the_others():
     np.testing.assert_array_equal(found, changed)
 
 
-def test_a_supply_that_lags_is_no_warm_up():
-    closure = close_loop(campaign_of(measure({lagging_w: 3.0}, **OPTIONS).rows))
+@pytest.mark.parametrize(
+    "among",
+    [
+        pytest.param(("supply_power", "warm_up", "thermal_lag"), id="some"),
+        pytest.param((), id="all", marks=pytest.mark.long),
+    ],
+)
+def test_a_supply_that_lags_is_no_warm_up(among):
+    candidates = [each for each in all_effects() if each.name in among] or None
+    closure = close_loop(campaign_of(measure({lagging_w: 3.0}, **OPTIONS).rows), effects=candidates)
     assert [each.effect.name for each in closure.effects] == ["supply_power"]
     assert closure.effects[0].candidate.form.name == "lagging"
 
