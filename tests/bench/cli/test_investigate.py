@@ -1,10 +1,21 @@
 import json
 import sys
 
+import pytest
+
 from gyrobench.bench.bias.dwell_table import write_dwells
+from gyrobench.bench.investigation import investigation
 from tests.bench.command_line import gyrobench
 from tests.bench.investigation import simulated_bench
+from tests.bench.investigation.search_once import search_once
 from tests.bench.investigation.simulated_bench import first_campaign, simulate
+
+
+@pytest.fixture(scope="module", autouse=True)
+def searched_once():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(investigation, "searched", search_once())
+        yield
 
 
 def table_of(tmp_path, effects, seed):

@@ -18,6 +18,7 @@ from gyrobench.bench.investigation.proposal import outcome_of
 from gyrobench.bench.report import investigation_text
 from gyrobench.bench.runs.journal import read_journal
 from tests.bench.investigation import simulated_bench
+from tests.bench.investigation.search_once import search_once
 from tests.bench.investigation.simulated_bench import first_campaign, simulate
 from tests.benchmarks.bench_investigation import unit_of
 from tests.benchmarks.investigation_units import SimulatedUnit
@@ -37,32 +38,21 @@ def investigator(unit, folder, budget_h=60.0, approve=lambda proposal, rivals: T
 
 
 @pytest.fixture(scope="module")
-def search_once():
-    """A search that is made once for each table: most investigations here begin with the same one."""
-    done = {}
-
-    def search(campaign, held_out):
-        # Not the campaign as a whole: what was computed of it is kept in it.
-        table = (campaign.start_s, campaign.cycle, campaign.gyro_c, campaign.bias_dph, campaign.sigma_dph)
-        key = (tuple(held_out), *(each.tobytes() for each in table))
-        if key not in done:
-            done[key] = searched(campaign, held_out)
-        return done[key]
-
-    return search
+def search():
+    return search_once()
 
 
 @pytest.fixture
-def searched_once(search_once, monkeypatch):
-    monkeypatch.setattr(investigation, "searched", search_once)
+def searched_once(search, monkeypatch):
+    monkeypatch.setattr(investigation, "searched", search)
 
 
 @pytest.fixture(scope="module")
-def settled(search_once, tmp_path_factory):
+def settled(search, tmp_path_factory):
     """A warm-up that the first table can't distinguish from a drift, settled."""
     folder = tmp_path_factory.mktemp("investigation") / "whole"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(investigation, "searched", search_once)
+        patch.setattr(investigation, "searched", search)
         return investigator(unit_with({"warm_up": 0.02}), folder).run(WallClock()), folder
 
 
