@@ -24,18 +24,21 @@ def gyrobench_process(*arguments, cwd):
     )
 
 
-def gyrobench(*arguments, cwd):
-    """Run a command in this process; exit code and output are those of a process of its own."""
+def gyrobench(*arguments, cwd, typed=os.devnull):
+    """Run a command in this process; exit code and output are those of a process of its own.
+
+    ``typed``: file that it reads as standard input.
+    """
     printed, complained = StringIO(), StringIO()
     with (
         pytest.MonkeyPatch.context() as patch,
-        Path(os.devnull).open() as nothing_typed,
+        Path(typed).open() as standard_input,
         redirect_stdout(printed),
         redirect_stderr(complained),
     ):
         patch.chdir(cwd)
         patch.setattr(sys, "argv", ["gyrobench", *map(str, arguments)])
-        patch.setattr(sys, "stdin", nothing_typed)
+        patch.setattr(sys, "stdin", standard_input)
         for name, value in WIDTH.items():
             patch.setenv(name, value)
         code = _code_of(main)

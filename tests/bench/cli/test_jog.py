@@ -10,8 +10,8 @@ from gyrobench.bench.foundations.shipped import find_document
 from tests.bench.command_line import PROCESS, gyrobench
 
 
-def jog(*arguments, cwd, station="quick"):
-    return gyrobench("jog", station, *arguments, "--world", "quick", cwd=cwd)
+def jog(*arguments, cwd, station="quick", **options):
+    return gyrobench("jog", station, *arguments, "--world", "quick", cwd=cwd, **options)
 
 
 def answers(run):
@@ -188,10 +188,12 @@ def test_commands_come_from_a_pipe_with_comments(tmp_path):
     assert run.stdout.rstrip().endswith("rate table's servos off")
 
 
-@pytest.mark.parametrize("way", ["pipe", "arguments"])
+@pytest.mark.parametrize("way", ["standard input", "arguments"])
 def test_a_command_that_fails_ends_the_session_and_states_how_many_were_not_executed(way, tmp_path):
     lines = ["show", "table outer 999", "", "# to the side", "table outer 20", "show  # it", "quit", "show"]
-    run = piped("\n".join(lines), tmp_path) if way == "pipe" else jog(*lines, cwd=tmp_path)
+    typed = tmp_path / "typed"
+    typed.write_text("\n".join(lines))
+    run = jog(cwd=tmp_path, typed=typed) if way == "standard input" else jog(*lines, cwd=tmp_path)
     assert run.returncode == EXIT_NOT_FINISHED
     printed = answers(run)["table outer 999"]
     assert printed[1] == "Not executed: 2 commands after this one."

@@ -50,7 +50,7 @@ tests: {{warm_up: {{within_dph: 0.002}}}}
 steps:
   - power_on
   - repeat:
-      over: {{number: {list(range(36))}}}
+      over: {{number: {list(range(26))}}}
       steps: {DWELL}
   - power_off
 """

@@ -6,7 +6,7 @@ from gyrobench.bench.investigation.open_hypotheses import searched
 
 
 def search_once():
-    """:func:`searched` that keeps what it found; a campaign also holds what was computed of it, so by values."""
+    """Keep what :func:`searched` found by the values of a table: a campaign changes as it is used."""
     done = {}
 
     @wraps(searched)
