@@ -78,6 +78,7 @@ def test_a_target_of_what_is_not_observable_is_refused():
         proposed(targets, has_vertical=False)
 
 
+@pytest.mark.long
 def test_a_target_that_gravity_or_latitude_keeps_out_of_reach_is_named():
     narrow = TwoAxisTable(EAST, UP, np.eye(3), (-200.0, 200.0), (-100.0, 100.0))
     with pytest.raises(DocumentError, match=r"targets: accelerometer_scale_factor x \(3\d"):

@@ -7,6 +7,7 @@ import pytest
 from gyrobench.bench.bias.dwell_table import read_dwells, write_dwells
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS
 from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.effects.laws import G_SENSITIVITY, TEMPERATURE_RATE, TIME_DRIFT
 from gyrobench.bench.closure.files import closure_document, format_predictions, model_document
 from gyrobench.bench.closure.inputs import coefficient_columns, read_campaign
 from gyrobench.bench.closure.loadable_model import declared_model, model_with_effects, with_coefficients
@@ -80,7 +81,14 @@ def test_its_files_and_sentences_name_the_coefficient_and_its_unit(scale_factor)
     assert header[-1] == "sigma_z_after_ppm"
 
 
-def test_accelerometer_biases_of_dwells_leave_the_vertical_ones_out(tmp_path):
+@pytest.mark.parametrize(
+    "candidates",
+    [
+        pytest.param((G_SENSITIVITY, TEMPERATURE_RATE, TIME_DRIFT), id="some"),
+        pytest.param(None, id="all", marks=pytest.mark.long),
+    ],
+)
+def test_accelerometer_biases_of_dwells_leave_the_vertical_ones_out(tmp_path, candidates):
     rows = measure({"temperature_rate": 8.0}, cycles=2, sigma_dph=10.0).rows
     vertical = [POSITIONS[row.position].up_axis for row in rows]
     rows = [
@@ -93,7 +101,8 @@ def test_accelerometer_biases_of_dwells_leave_the_vertical_ones_out(tmp_path):
         for row, up in zip(rows, vertical, strict=True)
     ]
     write_dwells(tmp_path / "dwells.csv", rows)
-    closure = close_loop(read_campaign(tmp_path / "dwells.csv", quantity=quantity("accelerometer_bias")))
+    campaign = read_campaign(tmp_path / "dwells.csv", quantity=quantity("accelerometer_bias"))
+    closure = close_loop(campaign, effects=candidates)
     measured = closure.campaign.is_measured
     assert not measured[np.arange(len(rows)), vertical].any()
     assert measured.sum() == 2 * len(rows)

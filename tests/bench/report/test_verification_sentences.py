@@ -40,10 +40,17 @@ from tests.bench.report.made_up_verification import (
     rows_of,
     without_a_plateau,
 )
+from tests.bench.verification.missions_once import missions_once
 from tests.bench.verification.test_coefficient_verification import rows_of as coefficients_of
 
 COEFFICIENT_NAMES = [f"{each.name}_{each.axis}" for each in COEFFICIENTS if each.name != "gyro_bias"]
 PHRASES = ("without compensation", "with the declared model", "with the effects")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def shared_missions():
+    with missions_once():
+        yield
 
 
 @pytest.mark.parametrize(

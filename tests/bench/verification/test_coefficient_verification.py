@@ -13,11 +13,18 @@ from gyrobench.bench.verification.coefficient_verification import (
     corrections,
     write_coefficient_tables,
 )
+from tests.bench.verification.missions_once import missions_once
 from tests.bench.verification.runs_alone import coefficient_result
 
 SITE = Site(np.radians(45.0))
 TEMPERATURES_C = (-20.0, 0.0, 20.0, 40.0, 60.0)
 SIGMA = 0.1
+
+
+@pytest.fixture(scope="module", autouse=True)
+def shared_missions():
+    with missions_once():
+        yield
 
 
 def rows_of(polynomials, seed=0, unobserved=()):
