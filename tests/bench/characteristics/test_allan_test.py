@@ -82,7 +82,7 @@ def test_a_periodic_rate_of_few_periods_is_noted_with_its_size(period_s: float, 
 
 @pytest.mark.parametrize(
     ("walk_dph", "count"),
-    [(0.006, 20), *(pytest.param(each, 700, marks=pytest.mark.long) for each in (0.0, 0.006, 0.1))],
+    [(0.006, 14), *(pytest.param(each, 700, marks=pytest.mark.long) for each in (0.0, 0.006, 0.1))],
 )
 def test_noise_and_warm_up_are_no_periodic_rate(walk_dph: float, count: int) -> None:
     random, time_s = np.random.default_rng(6), np.arange(0.0, 10_800.0, 10.0)

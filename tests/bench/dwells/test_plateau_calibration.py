@@ -243,7 +243,7 @@ def test_rotations_on_the_ramp_and_after_the_soak_of_one_set_point_are_two_plate
         {"power_on": {"settle_s": 20}},
         {"chamber": {"temperature_c": 32, "ramp_c_per_min": 1.0, "within_c": 50}},
         *rotated_once,
-        {"soak": {"until_gyro_rate_below_c_per_h": 2, "at_least_s": 7200, "at_most_s": 14400}},
+        {"soak": {"until_gyro_rate_below_c_per_h": 2, "at_least_s": 1800, "at_most_s": 14400}},
         *rotated_once,
         *rotated_once,
         "power_off",
