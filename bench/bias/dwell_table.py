@@ -59,8 +59,6 @@ COLUMNS = (*_columns(_NAMES), "flags")
 NEIGHBOURS_ON = "neighbours_on"
 #: Values of three gyros without a measurement.
 NOT_MEASURED: Triple = (math.nan, math.nan, math.nan)
-
-
 #: Unit of an INS that does not report its serial number.
 UNKNOWN_UNIT = "unknown"
 
