@@ -16,7 +16,7 @@ from gyrobench.bench.engine.live_unit import BUS_SILENCE_S, LiveUnit, telemetry_
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import ConnectionFailedError, FaultError, InstrumentError, ReplyError
 from gyrobench.bench.navigation.table_axes import Angles
-from gyrobench.bench.station.instruments import Instruments
+from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE, Instruments
 from gyrobench.bench.station.safe_state import SafeAction, make_safe
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.ins.can_bus import INSTRUMENT
@@ -167,8 +167,8 @@ class LiveBench:
             self.poll_units()
         for unit in self.units:
             unit.write_waiting(now_s)
-        if self.instruments.is_ramping and "chamber" not in self._failing:
-            self.asked("chamber", self.instruments.advance_ramp)
+        if self.instruments.is_ramping and CHAMBER not in self._failing:
+            self.asked(CHAMBER, self.instruments.advance_ramp)
         self.lateness.add(next_tick_s, now_s, tick_s)
         if self._failing:
             self._reopen()
@@ -266,13 +266,13 @@ class LiveBench:
         statuses = [unit.status() for unit in self.units]
         changes: dict[str, Any] = {"ins": statuses[0], "asked_s": (asked_s := self.clock.now())}
         table, chamber = self.instruments.table, self.instruments.chamber
-        if (faults := self.asked("rate table", table.faults)) is not None:
+        if (faults := self.asked(RATE_TABLE, table.faults)) is not None:
             changes["table_faults"] = tuple(faults)
-        if (of_table := self.asked("rate table", table.read)) is not None:
+        if (of_table := self.asked(RATE_TABLE, table.read)) is not None:
             changes |= {"table": of_table, "table_s": self.clock.now()}
-        if (alarms := self.asked("chamber", chamber.alarms)) is not None:
+        if (alarms := self.asked(CHAMBER, chamber.alarms)) is not None:
             changes["chamber_alarms"] = tuple(alarms)
-        if (of_chamber := self.asked("chamber", chamber.read)) is not None:
+        if (of_chamber := self.asked(CHAMBER, chamber.read)) is not None:
             changes |= {"chamber": of_chamber, "chamber_s": self.clock.now()}
         self.readings = readings = replace(self.readings, **changes)
         self._watch.observe(readings)
@@ -284,7 +284,7 @@ class LiveBench:
 
     def read_table(self) -> None:
         """Read the table alone, between the regular readings."""
-        of_table = self.asked("rate table", lambda: self.instruments.table.read())
+        of_table = self.asked(RATE_TABLE, lambda: self.instruments.table.read())
         if of_table is not None:
             self.readings = replace(self.readings, table=of_table, table_s=self.clock.now())
 

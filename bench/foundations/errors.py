@@ -44,12 +44,12 @@ class InstrumentError(GyrobenchError):
     """Something went wrong with one instrument.
 
     ``instrument``: which one, as the station file names it ("rate table", "chamber", "INS"). ``message``:
-    what happened and what to do.
+    what happened and what to do; the text of the error has the instrument before it.
     """
 
     def __init__(self, instrument: str, message: str) -> None:
         super().__init__(f"{instrument}: {message}")
-        self.instrument = instrument
+        self.instrument, self.message = instrument, message
 
 
 class ConnectionFailedError(InstrumentError, OSError):

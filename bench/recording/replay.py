@@ -15,6 +15,7 @@ from gyrobench.bench.foundations.documents import DocumentProblem, problems_of
 from gyrobench.bench.foundations.errors import DocumentError, InstrumentError
 from gyrobench.bench.foundations.packages import CHAMBERS, RATE_TABLES, load
 from gyrobench.bench.foundations.text import did_you_mean
+from gyrobench.bench.station.instruments import RATE_TABLE
 from gyrobench.drivers.chamber import Chamber, ChamberDialect
 from gyrobench.drivers.rate_table import RateTable, TableDialect
 from gyrobench.drivers.recording.protocol_replay import SCHEME
@@ -44,7 +45,7 @@ def replay(path: Path) -> tuple[Recording, list[Call]]:
     """
     recording = read_recording(path)
     header, calls = recording.header, checked_calls(recording)
-    name = "rate table" if header.instrument == "table" else header.instrument
+    name = RATE_TABLE if header.instrument == "table" else header.instrument
     url = f"{SCHEME}{quote(str(path.absolute()))}"
     baudrate, parity = header.baudrate or _DEFAULT_BAUDRATE, header.parity or _DEFAULT_PARITY
     with SerialLine(name, url, VirtualClock(), baudrate, parity) as line:

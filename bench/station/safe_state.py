@@ -168,8 +168,7 @@ def _set_or_off(chamber: Chamber, temperature_c: float, ramp_c_per_min: float) -
     except RefusedError as error:
         with suppress(RefusedError):  # off, but a profile that runs may switch it on again
             chamber.switch(False)
-        reason = str(error).removeprefix(f"{CHAMBER}: ")
-        raise RefusedError(CHAMBER, f"{_REFUSED}: {reason}") from error
+        raise RefusedError(CHAMBER, f"{_REFUSED}: {error.message}") from error
 
 
 def _taken(step: _Step, instruments: Outputs, meanwhile: Callable[[], object]) -> SafeAction:

@@ -283,8 +283,7 @@ class Acutrol3000:
             code, length = decoded
             body = line.read(length, deadline) if length else b""
         except NoReplyError as error:
-            detail = str(error).removeprefix(f"{line.instrument}: ")
-            raise NoReplyError(line.instrument, f"no complete reply to {message}: {detail}") from error
+            raise NoReplyError(line.instrument, f"no complete reply to {message}: {error.message}") from error
         return code, body.decode("ascii", errors="backslashreplace").strip()
 
     def _skip_late_replies(self) -> str:
@@ -302,7 +301,7 @@ class Acutrol3000:
                     return ""
             return f"other replies arrive for more than {deadline.duration_s:g} s"
         except (NoReplyError, ReplyError) as error:
-            return str(error).removeprefix(f"{line.instrument}: ").replace(mark, f"{count} status queries")
+            return error.message.replace(mark, f"{count} status queries")
 
     def _unexpected(self, message: str, reply: str) -> ReplyError:
         return ReplyError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from gyrobench.bench.engine.bench_state import ExpectedState, Readings
@@ -23,12 +23,18 @@ from gyrobench.bench.foundations.errors import (
     RefusedError,
 )
 from gyrobench.bench.procedure.steps import PowerOn, Step
+from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE
 from gyrobench.bench.station.interlocks import InterlockRule
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.ins.can_bus import INSTRUMENT
 
-_SILENCE = {"rate table": "table_silence", "chamber": "chamber_silence", "INS": "ins_silence"}
-_FAULT = {"rate table": "table_fault", "chamber": "chamber_alarm", "INS": "ins_fault"}
+_CHECKS: Mapping[str, type[TableChecks | ChamberChecks | InsChecks]] = {
+    RATE_TABLE: TableChecks,
+    CHAMBER: ChamberChecks,
+    INSTRUMENT: InsChecks,
+}
+_SILENCE = {RATE_TABLE: "table_silence", CHAMBER: "chamber_silence", INSTRUMENT: "ins_silence"}
+_FAULT = {RATE_TABLE: "table_fault", CHAMBER: "chamber_alarm", INSTRUMENT: "ins_fault"}
 
 
 @dataclass(frozen=True)
@@ -84,10 +90,7 @@ class InterlockWatch:
     def __init__(self, station: Station, clock: Clock, absent: Collection[str] = ()) -> None:
         self._clock = clock
         self._rules = station.file.interlocks.rules()
-        self._checks: list[TableChecks | ChamberChecks | InsChecks] = []
-        for name, checks in (("rate table", TableChecks), ("chamber", ChamberChecks), ("INS", InsChecks)):
-            if name not in absent:
-                self._checks.append(checks(station))
+        self._checks = [checks(station) for name, checks in _CHECKS.items() if name not in absent]
         self._readings: Readings | None = None
         self._good_since_s: dict[str, float] = {}
         #: Nothing was found wrong with these readings and this command, nor will be until that time.

@@ -7,6 +7,7 @@ from typing import TypeVar
 
 from gyrobench.bench.foundations.errors import FaultError, InstrumentError, RefusedError
 from gyrobench.bench.station.check_result import Check
+from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.chamber import Chamber, running_profile
 from gyrobench.drivers.rate_table import AxisLimits, RateTable
@@ -14,7 +15,6 @@ from gyrobench.drivers.rate_table import AxisLimits, RateTable
 #: The first check of each instrument.
 ANSWERS = "answers"
 
-_TABLE, _CHAMBER = "rate table", "chamber"
 _LIMITS = "limits"
 #: The air of a chamber that holds its set point is closer to it.
 _ARRIVED_C = 2.0
@@ -33,14 +33,12 @@ def answered(subject: str, identification: str, expected: str) -> Check:
 
 def unanswered(subject: str, error: InstrumentError) -> Check:
     """Report why an instrument does not answer."""
-    found = str(error).removeprefix(f"{subject}: ")
-    return Check.of(subject, ANSWERS, False, found, "Nothing else is checked until it answers.")
+    return Check.of(subject, ANSWERS, False, error.message, "Nothing else is checked until it answers.")
 
 
 def failed(subject: str, what: str, error: InstrumentError) -> Check:
     """Report that a later request failed."""
-    found = str(error).removeprefix(f"{subject}: ")
-    return Check.of(subject, what, False, found, "Check its line, and repeat the check.")
+    return Check.of(subject, what, False, error.message, "Check its line, and repeat the check.")
 
 
 def table_checks(station: Station, table: Callable[[], RateTable]) -> Iterator[Check]:
@@ -49,7 +47,7 @@ def table_checks(station: Station, table: Callable[[], RateTable]) -> Iterator[C
     ``table`` returns the driver, or raises where it can't be opened.
     """
     checks = (("no faults", _table_faults), (_LIMITS, _table_limits))
-    yield from _checks(_TABLE, station, table, station.file.rate_table.identity, checks)
+    yield from _checks(RATE_TABLE, station, table, station.file.rate_table.identity, checks)
 
 
 def chamber_checks(station: Station, chamber: Callable[[], Chamber]) -> Iterator[Check]:
@@ -66,7 +64,7 @@ def chamber_checks(station: Station, chamber: Callable[[], Chamber]) -> Iterator
         ("no profile", _chamber_profile),
         ("set point", _chamber_set_point),
     )
-    yield from _checks(_CHAMBER, station, chamber, station.file.chamber.identity, checks)
+    yield from _checks(CHAMBER, station, chamber, station.file.chamber.identity, checks)
 
 
 def _checks(
@@ -87,7 +85,7 @@ def _checks(
         try:
             yield Check.of(subject, what, *check(station, opened))
         except _NotReportedError as error:
-            yield Check.skipped(subject, what, str(error).removeprefix(f"{subject}: "))
+            yield Check.skipped(subject, what, error.message)
         except InstrumentError as error:
             yield failed(subject, what, error)
 
@@ -105,7 +103,7 @@ def _table_limits(station: Station, table: RateTable) -> tuple[bool, str, str]:
     try:
         limits = table.limits()
     except RefusedError as error:
-        raise _NotReportedError(_TABLE, f"the controller does not report them ({error})") from error
+        raise _NotReportedError(RATE_TABLE, f"the controller does not report them ({error})") from error
     section = station.file.rate_table
     by_axis = dict(zip(section.axis_numbers, limits, strict=True))
     problems = [*_exceeded(station, "inner", by_axis[section.inner_axis_number])]
@@ -148,7 +146,7 @@ def _chamber_air(station: Station, chamber: Chamber) -> tuple[bool, str, str]:
     try:
         air_c = chamber.read().temperature_c
     except FaultError as error:
-        raise _NotReportedError(_CHAMBER, str(error).removeprefix(f"{_CHAMBER}: ")) from error
+        raise _NotReportedError(CHAMBER, error.message) from error
     limits = station.file.chamber.limits
     low_c, high_c = station.file.interlocks.chamber_air.range_c((limits.low_c, limits.high_c))
     found = f"{air_c:.1f} degC, interlock limits {low_c:g} and {high_c:g} degC"
@@ -160,7 +158,7 @@ def _chamber_limits(station: Station, chamber: Chamber) -> tuple[bool, str, str]
     try:
         low_c, high_c = chamber.limits_c()
     except RefusedError as error:
-        raise _NotReportedError(_CHAMBER, f"the controller does not report them ({error})") from error
+        raise _NotReportedError(CHAMBER, f"the controller does not report them ({error})") from error
     limits = station.file.chamber.limits
     found = (
         f"{low_c:g} to {high_c:g} degC in the controller, {limits.low_c:g} to {limits.high_c:g} degC in the "
@@ -185,16 +183,16 @@ def _chamber_set_point(station: Station, chamber: Chamber) -> tuple[bool, str, s
     # Also where on or off can't be read.
     changes = reading.is_on is not False and abs(reading.temperature_c - set_c) > _ARRIVED_C
     if running_profile(chamber) or changes:
-        raise _NotReportedError(_CHAMBER, "is not tried while the chamber changes its temperature")
+        raise _NotReportedError(CHAMBER, "is not tried while the chamber changes its temperature")
     if not limits.low_c <= set_c <= limits.high_c:
         raise _NotReportedError(
-            _CHAMBER, f"is not tried: {set_c:g} degC is outside {limits.low_c:g} to {limits.high_c:g} degC"
+            CHAMBER, f"is not tried: {set_c:g} degC is outside {limits.low_c:g} to {limits.high_c:g} degC"
         )
     ramps = getattr(chamber, "can_ramp", True)
     try:
         chamber.set_temperature(set_c, limits.ramp_c_per_min if ramps else None)
     except RefusedError as error:
-        return False, str(error).removeprefix(f"{_CHAMBER}: "), "Every run commands set points with ramps."
+        return False, error.message, "Every run commands set points with ramps."
     how = (
         f"the controller ramps and keeps {limits.ramp_c_per_min:g} degC/min as its ramp"
         if ramps
