@@ -90,7 +90,7 @@ _OPENING_TIME_S = 15.0
 _LATE_REPLY_S = 1.0
 
 
-_DriverT = TypeVar("_DriverT", RateTable, Chamber, CanIns)
+_DriverT = TypeVar("_DriverT", bound=RateTable | Chamber | CanIns)
 
 
 @dataclass(frozen=True)
@@ -124,8 +124,7 @@ class Outputs:
         self.clock = clock
         self._station = station
         self._emulation = emulation or Emulation()
-        self._table: RateTable | None = None
-        self._chamber: Chamber | None = None
+        self._drivers: dict[str, Any] = {}  # those opened so far
 
     def __enter__(self) -> Self:
         return self
@@ -136,26 +135,24 @@ class Outputs:
     @property
     def table(self) -> RateTable:
         """The rate table's driver."""
-        if self._table is None:
-            self._table = self._opened(RATE_TABLE, open_table)
-        return self._table
+        return cast(RateTable, self._driver(RATE_TABLE))
 
     @property
     def chamber(self) -> Chamber:
         """The chamber's driver."""
-        if self._chamber is None:
-            self._chamber = self._opened(CHAMBER, open_chamber)
-        return self._chamber
+        return cast(Chamber, self._driver(CHAMBER))
 
     @property
     def is_ramping(self) -> bool:
         """Whether the chamber's set point is being moved along a ramp that its controller lacks."""
-        return isinstance(self._chamber, SoftwareRamp) and self._chamber.is_moving
+        chamber = self._drivers.get(CHAMBER)
+        return isinstance(chamber, SoftwareRamp) and chamber.is_moving
 
     def advance_ramp(self) -> None:
         """Move the chamber's set point on along such a ramp; to be called at every tick."""
-        if isinstance(self._chamber, SoftwareRamp):
-            self._chamber.advance()
+        chamber = self._drivers.get(CHAMBER)
+        if isinstance(chamber, SoftwareRamp):
+            chamber.advance()
 
     def require_no_profile(self) -> None:
         """Raise RefusedError if the chamber runs a profile that the station file does not let a run end."""
@@ -179,41 +176,40 @@ class Outputs:
 
         Raises ConnectionFailedError if it can't be opened, or does not answer.
         """
-        if instrument == RATE_TABLE:
-            self._table = self._reopened(RATE_TABLE, self._table, open_table)
-        elif instrument == CHAMBER:
-            before = self._chamber
-            self._chamber = self._reopened(CHAMBER, before, open_chamber)
-            if isinstance(before, SoftwareRamp) and isinstance(self._chamber, SoftwareRamp):
-                self._chamber.continue_from(before)
-        else:
+        if instrument not in (RATE_TABLE, CHAMBER):
             raise ValueError(f"no instrument is called {instrument!r}")
+        before = self._drivers.get(instrument)
 
-    def close(self) -> None:
-        """Close the ports; table and chamber keep their state."""
-        for driver in (self._chamber, self._table):
-            if driver is not None:
-                driver.close()
-
-    def _opened(self, instrument: str, open_it: Callable[[Station, Clock, Emulation], _DriverT]) -> _DriverT:
-        action = partial(open_it, self._station, self.clock, self._emulation)
-        return within(self.clock, _opening_time_s(self.clock), instrument, action, lambda late: late.close())
-
-    def _reopened(
-        self, instrument: str, old: _DriverT | None, open_it: Callable[[Station, Clock, Emulation], _DriverT]
-    ) -> _DriverT:
-        def reopened(station: Station, clock: Clock, emulation: Emulation) -> _DriverT:
-            if old is not None:
-                old.close()
-            return open_it(station, clock, emulation)
+        def reopened() -> RateTable | Chamber:
+            if before is not None:
+                before.close()
+            return self._newly_opened(instrument)
 
         try:
-            return self._opened(instrument, reopened)
+            self._drivers[instrument] = driver = self._in_time(instrument, reopened)
         except ConnectionFailedError:
             raise
         except InstrumentError as error:
-            what = str(error).removeprefix(f"{instrument}: ")
-            raise ConnectionFailedError(instrument, f"its port is open, but {what}") from error
+            raise ConnectionFailedError(instrument, f"its port is open, but {error.message}") from error
+        if isinstance(before, SoftwareRamp) and isinstance(driver, SoftwareRamp):
+            driver.continue_from(before)
+
+    def close(self) -> None:
+        """Close the ports; table and chamber keep their state."""
+        for driver in list(self._drivers.values()):
+            driver.close()
+
+    def _driver(self, instrument: str) -> Any:
+        if instrument not in self._drivers:
+            self._drivers[instrument] = self._in_time(instrument, partial(self._newly_opened, instrument))
+        return self._drivers[instrument]
+
+    def _newly_opened(self, instrument: str) -> RateTable | Chamber:
+        open_it = open_table if instrument == RATE_TABLE else open_chamber
+        return open_it(self._station, self.clock, self._emulation)
+
+    def _in_time(self, instrument: str, open_it: Callable[[], _DriverT]) -> _DriverT:
+        return within(self.clock, _opening_time_s(self.clock), instrument, open_it, lambda late: late.close())
 
 
 class Instruments(Outputs):
@@ -241,27 +237,12 @@ class Instruments(Outputs):
         self._stations = {unit.instrument: unit for unit in station.units if unit.number not in dropped}
         with contextlib.ExitStack() as opened:
             opened.callback(super().close)
-            try:
-                if may_be_absent:
-                    _await_answer(lambda: self.table.read(), clock)
-                self.table  # noqa: B018 - opens it
-            except InstrumentError as error:
-                self._leave_out(error, may_be_absent)
-                if self._table is not None:
-                    self._table.close()
-                self._table = cast(RateTable, _AbsentTable(error, len(station.file.rate_table.axis_numbers)))
-            try:
-                if may_be_absent:
-                    _await_answer(lambda: self.chamber.read(), clock)
-                self.chamber  # noqa: B018 - opens it
-            except InstrumentError as error:
-                self._leave_out(error, may_be_absent)
-                if self._chamber is not None:
-                    self._chamber.close()
-                self._chamber = cast(Chamber, _AbsentChamber(error))
+            unknown = (math.nan,) * len(station.file.rate_table.axis_numbers)
+            self._open(RATE_TABLE, may_be_absent, TableReading(unknown, unknown, is_servoed=False))
+            self._open(CHAMBER, may_be_absent, ChamberReading(math.nan))
             for name, unit in self._stations.items():
                 try:
-                    self.units[name] = self._opened(name, partial(self._open_unit, unit))
+                    self.units[name] = self._in_time(name, partial(open_ins, unit, clock, emulation, station))
                 except InstrumentError as error:
                     self._leave_out(error, may_be_absent)
                     self.units[name] = _silent_ins(unit, clock)
@@ -276,8 +257,17 @@ class Instruments(Outputs):
         """The INS of the first unit."""
         return next(iter(self.units.values()))
 
-    def _open_unit(self, unit: Station, *_: object) -> CanIns:
-        return open_ins(unit, self.clock, self._emulation, self._station)
+    def _open(self, instrument: str, may_be_absent: bool, nothing: TableReading | ChamberReading) -> None:
+        """Open table or chamber; one that may be absent and does not answer reads ``nothing``."""
+        try:
+            if may_be_absent:
+                _await_answer(lambda: self._driver(instrument).read(), self.clock)
+            self._driver(instrument)
+        except InstrumentError as error:
+            self._leave_out(error, may_be_absent)
+            if instrument in self._drivers:
+                self._drivers[instrument].close()
+            self._drivers[instrument] = _Absent(error, nothing)
 
     def _leave_out(self, error: InstrumentError, may_be: bool) -> None:
         if not may_be:
@@ -325,10 +315,10 @@ def _await_answer(read: Callable[[], object], clock: Clock) -> None:
 
 
 class _Absent:
-    """In place of an instrument that does not answer: refuses every command."""
+    """In place of a table or chamber that does not answer: reads nothing and refuses every command."""
 
-    def __init__(self, error: InstrumentError) -> None:
-        self._instrument = error.instrument
+    def __init__(self, error: InstrumentError, nothing: TableReading | ChamberReading) -> None:
+        self._instrument, self._nothing = error.instrument, nothing
 
     def __getattr__(self, name: str) -> Callable[..., Any]:
         def refuse(*_: object, **__: object) -> None:
@@ -338,16 +328,7 @@ class _Absent:
 
         return refuse
 
-    def close(self) -> None:
-        """Do nothing: it has no port."""
-
-
-class _AbsentTable(_Absent):
-    def __init__(self, error: InstrumentError, axes: int) -> None:
-        super().__init__(error)
-        self._nothing = TableReading((math.nan,) * axes, (math.nan,) * axes, is_servoed=False)
-
-    def read(self) -> TableReading:
+    def read(self) -> TableReading | ChamberReading:
         """Read nothing."""
         return self._nothing
 
@@ -355,15 +336,10 @@ class _AbsentTable(_Absent):
         """Report none."""
         return ()
 
+    alarms = faults
 
-class _AbsentChamber(_Absent):
-    def read(self) -> ChamberReading:
-        """Read nothing."""
-        return ChamberReading(math.nan)
-
-    def alarms(self) -> tuple[str, ...]:
-        """Report none."""
-        return ()
+    def close(self) -> None:
+        """Do nothing: it has no port."""
 
 
 def _silent_ins(station: Station, clock: Clock) -> CanIns:
