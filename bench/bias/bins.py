@@ -1,4 +1,10 @@
-"""Bias per gyro, position and temperature bin (``bias_bins.csv``), and how positions compare in a bin."""
+"""Bias per gyro, position and temperature bin (``bias_bins.csv``), and how positions compare in a bin.
+
+Each power-on gives a gyro another bias. Where the positions of a bin were measured in different power
+cycles, as after a resume in the middle of a plateau, that change would pass for a difference of positions. A
+constant for each power cycle takes it out: positions are compared within power cycles, and across them only
+as far as positions that were measured in several connect them.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +13,23 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
-from itertools import combinations
+from itertools import combinations, permutations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.power_cycle_means import PowerCycleMean, compare_over_power_cycles
-from gyrobench.bench.bias.statistics import weighted_mean
-from gyrobench.bench.foundations.csv_tables import CsvTable, format_csv, read_text, write_text
+from gyrobench.bench.bias.statistics import chi2_p_value, weighted_mean
+from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.csv_tables import (
+    CellReader,
+    CsvTable,
+    format_csv,
+    one_of,
+    read_text,
+    write_text,
+)
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import format_cell
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
@@ -24,6 +38,24 @@ from gyrobench.bench.navigation.positions import AXES, POSITIONS
 DEFAULT_WIDTH_C = 5.0
 #: Narrower ones would fill the memory with empty bins.
 _MIN_WIDTH_C = 0.01
+_ZERO = 1e-9
+
+
+@dataclass(frozen=True)
+class PowerCycleMean:
+    """Mean bias of the dwells of one position, bin and power cycle, deg/h."""
+
+    number: int  #: Of the power cycle in the table, from 1.
+    bias_dph: float
+    sigma_dph: float
+    #: paper_bias_dph, paper_sigma_dph: By the paper's method; NaN where there is none.
+    paper_bias_dph: float = math.nan
+    paper_sigma_dph: float = math.nan
+
+    @property
+    def by_paper(self) -> PowerCycleMean:
+        """The paper's in the place of the other."""
+        return PowerCycleMean(self.number, self.paper_bias_dph, self.paper_sigma_dph)
 
 
 @dataclass(frozen=True)
@@ -49,8 +81,8 @@ class BiasBin:
     #: NaN where there are none.
     paper_bias_dph: float = math.nan
     paper_sigma_dph: float = math.nan
-    #: Means by power cycle, where the dwells of the gyro at these temperatures come from several; see
-    #: :mod:`gyrobench.bench.bias.power_cycle_means`. Not in the file: :func:`with_power_cycles` adds them.
+    #: Means by power cycle, where the dwells of the gyro at these temperatures come from several. Not in the
+    #: file: :func:`with_power_cycles` adds them.
     by_power_cycle: tuple[PowerCycleMean, ...] = ()
 
     @property
@@ -63,6 +95,16 @@ class BiasBin:
 BIN_COLUMNS = tuple(field.name for field in fields(BiasBin) if field.name != "by_power_cycle")
 _PAPER = {"paper_bias_dph", "paper_sigma_dph"}
 _MAY_BE_EMPTY = {"temperature_c", "bias_dph", "sigma_dph", "chi2_reduced", "spread_p_value", *_PAPER}
+_SIGMA = partial(CsvTable.uncertainty, may_be_empty=True)
+#: Of columns that are no plain numbers.
+_READERS: Mapping[str, CellReader] = {
+    "gyro": one_of(AXES),
+    "position": one_of(POSITIONS),
+    "temperature_c": partial(CsvTable.temperature, may_be_empty=True),
+    "sigma_dph": _SIGMA,
+    "count": CsvTable.integer,
+    "paper_sigma_dph": _SIGMA,
+}
 
 
 def bin_biases(rows: Iterable[DwellRow], width_c: float = DEFAULT_WIDTH_C) -> list[BiasBin]:
@@ -220,23 +262,13 @@ def _paper_mean(axis: int, rows: Sequence[DwellRow]) -> tuple[float, float]:
 
 
 def _parsed(table: CsvTable, index: int) -> BiasBin:
-    def number(column: str) -> float:
-        return table.number(index, column, may_be_empty=column in _MAY_BE_EMPTY)
-
-    return BiasBin(
-        gyro=table.choice(index, "gyro", AXES),
-        position=table.choice(index, "position", POSITIONS),
-        bin_low_c=number("bin_low_c"),
-        bin_high_c=number("bin_high_c"),
-        temperature_c=table.temperature(index, "temperature_c", may_be_empty=True),
-        bias_dph=number("bias_dph"),
-        sigma_dph=table.uncertainty(index, "sigma_dph", may_be_empty=True),
-        count=table.integer(index, "count"),
-        chi2_reduced=number("chi2_reduced"),
-        spread_p_value=number("spread_p_value"),
-        paper_bias_dph=number("paper_bias_dph"),
-        paper_sigma_dph=table.uncertainty(index, "paper_sigma_dph", may_be_empty=True),
-    )
+    cells: dict[str, Any] = {
+        column: _READERS[column](table, index, column)
+        if column in _READERS
+        else table.number(index, column, may_be_empty=column in _MAY_BE_EMPTY)
+        for column in BIN_COLUMNS
+    }
+    return BiasBin(**cells)
 
 
 @dataclass(frozen=True)
@@ -280,7 +312,7 @@ def not_connected(bins: Iterable[BiasBin]) -> list[BiasBin]:
     return [
         group[0]
         for group in _groups(bins)
-        if (means := _power_cycle_means(group)) and not compare_over_power_cycles(means).are_all_connected
+        if (means := _power_cycle_means(group)) and not _compared_over_power_cycles(means).are_all_connected
     ]
 
 
@@ -306,7 +338,7 @@ def _power_cycle_means(group: Iterable[BiasBin]) -> list[tuple[str, PowerCycleMe
 
 def _compared(group: Sequence[BiasBin]) -> PositionComparison | None:
     if means := _power_cycle_means(group):
-        found = compare_over_power_cycles(means)
+        found = _compared_over_power_cycles(means)
         if not found.dof:
             return None
         p_value, pair = found.p_value, found.pair
@@ -328,3 +360,50 @@ def _compared(group: Sequence[BiasBin]) -> PositionComparison | None:
         largest_difference_sigma_dph=sigma_dph,
         temperature_spread_c=float(np.ptp([each.temperature_c for each in group])),
     )
+
+
+@dataclass(frozen=True)
+class _ConnectedComparison:
+    """Comparison of the positions of a bin with a constant for each power cycle."""
+
+    #: dof, p_value: Of the chi-square test of equal positions; none compared is dof 0 and NaN.
+    dof: int
+    p_value: float
+    #: pair, difference_dph, sigma_dph: The largest difference of two positions that are connected.
+    pair: tuple[str, str]
+    difference_dph: float
+    sigma_dph: float
+    are_all_connected: bool  #: Whether every position is compared with every other.
+
+
+def _compared_over_power_cycles(means: Sequence[tuple[str, PowerCycleMean]]) -> _ConnectedComparison:
+    """Compare positions by their means in each power cycle."""
+    positions = list(dict.fromkeys(position for position, _ in means))
+    cycles = list(dict.fromkeys(each.number for _, each in means))
+    constants = np.array([[each.number == cycle for cycle in cycles] for _, each in means], dtype=np.float64)
+    of_positions = np.array([[name == each for each in positions] for name, _ in means], dtype=np.float64)
+    design = np.hstack([of_positions, constants])
+    sigma_dph = np.array([each.sigma_dph for _, each in means])
+    data = np.array([each.bias_dph for _, each in means]) / sigma_dph
+
+    def solved(columns: FloatArray) -> tuple[FloatArray, float]:
+        rows = columns / sigma_dph[:, np.newaxis]
+        values = np.linalg.lstsq(rows, data)[0]
+        return values, float(((data - rows @ values) ** 2).sum())
+
+    values, chi2 = solved(design)
+    dof = int(np.linalg.matrix_rank(design)) - len(cycles)
+    p_value = chi2_p_value(dof, solved(constants)[1] - chi2) if dof else math.nan
+    rows = design / sigma_dph[:, np.newaxis]
+    covariance = np.linalg.pinv(rows.T @ rows)
+    reachable = np.linalg.pinv(design) @ design  # projects on what the data determine
+    found = ("", ""), -math.inf, math.nan
+    are_all_connected = True
+    for a, b in permutations(range(len(positions)), 2):
+        contrast = np.zeros(design.shape[1])
+        contrast[[a, b]] = 1.0, -1.0
+        if np.abs(reachable @ contrast - contrast).max() > _ZERO:
+            are_all_connected = False
+        elif (difference := float(contrast @ values)) > found[1]:
+            found = (positions[a], positions[b]), difference, math.sqrt(contrast @ covariance @ contrast)
+    return _ConnectedComparison(dof, p_value, *found, are_all_connected)

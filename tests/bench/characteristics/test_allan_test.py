@@ -7,8 +7,13 @@ import re
 import numpy as np
 import pytest
 
-from gyrobench.bench.characteristics.allan_test import RateRecord, allan_test, square_interval
-from gyrobench.bench.characteristics.periodic_rate import MIN_RATIO, periodic_rate
+from gyrobench.bench.characteristics.allan_test import (
+    MIN_RATIO,
+    RateRecord,
+    allan_test,
+    periodic_rate,
+    square_interval,
+)
 from gyrobench.bench.foundations.errors import MeasurementError
 from tests.bench.characteristics.simulated_rows import holds
 
