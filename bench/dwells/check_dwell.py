@@ -88,9 +88,8 @@ def measure_check_dwell(marks: DwellMarks, frames: FrameBlock, setup: Measuremen
         flags += decoding_flags
         are_signs_tested = check_signal_map(marks, frames, data, setup)
         counts = data.counts
-        first_frame, end_frame = marks.windows[0].first_frame, marks.windows[-1].end_frame
-        temperatures = dwell_temperatures(data, first_frame, end_frame)
-        aligning_c = _aligning_c(data, first_frame, temperatures)
+        temperatures = dwell_temperatures(data, *marks.span)
+        aligning_c = _aligning_c(data, marks.span[0], temperatures)
         dwell = dwell_at_rest(marks, data, setup)
         navigation = _navigation(dwell, setup)
         faults = setup.output_faults(dwell.windows, navigation.noise)

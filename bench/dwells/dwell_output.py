@@ -29,9 +29,7 @@ def decoded_navigation(
     """
     if not marks.windows:
         raise MeasurementError("the INS never navigated at rest in this dwell")
-    navigation, sensor_flags = valid_temperatures(
-        setup.decode(frames), marks.windows[0].first_frame, marks.windows[-1].end_frame
-    )
+    navigation, sensor_flags = valid_temperatures(setup.decode(frames), *marks.span)
     flags = list(sensor_flags)
     if navigation.counts.contradicted:
         flags.append(
@@ -50,7 +48,7 @@ def check_signal_map(
     """
     if fault := latitude_fault(navigation.latitude, setup.site):
         raise SignalMapError(fault)
-    inside = _in_dwell(marks, navigation)
+    inside = navigation.between(*marks.span)
     times = (navigation.ins_time_s[inside], navigation.timestamp_s[inside], navigation.segment[inside])
     if setup.signals and (fault := clock_fault(*times, setup.signals)):
         raise SignalMapError(fault)
@@ -71,7 +69,7 @@ def dwell_at_rest(marks: DwellMarks, navigation: NavigationData, setup: Measurem
     Raises MeasurementError if the INS was not navigating all the time, restarted, or what it sent can't be
     used.
     """
-    _check_navigating(navigation, _in_dwell(marks, navigation))
+    _check_navigating(navigation, navigation.between(*marks.span))
     return Dwell(
         position_name=marks.position,
         azimuth_rad=math.radians(marks.azimuth_deg),
@@ -79,11 +77,6 @@ def dwell_at_rest(marks: DwellMarks, navigation: NavigationData, setup: Measurem
         C_nb_table=tuple(setup.table.attitude(mark.outer_deg, mark.inner_deg) for mark in marks.windows),
         turns=tuple(setup.turn(*pair, navigation) for pair in itertools.pairwise(marks.windows)),
     )
-
-
-def _in_dwell(marks: DwellMarks, navigation: NavigationData) -> slice:
-    """The epochs in the windows of a dwell and between them."""
-    return navigation.between(marks.windows[0].first_frame, marks.windows[-1].end_frame)
 
 
 def _windows(marks: DwellMarks, navigation: NavigationData) -> tuple[NavigationWindow, ...]:

@@ -94,9 +94,7 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
         flags += decoding_flags
         are_signs_tested = check_signal_map(marks, frames, navigation, setup)
         counts = navigation.counts
-        temperatures = dwell_temperatures(
-            navigation, marks.windows[0].first_frame, marks.windows[-1].end_frame
-        )
+        temperatures = dwell_temperatures(navigation, *marks.span)
         dwell = dwell_at_rest(marks, navigation, setup)
         noise = setup.noise_in(dwell.windows)
         faults = setup.output_faults(dwell.windows, noise)

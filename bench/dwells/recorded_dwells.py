@@ -81,7 +81,7 @@ def _undisturbed(folder: RunFolder, purpose: DwellPurpose) -> list[DwellMarks]:
 def _rate_record(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> RateRecord:
     """Integrated rates of the gyros over the window of a noise record, in pieces where epochs are missing."""
     increments = navigated_increments(setup.decode(frames), setup.site)
-    first, end = marks.windows[0].first_frame, marks.windows[-1].end_frame
+    first, end = marks.span
     inside = (increments.row > first) & (increments.row < end)
     angle, follows = increments.angle[inside], increments.follows[inside]
     every = int(np.ceil(max(len(angle), 1) / _MAX_NOISE_SAMPLES))

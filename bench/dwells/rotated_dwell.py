@@ -62,7 +62,7 @@ def measure_rotations(marks: DwellMarks, frames: FrameBlock, setup: MeasurementS
     """
     navigation, _ = decoded_navigation(marks, frames, setup)
     check_signal_map(marks, frames, navigation, setup)
-    first, end = marks.windows[0].first_frame, marks.windows[-1].end_frame
+    first, end = marks.span
     temperatures = dwell_temperatures(navigation, first, end)
     increments = setup.decode_increments(frames)
     is_sent = increments is not None and len(increments.row) > 0

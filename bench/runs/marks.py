@@ -85,6 +85,11 @@ class DwellMarks:
         """Number of frames of the log's part that belong to the dwell."""
         return self.windows[-1].end_frame if self.windows else 0
 
+    @property
+    def span(self) -> tuple[int, int]:
+        """First frame of the first window, and the first one after the last."""
+        return self.windows[0].first_frame, self.windows[-1].end_frame
+
     def to_json(self) -> dict[str, Any]:
         """Plain data for the journal."""
         data = asdict(self)
