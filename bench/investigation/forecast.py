@@ -25,11 +25,12 @@ _SUPPLY_W = "supply_w"
 class Forecast:
     """A unit as its dwells show it: lags and temperature rises, and its state at the end of the last dwell.
 
-    ``measured``: the dwells in the order of time; ``campaign``: the same as arrays.
+    ``measured``: the dwells in the order of time; ``campaign``: the same as arrays; ``noise_scale``: ratio of
+    their noise to the stated uncertainties.
     """
 
-    def __init__(self, measured: Sequence[DwellRow]) -> None:
-        self.measured, self.campaign = measured, campaign_of(measured)
+    def __init__(self, measured: Sequence[DwellRow], noise_scale: float = 1.0) -> None:
+        self.measured, self.campaign, self.noise_scale = measured, campaign_of(measured), noise_scale
         self._typical_s = float(np.median([row.end_s - row.start_s for row in measured]))
         self._sigma_dph = np.nanmedian([row.sigma_dph for row in measured], axis=0)
 

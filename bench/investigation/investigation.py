@@ -192,8 +192,8 @@ class Investigator:
 
     def _with_block(self, stage: Stage, journal: Journal) -> tuple[Stage, tuple[str, str] | None]:
         """The stage with the best block that the bench can do, or why there is none."""
-        folder, scale = self._block_folder, stage.closure.noise_scale
-        forecast = Forecast(stage.closure.noise.weighted(self._rows))
+        folder = self._block_folder
+        forecast = self._forecast(stage.closure)
         done = folder / _DONE
         decided = self._decided(stage, forecast)
         if decided is not None and done.exists():
@@ -208,7 +208,7 @@ class Investigator:
                 measured = [each.proposal.block.kinds for each in self._stages if each.proposal]
                 is_settled = stage.is_uncertain and stage.purpose != DISTINGUISH
                 found = propose(
-                    forecast, stage.rivals, scale, refused, left_h, self._bench, measured,
+                    forecast, stage.rivals, refused, left_h, self._bench, measured,
                     self._profile, stage.calibration if stage.is_uncertain else None, is_settled=is_settled,
                 )  # fmt: skip
                 useful = [
@@ -225,7 +225,7 @@ class Investigator:
                 if not useful:
                     return stage, self._no_block(stage)
                 if is_settled:
-                    best = proposal_of(forecast, useful[0].block, stage.rivals, scale)
+                    best = proposal_of(forecast, useful[0].block, stage.rivals)
                 elif stage.is_test:
                     best = max(useful, key=lambda each: each.tested_per_h)
                 elif self._profile:
@@ -336,9 +336,12 @@ class Investigator:
         stage = Stage(self._spent_h, closure, rivals_of(closure))
         if self._profile is None:
             return stage
-        forecast = Forecast(closure.noise.weighted(self._rows))
-        calibration = calibration_of(forecast, self._profile, stage.rivals, closure.noise_scale, self._bench)
+        forecast = self._forecast(closure)
+        calibration = calibration_of(forecast, self._profile, stage.rivals, self._bench)
         return replace(stage, calibration=calibration)
+
+    def _forecast(self, closure: Closure) -> Forecast:
+        return Forecast(closure.noise.weighted(self._rows), closure.noise_scale)
 
     def _end(self, stage: Stage, *, is_last: bool = False) -> tuple[str, str] | None:
         """Why an investigation ends after a search, None if not; ``is_last`` as in :meth:`_confirmation`."""
@@ -411,15 +414,15 @@ class Investigator:
         entry = next(entry for entry in reversed(entries) if entry["event"] == "proposed")
         plan = BlockPlan.model_validate_json((self._block_folder / _PLAN).read_text(encoding="utf-8"))
         block = Block(tuple(entry["block"].split(", then ")), entry.get("what", entry["block"]), plan)
-        return proposal_of(forecast, block, stage.rivals, stage.closure.noise_scale)
+        return proposal_of(forecast, block, stage.rivals)
 
     def _with_outcome(
         self, stage: Stage, forecast: Forecast, proposal: Proposal, rows: Sequence[DwellRow], journal: Journal
     ) -> Stage:
         """The stage with its block; the dwells are added to the table."""
-        scale, both = stage.closure.noise_scale, stage.confirmed
-        outcome = outcome_of(forecast, proposal, rows, stage.rivals, scale)
-        confirmation = outcome_of(forecast, proposal, rows, both, scale) if both[0].names else None
+        both = stage.confirmed
+        outcome = outcome_of(forecast, proposal, rows, stage.rivals)
+        confirmation = outcome_of(forecast, proposal, rows, both) if both[0].names else None
         hours = (max(row.end_s for row in rows) - proposal.block.plan.start_s) / S_PER_H
         self._flagged = [] if outcome else [*self._flagged, proposal.block.kinds]
         self._rows += rows

@@ -108,7 +108,6 @@ class Proposal:
 def propose(
     forecast: Forecast,
     rivals: Sequence[Rival],
-    noise_scale: float,
     refused: Collection[Sequence[str]] = (),
     max_h: float = np.inf,
     planner: BlockPlanner | None = None,
@@ -126,8 +125,6 @@ def propose(
         Of all dwells measured.
     rivals : sequence of Rival
         Hypotheses fitted to them.
-    noise_scale : float
-        Ratio of the noise to the stated uncertainties.
     refused : collection of sequence of str
         Kinds of the blocks that the bench refused. One kind is not proposed in a pair either; the kinds of a
         refused pair are proposed alone.
@@ -155,12 +152,10 @@ def propose(
     def proposal(block: Block) -> Proposal:
         repeats = max(sum(kind in kinds for kinds in measured) for kind in block.kinds)
         if calibration is None:
-            return replace(proposal_of(forecast, block, rivals, noise_scale), repeats=repeats)
+            return replace(proposal_of(forecast, block, rivals), repeats=repeats)
         new = tuple(forecast.rows(block.plan))
         counting = calibration.rivals if is_settled else rivals
-        after, predictions = _next_pass(
-            forecast, calibration.whole, calibration.profile.means, new, counting, noise_scale
-        )
+        after, predictions = _next_pass(forecast, calibration.whole, calibration.profile.means, new, counting)
         missing_h = calibration.missing_h(after[: len(calibration.rivals)])
         replaced_h = calibration.missing_h(calibration.variances) - missing_h
         found = Proposal(block, new, (), 0.0, Expected(0.0, 1.0, 0.0))
@@ -216,10 +211,10 @@ def hours_left(proposals: Sequence[Proposal], *, is_settled: bool = False) -> Ca
     return left
 
 
-def proposal_of(forecast: Forecast, block: Block, rivals: Sequence[Rival], noise_scale: float) -> Proposal:
+def proposal_of(forecast: Forecast, block: Block, rivals: Sequence[Rival]) -> Proposal:
     """The proposal of a block."""
     new = forecast.rows(block.plan)
-    return _weighed(block, new, _predictions(forecast, new, rivals, noise_scale), rivals)
+    return _weighed(block, new, _predictions(forecast, new, rivals), rivals)
 
 
 def _weighed(
@@ -258,11 +253,7 @@ def proposed(proposal: Proposal, rivals: Sequence[Rival]) -> dict[str, Any]:
 
 
 def calibration_of(
-    forecast: Forecast,
-    profile: Profile,
-    rivals: Sequence[Rival],
-    noise_scale: float,
-    planner: BlockPlanner | None = None,
+    forecast: Forecast, profile: Profile, rivals: Sequence[Rival], planner: BlockPlanner | None = None
 ) -> ProfileCalibration:
     """What the dwells measured determine of the biases of a profile."""
     start = (planner or AfterLastDwell()).start(forecast.measured)
@@ -272,8 +263,8 @@ def calibration_of(
         profile,
         whole,
         rivals,
-        _next_pass(forecast, whole, means, (), rivals, noise_scale)[0],
-        _next_pass(forecast, whole, means, whole, rivals, noise_scale, is_alone=True)[0],
+        _next_pass(forecast, whole, means, (), rivals)[0],
+        _next_pass(forecast, whole, means, whole, rivals, is_alone=True)[0],
     )
 
 
@@ -291,7 +282,6 @@ def _next_pass(
     means: FloatArray,
     new: Sequence[DwellRow],
     rivals: Sequence[Rival],
-    noise_scale: float,
     *,
     is_alone: bool = False,
 ) -> tuple[FloatArray, list[Prediction]]:
@@ -315,7 +305,7 @@ def _next_pass(
         for index, row in enumerate(whole)
     ]
     found, predictions = [], []
-    for each, variance in _linearized(forecast, [*new, *rows], rivals, noise_scale):
+    for each, variance in _linearized(forecast, [*new, *rows], rivals):
         place = np.arange(len(each.sigma_dph) // 3) - len(each.sigma_dph) // 3 + len(rows)
         is_new = (place < 0) & (place >= -len(new))
         known = is_new if is_alone else place < 0
@@ -331,19 +321,17 @@ def _prediction(linear: Linearized, measured: BoolArray, is_new: BoolArray, vari
     return replace(found, covariance=found.covariance + variance * np.eye(len(found.mean_dph)))
 
 
-def _predictions(
-    forecast: Forecast, new: Sequence[DwellRow], rivals: Sequence[Rival], noise_scale: float
-) -> list[Prediction]:
+def _predictions(forecast: Forecast, new: Sequence[DwellRow], rivals: Sequence[Rival]) -> list[Prediction]:
     """What each rival, fitted to dwells, predicts for new ones at their temperatures."""
     found = []
-    for each, variance in _linearized(forecast, new, rivals, noise_scale):
+    for each, variance in _linearized(forecast, new, rivals):
         is_new = np.arange(len(each.sigma_dph) // 3) >= len(each.sigma_dph) // 3 - len(new)
         found.append(_prediction(each, ~is_new, is_new, variance))
     return found
 
 
 def _linearized(
-    forecast: Forecast, new: Sequence[DwellRow], rivals: Sequence[Rival], noise_scale: float
+    forecast: Forecast, new: Sequence[DwellRow], rivals: Sequence[Rival]
 ) -> list[tuple[Linearized, float]]:
     """Each rival linearized about its fit to the dwells, and the variance of what it can't predict."""
     rows, known = forecast.measured, forecast.campaign
@@ -354,11 +342,11 @@ def _linearized(
         above_c = campaign.board_c - campaign.gyro_c
         above_c[measured] = known.above_optics_c
         campaign = replace(campaign, forecast_above_optics_c=above_c)
-    spread_dph = _run_spread_dph(rows, noise_scale)
+    spread_dph = _run_spread_dph(forecast)
     found = []
     for each in rivals:
         candidates, unknown_dph = _predictable(each, campaign, measured, known)
-        linear = linearized(campaign, measured, candidates, noise_scale, spread_dph)
+        linear = linearized(campaign, measured, candidates, forecast.noise_scale, spread_dph)
         found.append((linear, each.remainder_dph**2 + unknown_dph**2))
     return found
 
@@ -385,9 +373,10 @@ def _predictable(
     return [each for each in candidates if each not in missing], size_dph
 
 
-def _run_spread_dph(rows: Sequence[DwellRow], noise_scale: float) -> float:
+def _run_spread_dph(forecast: Forecast) -> float:
     """Standard deviation of the bias from one power-on to the next."""
-    return _MIN_RUN_SPREAD * noise_scale * float(np.nanmedian([row.sigma_dph for row in rows]))
+    sigma_dph = float(np.nanmedian([row.sigma_dph for row in forecast.measured]))
+    return _MIN_RUN_SPREAD * forecast.noise_scale * sigma_dph
 
 
 @dataclass(frozen=True)
@@ -431,11 +420,7 @@ def is_confirmed_by(outcomes: Iterable[Outcome]) -> bool:
 
 
 def outcome_of(
-    forecast: Forecast,
-    proposal: Proposal,
-    new: Sequence[DwellRow],
-    rivals: Sequence[Rival],
-    noise_scale: float,
+    forecast: Forecast, proposal: Proposal, new: Sequence[DwellRow], rivals: Sequence[Rival]
 ) -> Outcome | None:
     """Compare the dwells of a block with what each rival predicts at the temperatures measured there.
 
@@ -446,7 +431,7 @@ def outcome_of(
     if not good:
         return None
     bias_dph = np.array([row.bias_dph for row in good])
-    predictions = _predictions(forecast, good, rivals, noise_scale)
+    predictions = _predictions(forecast, good, rivals)
     logs = np.array([float(each.log_likelihood(bias_dph.T.ravel()[np.newaxis])[0]) for each in predictions])
     logs += np.log([each.probability for each in rivals])
     shares = np.exp(logs - logs.max())
@@ -457,7 +442,7 @@ def outcome_of(
         for run in set(runs.tolist()) - known:
             error_dph[runs == run] -= error_dph[runs == run].mean(axis=0)
         errors.append(rms(error_dph))
-    sigma_dph = noise_scale * np.array([row.sigma_dph for row in good])
+    sigma_dph = forecast.noise_scale * np.array([row.sigma_dph for row in good])
     chi2 = [each.chi2(bias_dph.T.ravel()[np.newaxis])[0] for each in predictions]
     return Outcome(
         tuple((shares / shares.sum()).tolist()),

@@ -126,7 +126,8 @@ class Campaign:
 def found_by(unit, rows, hours, closure, *, is_settled=False):
     """Outcome of a campaign; ``is_settled``: its blocks confirmed the cause."""
     rivals = rivals_of(closure)
-    known = calibration_of(Forecast(closure.noise.weighted(rows)), PROFILE, rivals, closure.noise_scale)
+    forecast = Forecast(closure.noise.weighted(rows), closure.noise_scale)
+    known = calibration_of(forecast, PROFILE, rivals)
     variance = np.array([each.probability for each in known.rivals]) @ known.variances
     set_c = unit._set_c[-1]
     hours += abs(set_c - _END_C) / _END_C_PER_H

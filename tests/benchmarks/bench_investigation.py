@@ -113,7 +113,7 @@ class Tie:
                 new = unit.measure(chosen.block.plan)
                 rivals = tested or confirming_rivals(state.closure)
                 cause = frozenset(rivals[0].names)
-                outcome = cause and outcome_of(state.forecast, chosen, new, rivals, state.closure.noise_scale)
+                outcome = cause and outcome_of(state.forecast, chosen, new, rivals)
                 outcomes = [*state.outcomes, *([(cause, outcome, bool(tested))] if outcome else [])]
                 self._known[blocks] = State(unit, [*state.rows, *new], self._held_out, blocks, outcomes)
 
@@ -180,11 +180,11 @@ class State:
 
     @functools.cached_property
     def forecast(self):
-        return Forecast(self.closure.noise.weighted(self.rows))
+        return Forecast(self.closure.noise.weighted(self.rows), self.closure.noise_scale)
 
     def proposed(self, rivals):
         begin_s = time.process_time()
-        found = propose(self.forecast, rivals, self.closure.noise_scale, measured=self._measured)
+        found = propose(self.forecast, rivals, measured=self._measured)
         self.choice_s = time.process_time() - begin_s
         return found
 

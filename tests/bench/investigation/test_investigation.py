@@ -113,7 +113,7 @@ def test_a_block_far_from_its_forecast_is_named_at_the_end(settled):
     stage = found.stages[0]
     cold = [replace(row, gyro_c=(-60.0, -60.0, -60.0)) for row in stage.proposal.rows]
     forecast = Forecast(found.rows[: -sum(len(each.proposal.rows) for each in found.stages[:-1])])
-    outcome = outcome_of(forecast, stage.proposal, cold, stage.rivals, 1.0)
+    outcome = outcome_of(forecast, stage.proposal, cold, stage.rivals)
     assert outcome.off_forecast_k > 10.0
     idle = replace(found, stages=(replace(stage, outcome=outcome), *found.stages[1:]))
     assert "of block 1 differ by up to" in investigation_text.forecast_sentence(idle)

@@ -42,7 +42,7 @@ def test_an_effect_whose_input_only_a_block_has_is_predicted_for_that_block(rows
     )
     assert [each.name for each in magnetic.unfitted] == ["magnetic_sensitivity"]
     pair = [replace(gravity, probability=0.5), replace(magnetic, probability=0.5)]
-    found = {each.block.name: each for each in propose(Forecast(rows), pair, closure.noise_scale)}
+    found = {each.block.name: each for each in propose(Forecast(rows, closure.noise_scale), pair)}
     headings, cycle = found["four headings"], found["power cycle"]
     assert cycle.fall == pytest.approx(0.0, abs=1e-6)
     assert headings.fall > 0.05
@@ -71,10 +71,10 @@ def test_what_is_improbable_beside_the_cause_counts_as_the_cause(closure):
 
 def test_a_kind_that_was_measured_is_worth_half_of_what_is_expected(rows, closure):
     rivals, forecast = rivals_of(closure), Forecast(rows)
-    before = {each.block.name: each for each in propose(forecast, rivals, 1.0)}
+    before = {each.block.name: each for each in propose(forecast, rivals)}
     measured = [("four headings",), ("power cycle", "four headings")]
     for name, each in {
-        each.block.name: each for each in propose(forecast, rivals, 1.0, measured=measured)
+        each.block.name: each for each in propose(forecast, rivals, measured=measured)
     }.items():
         if name in ("four headings", "power cycle", "slow ramp"):
             repeats = {"four headings": 2, "power cycle": 1}.get(name, 0)
@@ -86,10 +86,11 @@ def test_an_effect_whose_input_the_new_dwells_lack_is_predicted_with_its_size_as
     warm = simulate(unit)
     closure = searched(campaign_of(warm), [2])
     rival = next(each for each in rivals_of(closure) if "thermal_gradient" in each.names)
-    forecast = Forecast([replace(row, board_c=(np.nan,) * 3, case_c=np.nan) for row in warm])
+    bare = [replace(row, board_c=(np.nan,) * 3, case_c=np.nan) for row in warm]
+    forecast = Forecast(bare, closure.noise_scale)
     proposal = next(
         each
-        for each in propose(forecast, [replace(rival, probability=1.0)], closure.noise_scale)
+        for each in propose(forecast, [replace(rival, probability=1.0)])
         if each.block.name == "four headings"
     )
     assert np.isfinite(proposal.predictions[0].covariance).all()
@@ -99,11 +100,9 @@ def test_new_dwells_without_electronics_are_compared_with_those_forecast(rows, c
     steps = next(each.plan for each in catalogue(rows) if each.name == "hot, six positions").steps
     new = simulate(UNIT | {"steps": UNIT["steps"] + [step.model_dump() for step in steps]})[len(rows) :]
     forecast, rivals = Forecast(rows), rivals_of(closure)
-    proposal = next(
-        each for each in propose(forecast, rivals, 1.0) if each.block.name == "hot, six positions"
-    )
+    proposal = next(each for each in propose(forecast, rivals) if each.block.name == "hot, six positions")
     bare = [replace(row, board_c=(np.nan,) * 3) for row in new]
-    outcome = outcome_of(forecast, proposal, bare, rivals, closure.noise_scale)
+    outcome = outcome_of(Forecast(rows, closure.noise_scale), proposal, bare, rivals)
     assert np.isfinite(outcome.error_dph).all()
     assert sum(outcome.probabilities) == pytest.approx(1.0)
 
