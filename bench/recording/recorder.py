@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -17,6 +17,7 @@ from gyrobench.bench.foundations.errors import ConnectionFailedError, DocumentEr
 from gyrobench.bench.foundations.files import cant_be_written, make_folder, write_whole
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.recording.replay import CHAMBER_QUERIES, TABLE_QUERIES, call_driver
+from gyrobench.bench.station.instrument_sections import DialectSection
 from gyrobench.bench.station.instruments import (
     CHAMBER,
     RATE_TABLE,
@@ -28,9 +29,11 @@ from gyrobench.bench.station.instruments import (
 )
 from gyrobench.bench.station.locks import BenchLock
 from gyrobench.bench.station.station import Station
+from gyrobench.drivers.chamber import Chamber
 from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.can_bus import INSTRUMENT
 from gyrobench.drivers.ins.can_ins import CanIns
+from gyrobench.drivers.rate_table import RateTable
 from gyrobench.drivers.recording.recording_file import (
     Call,
     RecordingFile,
@@ -44,6 +47,11 @@ from gyrobench.drivers.serial_line import open_port
 from gyrobench.drivers.served_ports import Port, PseudoTerminal, TcpPort
 
 Instrument = Literal["table", "chamber", "ins"]
+
+#: Name in errors, what opens it, and queries that neither move nor heat anything.
+_QUERIED: Mapping[
+    Instrument, tuple[str, Callable[[Station, Clock, Emulation], RateTable | Chamber], Sequence[Call]]
+] = {"table": (RATE_TABLE, open_table, TABLE_QUERIES), "chamber": (CHAMBER, open_chamber, CHAMBER_QUERIES)}
 
 #: CAN logs that stay readable after a kill.
 _CAN_LOG_SUFFIXES = (".log", ".asc", ".blf")
@@ -86,7 +94,8 @@ class Recorder:
     def lines(self, folder: Path) -> Iterator[None]:
         """Record every line to table and chamber that is opened meanwhile, into a folder."""
         before = set(folder.glob("*.rec"))
-        with recording_lines(folder, _recording_headers(self._station, self._note)):
+        headers = {name: _header(self._station, each, self._note) for each, (name, *_) in _QUERIED.items()}
+        with recording_lines(folder, headers):
             try:
                 yield
             finally:
@@ -155,24 +164,20 @@ class Recorder:
 
     def _record_queries(self, instrument: Instrument, path: Path, clock: Clock) -> list[Call]:
         """Send the queries and write the recording, also of replies that the driver can't parse."""
-        name = RATE_TABLE if instrument == "table" else CHAMBER
+        name, open_it, queries = _QUERIED[instrument]
         calls: list[Call] = []
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary)
             try:
-                with recording_lines(folder, {name: _recording_headers(self._station, self._note)[name]}):
-                    calls += self._query(instrument, clock)
+                with (
+                    recording_lines(folder, {name: _header(self._station, instrument, self._note)}),
+                    contextlib.closing(open_it(self._station, clock, self._emulation)) as driver,
+                ):
+                    calls += list(call_driver(driver, queries))
             finally:
                 for part in sorted(folder.iterdir())[:1]:
                     _write_recording(path, part, calls)
         return calls
-
-    def _query(self, instrument: Instrument, clock: Clock) -> list[Call]:
-        if instrument == "table":
-            with contextlib.closing(open_table(self._station, clock, self._emulation)) as table:
-                return list(call_driver(table, TABLE_QUERIES))
-        with contextlib.closing(open_chamber(self._station, clock, self._emulation)) as chamber:
-            return list(call_driver(chamber, CHAMBER_QUERIES))
 
     def _record_can(self, path: Path, clock: Clock, duration_s: float) -> str:
         """Log frames, with an INS that is off switched on meanwhile; returns what was recorded, in words."""
@@ -229,26 +234,21 @@ class Proxy:
         return bool(request or reply)
 
 
-def _recording_headers(station: Station, note: str) -> dict[str, RecordingHeader]:
-    """Headers of recordings of table and chamber, by the names that errors give the instruments."""
-    table, chamber = station.file.rate_table, station.file.chamber
-    return {
-        RATE_TABLE: RecordingHeader(
-            instrument="table",
-            dialect=table.dialect,
-            options=_options(table, table.installed_dialect.options),
-            axes=list(table.axis_numbers),
-            source=_source(table.port),
-            note=note,
-        ),
-        CHAMBER: RecordingHeader(
-            instrument="chamber",
-            dialect=chamber.dialect,
-            options=_options(chamber, chamber.installed_dialect.options),
-            source=_source(chamber.port),
-            note=note,
-        ),
-    }
+def _section(station: Station, instrument: Instrument) -> DialectSection:
+    return station.file.rate_table if instrument == "table" else station.file.chamber
+
+
+def _header(station: Station, instrument: Instrument, note: str) -> RecordingHeader:
+    """Header of a recording of table or chamber."""
+    section = _section(station, instrument)
+    return RecordingHeader(
+        instrument=instrument,
+        dialect=section.dialect,
+        options=_options(section, section.installed_dialect.options),
+        axes=list(station.file.rate_table.axis_numbers) if instrument == "table" else [],
+        source="emulator" if section.port.startswith("emulator://") else "instrument",
+        note=note,
+    )
 
 
 def _options(section: StrictModel, options: type[StrictModel]) -> dict[str, str | int | float | bool]:
@@ -261,27 +261,22 @@ def _options(section: StrictModel, options: type[StrictModel]) -> dict[str, str 
     }
 
 
-def _source(port: str) -> Literal["instrument", "emulator"]:
-    return "emulator" if port.startswith("emulator://") else "instrument"
-
-
 def _serial_port(station: Station, instrument: Instrument, note: str) -> tuple[RecordingHeader, str]:
     """Header with baud rate and parity, and the port's address."""
     if instrument == "ins":
-        section = station.file.ins
-        if section.interface != "slcan":
+        ins = station.file.ins
+        if ins.interface != "slcan":
             raise DocumentError(
-                f"{station.path}: a proxy needs an INS on slcan, and this one is on {section.interface}; "
+                f"{station.path}: a proxy needs an INS on slcan, and this one is on {ins.interface}; "
                 "record it without --proxy"
             )
-        baudrate = int(section.options.get("tty_baudrate", _SLCAN_BAUDRATE))
+        baudrate = int(ins.options.get("tty_baudrate", _SLCAN_BAUDRATE))
         header = RecordingHeader(instrument="ins", note=note, baudrate=baudrate, parity="N")
-        return header, section.channel
-    line = station.file.rate_table if instrument == "table" else station.file.chamber
-    usual = line.installed_dialect.line
-    header = _recording_headers(station, note)[RATE_TABLE if instrument == "table" else CHAMBER]
-    settings = {"baudrate": line.baudrate or usual.baudrate, "parity": line.parity or usual.parity}
-    return header.model_copy(update=settings), line.port
+        return header, ins.channel
+    section = _section(station, instrument)
+    usual = section.installed_dialect.line
+    settings = {"baudrate": section.baudrate or usual.baudrate, "parity": section.parity or usual.parity}
+    return _header(station, instrument, note).model_copy(update=settings), section.port
 
 
 def _serve_port(where: str) -> Port:

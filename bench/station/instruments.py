@@ -32,7 +32,7 @@ from gyrobench.drivers.chamber.software_ramp import SoftwareRamp
 from gyrobench.drivers.ins.can_bus import close_bus, open_bus
 from gyrobench.drivers.ins.can_ins import CanIns
 from gyrobench.drivers.rate_table import RateTable, TableDialect, TableReading
-from gyrobench.drivers.serial_line import LineDefaults, SerialLine
+from gyrobench.drivers.serial_line import SerialLine
 
 _POLL_S = 0.25
 
@@ -353,9 +353,7 @@ def open_table(station: Station, clock: Clock, emulation: Emulation) -> RateTabl
     """Open the rate table; raises InstrumentError if it can't be opened."""
     section = station.file.rate_table
     dialect = load(RATE_TABLES, section.dialect, TableDialect)
-    with _silent_line(
-        RATE_TABLE, section, dialect.line, clock, _addressed(section, station, clock, emulation)
-    ) as line:
+    with _silent_line(RATE_TABLE, section, station, clock, emulation) as line:
         return dialect.open(line, section.axis_numbers, section)
 
 
@@ -363,9 +361,7 @@ def open_chamber(station: Station, clock: Clock, emulation: Emulation) -> Chambe
     """Open the chamber, with ramps; raises InstrumentError if it can't be opened or does not answer."""
     section = station.file.chamber
     dialect = load(CHAMBERS, section.dialect, ChamberDialect)
-    with _silent_line(
-        CHAMBER, section, dialect.line, clock, _addressed(section, station, clock, emulation)
-    ) as line:
+    with _silent_line(CHAMBER, section, station, clock, emulation) as line:
         driver = dialect.open(line, section)
     return driver if getattr(driver, "can_ramp", True) else cast(Chamber, SoftwareRamp(driver, clock))
 
@@ -407,9 +403,12 @@ def _opening_time_s(clock: Clock) -> float:
 
 @contextlib.contextmanager
 def _silent_line(
-    instrument: str, section: DialectSection, usual: LineDefaults, clock: Clock, url: str
+    instrument: str, section: DialectSection, station: Station, clock: Clock, emulation: Emulation
 ) -> Iterator[SerialLine]:
     """Open a line and wait until it is silent; an error of the driver closes it."""
+    usual, url = section.installed_dialect.line, section.port
+    if url.startswith(f"{_EMULATOR}://") and "?" not in url:
+        url += f"?{urlencode({'clock': clock.name, **_emulated_bench(station, emulation)})}"
     baudrate, parity = section.baudrate or usual.baudrate, section.parity or usual.parity
     line = SerialLine(instrument, usual.completed(url), clock, baudrate, parity)
     try:
@@ -418,13 +417,6 @@ def _silent_line(
     except BaseException:
         line.close()
         raise
-
-
-def _addressed(section: DialectSection, station: Station, clock: Clock, emulation: Emulation) -> str:
-    """Address of an instrument's port; that of an emulator names the emulated bench too."""
-    if not section.port.startswith(f"{_EMULATOR}://") or "?" in section.port:
-        return section.port
-    return f"{section.port}?{urlencode({'clock': clock.name, **_emulated_bench(station, emulation)})}"
 
 
 def _emulated_bench(station: Station, emulation: Emulation) -> dict[str, str | int]:
