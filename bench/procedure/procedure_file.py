@@ -21,7 +21,7 @@ from pydantic import BeforeValidator, Field, PlainValidator, ValidationError
 from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 
 from gyrobench.bench.bias.verdicts import AcceptanceLimits
-from gyrobench.bench.characteristics.tests import CharacteristicTests
+from gyrobench.bench.characteristics.requested_tests import CharacteristicTests
 from gyrobench.bench.foundations.documents import (
     Document,
     DocumentProblem,

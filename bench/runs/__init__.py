@@ -10,4 +10,8 @@
     guard.log                             what the guard saw and did
     dwells.csv, bias_bins.csv             results
     figures/*.png, report.html
+
+``folder`` has these paths; ``journal``, ``can_log``, ``telemetry`` and ``provenance`` write and read the
+files of the same name, ``tables`` the further results. ``marks`` in the journal say which frames make a
+dwell; ``seal`` signs the whole. ``index`` finds runs among many.
 """
