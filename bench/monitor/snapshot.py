@@ -11,9 +11,10 @@ from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from functools import cache
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BeforeValidator, ConfigDict, PlainSerializer, TypeAdapter, ValidationError
+from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError
+from pydantic_core import to_json
 
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import read_limited
@@ -311,11 +312,7 @@ class RunSnapshot(StrictRecord):
     unit: str
     started_utc: str
     updated_utc: str
-    state: Annotated[
-        RunState,
-        BeforeValidator(lambda value: RunState(_STATES_IN_FILE.get(value, value))),
-        PlainSerializer(lambda state: _TEXTS_IN_FILE.get(state, str(state)), when_used="json"),
-    ]
+    state: Annotated[RunState, BeforeValidator(lambda value: RunState(_STATES_IN_FILE.get(value, value)))]
     now_s: float
     left_s: float
     planned_s: float
@@ -353,7 +350,9 @@ class RunSnapshot(StrictRecord):
 
     def to_json(self) -> bytes:
         """JSON text; NaN becomes null."""
-        return _adapter().dump_json(self)
+        # A TypeAdapter would first build a schema of all records, in 0.06 s of each run.
+        state: Any = _TEXTS_IN_FILE.get(self.state, str(self.state))
+        return to_json(replace(self, state=state), inf_nan_mode="null")
 
     @classmethod
     def from_json(cls, data: bytes, name: str = "live.json") -> RunSnapshot:
