@@ -173,9 +173,8 @@ def _soaking(step: Soak, context: StepContext) -> Ticks:
     if step.for_s is not None:
         yield from _lasting(bench, step.for_s)
         return
-    begin_s = bench.clock.now()
+    begin_s, asked_s, is_new = bench.clock.now(), -np.inf, False
     histories: dict[MeasuredUnit, SoakTemperatures] = defaultdict(SoakTemperatures)
-    asked_s, is_new = -np.inf, False
     while (elapsed_s := bench.clock.now() - begin_s) < (step.at_most_s or np.inf):
         if asked_s < bench.readings.asked_s:
             asked_s, is_new = bench.readings.asked_s, True
@@ -306,9 +305,7 @@ def _navigation_begun(context: StepContext) -> Ticks:
             unit.recorder.disturb("the INS left navigation in the turn")
         elif status.alignment is Alignment.NONE and status.mode in (InsMode.BOOT, InsMode.STANDBY):
             unit.live.state.restarted()
-            context.units.repeat_for(
-                unit, "the INS left its alignment. Check its supply and the raw CAN log."
-            )
+            context.units.repeat_for(unit, "the INS left its alignment. Check its supply and the CAN log.")
         elif status.alignment is Alignment.NONE:
             why = "the INS has not aligned, so it can't navigate. Increase the duration of align."
             context.units.fail(unit, InvalidDwellError(why))
