@@ -1,7 +1,7 @@
 """What a loaded compensation changed in the measured biases, against what its numbers say that it subtracts.
 
 A compensation that the INS does not apply, applies with the wrong sign, twice or to another gyro leaves a
-change that is not the one loaded, whatever remains.
+change that is not the one loaded, however large the residual is.
 """
 
 from __future__ import annotations

@@ -89,13 +89,14 @@ def test_an_effect_that_no_candidate_has_is_not_made_up_from_them(search, outsid
     assert len(best.candidates) <= 1
 
 
-OF_TWO = pytest.mark.parametrize(
-    "among",
-    [
-        pytest.param(("g_sensitivity", "bias_jump", "thermal_lag", "time_drift"), id="some"),
-        pytest.param(None, id="all", marks=pytest.mark.long),
-    ],
-)
+def some_or_all(*names):
+    """The quick test searches for some effects, the long one for all."""
+    return pytest.mark.parametrize(
+        "among", [pytest.param(names, id="some"), pytest.param(None, id="all", marks=pytest.mark.long)]
+    )
+
+
+OF_TWO = some_or_all("g_sensitivity", "bias_jump", "thermal_lag", "time_drift")
 
 
 @OF_TWO
@@ -105,13 +106,7 @@ def test_two_effects_are_found_together(search, among):
     assert max(one.p_value(best, 0), one.p_value(best, 1)) < 1e-9
 
 
-OVER_TIME = pytest.mark.parametrize(
-    "among",
-    [
-        pytest.param(("warm_up", "time_drift", "ageing", "thermal_lag"), id="some"),
-        pytest.param(None, id="all", marks=pytest.mark.long),
-    ],
-)
+OVER_TIME = some_or_all("warm_up", "time_drift", "ageing", "thermal_lag")
 
 
 @OVER_TIME
@@ -121,13 +116,7 @@ def test_warm_up_and_drift_are_distinguished_over_several_cycles(search, among):
 
 
 THREE = {"g_sensitivity": 4.0, "bias_jump": 4.0, "thermal_hysteresis": 4.0}
-AMONG = pytest.mark.parametrize(
-    "among",
-    [
-        pytest.param((*THREE, "attitude_thermal"), id="some"),
-        pytest.param(None, id="all", marks=pytest.mark.long),
-    ],
-)
+AMONG = some_or_all(*THREE, "attitude_thermal")
 
 
 @AMONG
