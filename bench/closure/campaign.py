@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.dwell_table import UNKNOWN_UNIT, DwellRow
 from gyrobench.bench.closure.plausibility import implausible
 from gyrobench.bench.closure.quantity import GYRO_BIAS, Quantity
 from gyrobench.bench.closure.temperature_record import TemperatureRecord, record_of_dwells, set_point_path
@@ -175,6 +175,11 @@ class Campaign:
     def middle_s(self) -> FloatArray:
         """Middle of each dwell, shape (n,)."""
         return 0.5 * (self.start_s + self.end_s)
+
+    @property
+    def reported_unit(self) -> str:
+        """Serial number of the INS; empty where it does not report one."""
+        return "" if self.unit == UNKNOWN_UNIT else self.unit
 
     @property
     def has_one_heading(self) -> bool | None:

@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from gyrobench.bench.bias.dwell_table import UNKNOWN_UNIT, DwellRow, read_dwells
+from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
 from gyrobench.bench.closure.files import holds_search
 from gyrobench.bench.closure.loadable_model import (
     LoadableModel,
@@ -117,7 +117,7 @@ class VerificationRuns:
             )
         #: Compensations to measure with.
         self.selected = [name for name in compensations if name in only or not only]
-        unit = closure.campaign.unit if closure.campaign.unit != UNKNOWN_UNIT else ""
+        unit = closure.campaign.reported_unit
         #: One for each compensation that is selected or has a run already, in order.
         self.jobs: Mapping[str, Job] = MappingProxyType(
             {

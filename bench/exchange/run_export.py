@@ -21,7 +21,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv
 
-from gyrobench.bench.bias.dwell_table import UNKNOWN_UNIT
 from gyrobench.bench.closure.files import holds_search, read_held_out_cycles
 from gyrobench.bench.closure.inputs import read_campaign
 from gyrobench.bench.closure.loadable_model import declared_model, model_with_effects
@@ -325,8 +324,7 @@ def export_compensation(closure: Closure, suffixes: Sequence[str], destination: 
         destination.table(_TABLE + suffix, table.schema, iter([table]), **about)
         destination.table(_TERMS + suffix, _TERMS_SCHEMA, iter([terms]), **about)
     with destination.file(_FILE, **about) as path:
-        unit = closure.campaign.unit
-        write_compensation(path, numbers, "" if unit == UNKNOWN_UNIT else unit)
+        write_compensation(path, numbers, closure.campaign.reported_unit)
 
 
 def _table(declared: Compensation, model: Compensation) -> pa.Table:
