@@ -127,7 +127,7 @@ def write_report(
     earlier = read_run(before) if before else None
     compared = [before_after_section(earlier, content, marked_c)] if earlier else []
     key = _figures_key(content, earlier, marked_c)
-    readings = partial(read_telemetry, folder.telemetry) if content.has_readings else None
+    readings = partial(read_telemetry, folder.telemetry, DRAWN) if content.has_readings else None
     content = _shown(content)
     drawn = run_figures(readings, content.dwells, content.bins, content.acceptance, marked_c)
     figures = [SectionFigure(name, "", figure) for name, figure in drawn]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -100,16 +101,14 @@ class Telemetry:
             self._rows = self._written_rows = 0
 
 
-def read_telemetry(folder: Path) -> dict[str, FloatArray]:
+def read_telemetry(folder: Path, columns: Sequence[str] = TELEMETRY_COLUMNS) -> dict[str, FloatArray]:
     """All readings of a run, column name to values, in the order of time.
 
     Raises RunFolderError if a part can't be read.
     """
-    parts = [_read_part(path) for path in find_parts(folder, _SUFFIX).values()]
+    parts = [_read_part(path, columns) for path in find_parts(folder, _SUFFIX).values()]
     # Columns leave the parts one by one, or the readings were in the memory twice.
-    return {
-        name: np.concatenate([np.empty(0), *(part.pop(name) for part in parts)]) for name in TELEMETRY_COLUMNS
-    }
+    return {name: np.concatenate([np.empty(0), *(part.pop(name) for part in parts)]) for name in columns}
 
 
 def damaged_telemetry(folder: Path) -> dict[Path, str]:
@@ -140,15 +139,15 @@ def _floats(column: pa.ChunkedArray) -> FloatArray:
     return np.frombuffer(values.buffers()[1] or b"", np.float64, len(values), 8 * values.offset)
 
 
-def _read_part(path: Path) -> dict[str, FloatArray]:
+def _read_part(path: Path, columns: Sequence[str] = TELEMETRY_COLUMNS) -> dict[str, FloatArray]:
     content = pa.BufferReader(read_limited(path, _MAX_PART_BYTES, RunFolderError))
     try:
         part = pq.ParquetFile(content)
         # Damaged bytes could request gigabytes.
         if part.metadata.num_rows > _MAX_PART_ROWS:
             raise RunFolderError(f"{path}: {part.metadata.num_rows} rows; a part has up to {_ROWS_PER_PART}")
-        table = part.read(columns=list(TELEMETRY_COLUMNS), use_threads=False)  # their start takes longer
-        return {name: _floats(table.column(name)) for name in TELEMETRY_COLUMNS}
+        table = part.read(columns=list(columns), use_threads=False)  # their start takes longer
+        return {name: _floats(table.column(name)) for name in columns}
     except (OSError, KeyError, ValueError, pa.ArrowException) as error:
         if isinstance(error, RunFolderError):
             raise

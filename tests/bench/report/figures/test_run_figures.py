@@ -6,6 +6,7 @@ import io
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import matplotlib
@@ -170,6 +171,25 @@ def test_temperature_figure_draws_what_was_recorded(telemetry: Telemetry) -> Non
     assert np.array_equal(air.get_xdata(), telemetry["time_s"] / 3600.0)
     assert np.array_equal(air.get_ydata(), telemetry["chamber_c"])
     assert "50 °C" in texts(figure)
+
+
+def test_long_runs_are_drawn_by_few_readings_with_every_spike_and_gap(telemetry: Telemetry) -> None:
+    places = np.arange(200_000)
+    long = {name: np.interp(places, 100.0 * np.arange(len(each)), each) for name, each in telemetry.items()}
+    long["chamber_c"] += np.random.default_rng(1).normal(0.0, 0.3, len(places))
+    air_c = long["chamber_c"]
+    air_c[[123_456, 134_567]] = 90.0, -70.0
+    air_c[150_010:150_050] = np.nan
+    drawn = temperature_figure(long, []).axes[0].lines[1]
+    time_h, drawn_c = drawn.get_xdata(), drawn.get_ydata()
+    assert len(drawn_c) < 10_000
+    assert np.isnan(drawn_c).sum() == 1
+    edges_h = [*long["time_s"][::100] / 3600.0, np.inf]
+    for part, (begin_h, end_h) in enumerate(pairwise(edges_h)):
+        read_c = air_c[100 * part : 100 * (part + 1)]
+        shown_c = drawn_c[(time_h >= begin_h) & (time_h < end_h)]
+        assert (np.nanmin(shown_c), np.nanmax(shown_c)) == (np.nanmin(read_c), np.nanmax(read_c))
+        assert (shown_c[0], shown_c[-1]) == (read_c[0], read_c[-1])
 
 
 def test_temperature_figure_without_telemetry_shows_the_dwells(dwells: list[DwellRow]) -> None:
