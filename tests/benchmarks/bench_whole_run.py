@@ -69,6 +69,14 @@ def many_dwells(path, dwells):
     return path
 
 
+def mean_peak_kb(dwells, folder, *options):
+    """Peak memory in kB of several runs: Python takes memory by 1 MB, so that one alone decides nothing."""
+    procedure = many_dwells(folder / f"{dwells}.yaml", dwells)
+    return np.mean(
+        [run(procedure, folder / f"{dwells}-{turn}", *options)[1] for turn in range(RUNS_OF_DWELLS)]
+    )
+
+
 def first_cycle(path):
     """The Fig. 7 procedure without its second cycle: about as long as full_calibration."""
     procedure = yaml.safe_load(find_document("procedures", "six_position_fig7").read_text(encoding="utf-8"))
@@ -138,18 +146,7 @@ def test_table(tmp_path):
     row("Fig. 7, peak memory", f"{peak_kb / 1024:.0f} MB", f"{earlier[1] / 1024:.0f} MB" if earlier else "")
     quick = ("--station", "quick", "--world", "quick")
     run(many_dwells(tmp_path / "compiles.yaml", FEW), tmp_path / "compiles", *quick)
-    # Python takes memory by 1 MB, 5 kB for each of 200 dwells: one run alone decides nothing.
-    peaks_kb = [
-        np.mean(
-            [
-                run(many_dwells(tmp_path / f"{dwells}.yaml", dwells), tmp_path / f"{dwells}-{turn}", *quick)[
-                    1
-                ]
-                for turn in range(RUNS_OF_DWELLS)
-            ]
-        )
-        for dwells in (FEW, MANY)
-    ]
+    peaks_kb = [mean_peak_kb(dwells, tmp_path, *quick) for dwells in (FEW, MANY)]
     row(
         f"peak memory, growth from {FEW} to {MANY} dwells",
         f"{(peaks_kb[1] - peaks_kb[0]) / (MANY - FEW):.1f} kB/dwell",
