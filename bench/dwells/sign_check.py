@@ -304,6 +304,20 @@ def _attitude_changes(signals: SignalMap) -> Iterator[tuple[tuple[str, ...], Sig
             (f"{prefix} leads from navigation to body axes: give x, y and z the other sign",),
             changed("quaternion", **mirrored(quaternion, "xyz")),
         )
+        for name in "xyz":
+            yield (_wrong_sign(f"{prefix}.{name}"),), changed("quaternion", **mirrored(quaternion, name))
+        exchanged = changed("quaternion", x=quaternion.y, y=quaternion.x)
+        yield (_exchanged(f"{prefix}.x", f"{prefix}.y"),), exchanged
+        signals_of = [getattr(quaternion, name) for name in "wxyz"]
+        for where, moved in (
+            ("first", signals_of[1:] + signals_of[:1]),
+            ("last", signals_of[-1:] + signals_of[:-1]),
+        ):
+            wrong, right = signals_of[0].signal, moved[0].signal
+            yield (
+                (f"{prefix}.w is {wrong} in place of {right}, the scalar sent {where}",),
+                changed("quaternion", **dict(zip("wxyz", moved, strict=True))),
+            )
 
 
 def _text(declared: _Evidence, alternatives: list[tuple[tuple[str, ...], _Evidence, FloatArray]]) -> str:

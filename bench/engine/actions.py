@@ -299,7 +299,7 @@ def _navigation_begun(context: StepContext) -> Ticks:
     """Let each INS navigate; one that has left navigation since the last window disturbs its dwell."""
     for unit in context.units.measuring:
         status = unit.live.status()
-        if status.mode is InsMode.NAVIGATE:
+        if status.mode is InsMode.NAVIGATE or (unit.recorder.has_window and not unit.live.ins.reports_mode):
             continue
         if unit.recorder.has_window:
             unit.recorder.disturb("the INS left navigation in the turn")

@@ -1,8 +1,8 @@
 """Other Python packages: optional ones, imported where they are needed, and those that extend the bench.
 
-A package adds dialects of instruments and candidate effects by entry points: it names its object in its
-metadata, under the group of its kind. Dialects are imported one by one, when a station names them: a broken
-package affects only the stations that use it.
+A package adds dialects of instruments, CAN frames of an emulated INS and candidate effects by entry points:
+it names its object in its metadata, under the group of its kind. Dialects are imported one by one, when a
+station names them: a broken package affects only the stations that use it.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from gyrobench.bench.foundations.text import did_you_mean
 
 #: Groups of entry points, and the word for one entry.
 RATE_TABLES, CHAMBERS, EMULATORS = "gyrobench.rate_tables", "gyrobench.chambers", "gyrobench.emulators"
-EFFECTS = "gyrobench.effects"
-_NOUNS = {EFFECTS: "effect"}
+CAN_FORMATS, EFFECTS = "gyrobench.can_formats", "gyrobench.effects"
+_NOUNS = {CAN_FORMATS: "set of CAN frames", EFFECTS: "effect"}
 #: Extra of pyproject.toml that installs each optional package.
 _EXTRAS = {
     "dask": "fleet",

@@ -49,6 +49,8 @@ class StationLimits:
     #: gyro_low_c, gyro_high_c: Temperatures of the gyros at which an interlock trips.
     gyro_low_c: float = -math.inf
     gyro_high_c: float = math.inf
+    #: Commands that the INS of the station has.
+    ins_commands: frozenset[str] = frozenset({"align", "navigate"})
 
 
 def check_plan(document: Document, plan: Plan, limits: StationLimits | None = None) -> None:
@@ -70,6 +72,7 @@ def find_problems(plan: Plan, limits: StationLimits | None = None) -> list[Docum
         problems += [*_order_problems(planned), *_time_problems(planned)]
         if limits is not None:
             problems += [*_chamber_problems(planned, limits), *_table_problems(planned, limits)]
+            problems += _command_problems(planned, limits)
             problems += _find_reach_problems(plan, planned, limits)
     problems += [*_test_problems(plan), *_spin_problems(plan)]
     if limits is not None:
@@ -94,6 +97,17 @@ def _order_problems(planned: PlannedStep) -> Iterator[DocumentProblem]:
         yield DocumentProblem(
             planned.location,
             f"{step.name} needs an aligned INS. Put align before it, after the last go_to and power_on",
+        )
+
+
+def _command_problems(planned: PlannedStep, limits: StationLimits) -> Iterator[DocumentProblem]:
+    command = "align" if isinstance(planned.step, Align) else "navigate"
+    is_sent = isinstance(planned.step, Align | Navigate | RotatingStep)
+    if is_sent and command not in limits.ins_commands:
+        yield DocumentProblem(
+            planned.location,
+            f"{planned.step.name} sends the INS the command '{command}', which the station lacks. "
+            f"Add ins.commands.{command} to the station file",
         )
 
 

@@ -259,6 +259,7 @@ class Station:
             reachable=self._why_unreachable,
             gyro_low_c=gyro.low_c,
             gyro_high_c=gyro.high_c,
+            ins_commands=frozenset(name for name, command in self.file.ins.commands if command is not None),
         )
 
     def by_axis_number(self, angles: Angles) -> dict[int, float]:

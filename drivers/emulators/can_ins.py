@@ -12,6 +12,8 @@ import can
 import numpy as np
 
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.packages import CAN_FORMATS, installed, load
+from gyrobench.bench.foundations.text import did_you_mean
 from gyrobench.drivers.emulators.can_formats import CanFormat
 from gyrobench.drivers.emulators.can_formats.canaerospace import CanaerospaceFormat
 from gyrobench.drivers.emulators.can_formats.gyrobench_ins import GyrobenchFormat
@@ -21,8 +23,8 @@ from gyrobench.drivers.emulators.world.inertial_unit import Epochs, Mode
 from gyrobench.drivers.emulators.world.world import World
 from gyrobench.drivers.frames import FrameBlock, concatenate
 
-#: Makes each set of frames, by the name of its DBC file.
-CAN_FORMATS: MappingProxyType[str, Callable[[World, float], CanFormat]] = MappingProxyType(
+#: Makes each shipped set of frames, by the name of its DBC file; packages add others (``CAN_FORMATS``).
+SHIPPED_FORMATS: MappingProxyType[str, type[CanFormat]] = MappingProxyType(
     {"gyrobench_ins": GyrobenchFormat, "sbg": SbgFormat, "canaerospace": CanaerospaceFormat}
 )
 _DEFAULT_FORMAT = "gyrobench_ins"
@@ -54,13 +56,22 @@ class CanInsEmulator:
     def use_format(self, name: str) -> None:
         """Send and receive the frames of the DBC file of that name.
 
-        Raises DocumentError if there is no such set of frames.
+        Raises DocumentError if there is no such set of frames, or its package is broken.
         """
-        if name not in CAN_FORMATS:
+        offered = installed(CAN_FORMATS)
+        if name not in SHIPPED_FORMATS and name not in offered:
+            names = (*SHIPPED_FORMATS, *offered)
             raise DocumentError(
-                f"no emulated INS sends the frames {name!r}; available: {', '.join(CAN_FORMATS)}"
+                f"no emulated INS sends the frames {name!r}{did_you_mean(name, names)}; "
+                f"available: {', '.join(names)}. A package adds others by the entry point {CAN_FORMATS}"
             )
-        self.format = CAN_FORMATS[name](self._world, self._epoch_unix_s)
+        make = SHIPPED_FORMATS.get(name) or load(CAN_FORMATS, name, type)
+        if not issubclass(make, CanFormat):
+            raise DocumentError(
+                f"the set of CAN frames {name!r} is {make.__qualname__}, no subclass of CanFormat. "
+                "Report this to the package's author"
+            )
+        self.format = make(self._world, self._epoch_unix_s)
 
     def receive(self, message: can.Message) -> None:
         """Take a frame from the bus; ignored if unknown, and while the INS is off or boots."""

@@ -23,7 +23,7 @@ class EmulatorBus(can.BusABC):
     Channel ``ins`` is the first unit on the table, ``ins-2``, ``ins-3`` and so on are further ones. The
     options are the address of the bench, see :mod:`gyrobench.drivers.emulators.bench`, and
 
-    * ``frames``: a name in :data:`gyrobench.drivers.emulators.can_ins.CAN_FORMATS`;
+    * ``frames``: a name in :data:`gyrobench.drivers.emulators.can_ins.SHIPPED_FORMATS`, or of a package;
     * ``power_event``: the chamber's event output that powers the unit, in place of that in the world;
     * ``unit`` and ``identifier_offset``: connect the unit of that number to this channel, with the offset
       added to its identifiers. All clients of a channel receive the frames of all units on it;

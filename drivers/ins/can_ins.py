@@ -148,6 +148,11 @@ class CanIns:
         """Whether the station file defines a command."""
         return getattr(self._commands, command) is not None
 
+    @property
+    def reports_mode(self) -> bool:
+        """Whether the map has the mode of the INS."""
+        return "mode" in self._signals
+
     def align(self, timeout_s: float = _REPLY_TIMEOUT_S) -> None:
         """Begin self-alignment, and wait until the INS confirms it.
 
@@ -301,7 +306,7 @@ class CanIns:
                 raise NoReplyError(
                     self.name,
                     f"no {what} within {timeout_s:g} s on {self._bus}; last frame {status.age_s:.1f} s ago, "
-                    f"mode {status.mode.name}. Check its power, the bus and the DBC.",
+                    f"mode {status.mode_text}. Check its power, the bus, the DBC and the signal map.",
                 )
             yield
 

@@ -111,6 +111,14 @@ class InsStatus:
         """Mode of the INS."""
         return self._readout.mode_of(self._number("mode"))
 
+    @property
+    def mode_text(self) -> str:
+        """The mode in words, with the value of its signal where the map has no mode for it."""
+        name = self.mode.name.lower()
+        if self.mode is not InsMode.BOOT or (mapped := self._readout.map.mode) is None:
+            return name
+        return f"{name} ({mapped.signal} is {self._number('mode'):g}, no value of ins.signals.mode)"
+
     @cached_property
     def alignment(self) -> Alignment:
         """Progress of self-alignment."""

@@ -162,8 +162,8 @@ def _states(station: Station, status: InsStatus) -> Iterator[Check]:
         }[status.alignment]  # fmt: skip
         yield _check(
             "mode",
-            status.mode not in (InsMode.FAULT, InsMode.UNKNOWN),
-            f"reports {status.mode.name.lower()}{alignment}",
+            status.mode not in (InsMode.BOOT, InsMode.FAULT, InsMode.UNKNOWN),
+            f"reports {status.mode_text}{alignment}",
             "Read its built-in test results, and check `mode` in the signal map.",
         )
     if signals.latitude is not None:

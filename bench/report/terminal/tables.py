@@ -166,7 +166,7 @@ def _check_table(checks: Sequence[Check]) -> Table:
     table = Table.grid(padding=(0, 1, 0, 0))
     table.add_column(width=9)
     table.add_column(width=19)
-    table.add_column()
+    table.add_column(overflow="fold")
     for check in checks:
         found = Text(check.found)
         if check.advice:

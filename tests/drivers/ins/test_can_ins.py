@@ -285,12 +285,22 @@ def test_frames_that_arrive_while_a_command_waits_reach_the_sink(
 
 def test_a_command_that_is_not_confirmed_times_out(driver, unit, clock):
     unit.executes = False
-    with pytest.raises(NoReplyError, match=r"INS: no confirmation of 'align' within 3 s.*STANDBY"):
+    with pytest.raises(
+        NoReplyError, match=r"INS: no confirmation of 'align' within 3 s.*mode standby\. Check its"
+    ):
         driver.align(timeout_s=3.0)
     assert clock.now() == pytest.approx(3.0, abs=0.1)
     unit.silent = True
-    with pytest.raises(NoReplyError, match="UNKNOWN"):
+    with pytest.raises(NoReplyError, match="mode unknown"):
         driver.navigate(timeout_s=6.0)
+
+
+def test_a_mode_that_the_map_lacks_is_named_with_its_value(driver, unit):
+    unit.executes, unit.state["MODE"] = False, 9
+    with pytest.raises(
+        NoReplyError, match=r"mode boot \(INS_STATUS\.MODE is 9, no value of ins\.signals\.mode\)"
+    ):
+        driver.align(timeout_s=3.0)
 
 
 def test_a_fault_ends_the_wait(driver, unit):

@@ -1,15 +1,23 @@
 """Preflights of the emulated bench in virtual time: what passes, and each way in which it does not."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
-from gyrobench.bench.engine.preflight.bench_check import check_bench, disk_check, no_instrument_answers
+from gyrobench.bench.engine.preflight.bench_check import (
+    check_bench,
+    disk_check,
+    no_instrument_answers,
+    signal_map_checks,
+)
 from gyrobench.bench.engine.preflight.ins import CanTraffic, _observe, _stream
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.procedure_file import load_procedure
+from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.station.check_result import CheckVerdict
 from gyrobench.bench.station.instruments import Emulation, Outputs, open_ins
 from gyrobench.bench.station.station import Station
@@ -162,6 +170,40 @@ def test_a_procedure_beyond_the_limits_fails_and_the_instruments_are_still_check
     failures = failures_of(procedure=str(path))
     assert list(failures) == ["procedure: within limits"]
     assert "hot.yaml" in failures["procedure: within limits"].found
+
+
+def test_a_procedure_that_sends_a_command_which_the_ins_lacks_fails_with_the_key_to_add(failures_of):
+    lost = "    navigate: {message: INS_COMMAND, values: {COMMAND: 3, ARGUMENT: 0}}\n"
+    failures = failures_of((lost, ""), procedure="ten_minute_check")
+    assert "ten_minute_check.yaml:16:5" in failures["procedure: within limits"].found
+    assert "Add ins.commands.navigate to the station file" in failures["procedure: within limits"].found
+
+
+def test_a_mode_that_the_signal_map_lacks_fails_with_its_value(failures_of):
+    failures = failures_of(("standby: 1, align", "standby: 7, align"))
+    assert "(INS_STATUS.MODE is 1, no value of ins.signals.mode)" in failures["INS: mode"].found
+
+
+@pytest.mark.parametrize(
+    ("scale", "verdict", "words"),
+    [
+        (0.9, CheckVerdict.SKIPPED, "not tested; scale of the velocities 0.90 ± 0.20"),
+        (
+            -0.1,
+            CheckVerdict.FAIL,
+            "do not follow from the tilt of the INS; scale of the velocities -0.10 ± 0.20",
+        ),
+    ],
+)
+def test_a_dwell_that_does_not_test_the_signs_never_passes(tmp_path, scale, verdict, words):
+    velocities = SimpleNamespace(matrix=scale * np.eye(2).ravel(), covariance=0.08 * np.eye(4))
+    dwell = SimpleNamespace(
+        estimate=object(), are_signs_tested=False, evidence=SimpleNamespace(velocities=velocities)
+    )
+    (check,) = signal_map_checks(SimpleNamespace(units={}, dwells=[dwell]), RunFolder(tmp_path))
+    assert check.verdict is verdict
+    assert words in check.found
+    assert "signs of velocities and attitude" in check.advice
 
 
 def test_values_of_a_new_station_file_that_are_not_filled_in_are_named(failures_of):

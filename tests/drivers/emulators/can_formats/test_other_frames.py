@@ -1,15 +1,18 @@
 """What an emulated INS sends in the frames of others, the driver reads back through DBC and shipped map."""
 
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from gyrobench.bench.foundations import packages
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.emulators.can_ins import CAN_FORMATS, CanInsEmulator
+from gyrobench.drivers.emulators.can_formats.sbg import SbgFormat
+from gyrobench.drivers.emulators.can_ins import SHIPPED_FORMATS, CanInsEmulator
 from gyrobench.drivers.emulators.world.inertial_unit import AlignmentQuality, Epochs, Mode
 from gyrobench.drivers.frames import FRAME_DTYPE
 from gyrobench.drivers.ins.attitude import EulerSequence
@@ -63,7 +66,7 @@ def test_velocities_and_attitudes_come_back_to_the_resolution_of_the_frames(make
     assert turned.magnitude().max() < 2.0 * of_attitude
 
 
-@pytest.mark.parametrize("name", CAN_FORMATS)
+@pytest.mark.parametrize("name", SHIPPED_FORMATS)
 def test_blocks_have_the_layout_of_every_block(make_world, name):
     emulator, blocks = CanInsEmulator(make_world()), []
     emulator.use_format(name)
@@ -104,9 +107,36 @@ def test_the_error_for_unknown_frames_names_the_available_ones(make_world):
         CanInsEmulator(make_world()).use_format("nmea2000")
 
 
+@pytest.fixture
+def offered(monkeypatch):
+    """Offer an object as the frames `theirs` of another package."""
+
+    def offer(thing):
+        monkeypatch.setitem(globals(), "OFFERED", thing)
+        entries = (EntryPoint("theirs", f"{__name__}:OFFERED", packages.CAN_FORMATS),)
+        monkeypatch.setattr(packages, "_entries", lambda group: entries)
+
+    return offer
+
+
+def test_a_package_adds_the_frames_of_its_ins(make_world, offered):
+    offered(SbgFormat)
+    emulator = CanInsEmulator(make_world())
+    emulator.use_format("theirs")
+    assert isinstance(emulator.format, SbgFormat)
+    with pytest.raises(DocumentError, match=r"'thiers' \(did you mean 'theirs'\?\); available: .*, theirs\."):
+        emulator.use_format("thiers")
+
+
+def test_frames_of_a_package_that_are_no_format_are_refused(make_world, offered):
+    offered(dict)
+    with pytest.raises(DocumentError, match="'theirs' is dict, no subclass of CanFormat"):
+        CanInsEmulator(make_world()).use_format("theirs")
+
+
 def test_every_set_of_frames_has_a_dbc_file_of_its_name():
     folder = Path(find_document.__code__.co_filename).parents[2] / "drivers" / "ins"
-    assert all((folder / f"{name}.dbc").is_file() for name in CAN_FORMATS)
+    assert all((folder / f"{name}.dbc").is_file() for name in SHIPPED_FORMATS)
 
 
 def test_the_aircraft_angles_of_canaerospace_are_those_of_the_attitude(make_world):
