@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.files import read_limited, read_lines, write_whole
-from gyrobench.bench.foundations.text import format_cell
+from gyrobench.bench.foundations.text import did_you_mean, format_cell
 
 _RowT = TypeVar("_RowT")
 
@@ -31,6 +31,7 @@ _SHOWN_PROBLEMS = 20
 #: What stands between cells in place of a comma, and how to call it.
 _OTHER_SEPARATORS = {";": "';'", "\t": "a tab"}
 _PART_LINES = 100
+_DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+([eE][-+]?[0-9]+)?")
 _INTEGER = re.compile(r"[-+]?[0-9]{1,18}")
 _LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
 _NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
@@ -124,7 +125,8 @@ class CsvTable:
         """Read one of the allowed words."""
         text = self.text(index, column)
         if text not in allowed:
-            self.problem(index, column, f"expected one of {', '.join(allowed)}; found '{text}'")
+            near = did_you_mean(text.lower().replace("-", "_"), allowed)
+            self.problem(index, column, f"expected one of {', '.join(allowed)}; found '{text}'{near}")
         return sys.intern(text)
 
     def integer(self, index: int, column: str) -> int:
@@ -144,7 +146,8 @@ class CsvTable:
                 return value
             self.problem(index, column, f"{value:g} is beyond {_LARGEST_NUMBER:g}")
         elif not (may_be_empty and text.lower() in ("", "nan")):
-            self.problem(index, column, f"expected a number; found '{text}'")
+            point = ". Write a decimal point" if _DECIMAL_COMMA.fullmatch(text) else ""
+            self.problem(index, column, f"expected a number; found '{text}'{point}")
         return math.nan
 
     def uncertainty(self, index: int, column: str, may_be_empty: bool = False) -> float:

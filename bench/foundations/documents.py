@@ -36,6 +36,9 @@ _TOO_MUCH = f"more than {_MAX_VALUES} values or deeper than {_MAX_DEPTH} levels"
 _SHOWN_CHARACTERS = 60
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
 _WRITE_POINT = "A number has a decimal point, not a comma"
+_WITH_UNIT = re.compile(r"[-+]?\d+(\.\d+)?\s*[^\d\s.,_].*")
+#: A message that begins with the keys of a place, as "safe_state.chamber_c is ...".
+_DOTTED_KEYS = re.compile(r"([a-z_0-9]+(?:\.[a-z_0-9]+)+)\b")
 #: Mistakes whose messages need no words of what was found.
 _COMPLETE = ("unknown_key", "unknown_kind", "missing_kind")
 #: Mistakes whose messages need the meaning of the key.
@@ -49,6 +52,7 @@ _PLAIN_WORDS = tuple(
         (r"should have at (least|most) (\d+) items? after validation, not \d+", r"must have at \1 \2 items"),
         (r"should have at least 1 character", "must not be empty"),
         (r"should have at (least|most) (\d+) characters?", r"must have at \1 \2 characters"),
+        (r"should match pattern '\^\[A-Za-z0-9_-\]\{1,80\}\$'", "may have letters, digits, _ and - only"),
         (r"should match pattern", "must match the pattern"),
         (r"should be greater than or equal to", "must be at least"),
         (r"should be less than or equal to", "must be at most"),
@@ -145,6 +149,8 @@ def parse_document(text: str, path: Path) -> Document:
         node = _composed(text)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
+        if str(error.problem).startswith(_NO_COLON):
+            mark = error.context_mark
         place = f"{mark.line + 1}:{mark.column + 1}" if mark else "1:1"
         raise DocumentError(f"{path}:{place}: not valid YAML: {_in_words(error, text)}") from error
     # PyYAML lets the errors of int() and chr() out for absurd version numbers and \U escapes.
@@ -203,11 +209,30 @@ def problems_of(error: ValidationError, at: KeyPath = ()) -> list[DocumentProble
         if detail["type"] == "missing":
             location = location[:-1]
         elif detail["type"] not in _COMPLETE:
-            message = f"{in_plain_words(message)}; found {_shown(detail['input'])}"
-            if isinstance(detail["input"], str) and _DECIMAL_COMMA.fullmatch(detail["input"]):
-                message += f". {_WRITE_POINT}"
+            found, message = detail["input"], in_plain_words(message)
+            if location and isinstance(location[-1], str):
+                message = re.sub(r"^the value (?=must be a list)", f"{_quoted(location[-1])} ", message)
+            if named := _DOTTED_KEYS.match(message):
+                location = (*location, *named[1].split("."))
+            if not (isinstance(found, dict) and _shown(found).endswith("...")):  # a whole section
+                message += f"; found {_shown(found)}{_repair(detail['type'], found, location)}"
         problems.append(DocumentProblem(location, message))
     return problems
+
+
+def _repair(kind: str, found: Any, location: KeyPath) -> str:
+    """How to write what was found instead, as a sentence; empty where that is unknown."""
+    if kind == "list_type" and not isinstance(found, dict):
+        return f". Put it in brackets: [{_shown(found)}, ...]"
+    if not isinstance(found, str):
+        return ""
+    if _DECIMAL_COMMA.fullmatch(found):
+        return f". {_WRITE_POINT}"
+    if kind.startswith(("float", "int")) and _WITH_UNIT.fullmatch(found):
+        return ". Write the number alone, in the unit of the key"
+    if location and found == location[-1]:
+        return f". A variable of a loop is written ${found}"
+    return ""
 
 
 def in_plain_words(message: str) -> str:
@@ -273,6 +298,7 @@ for _tag, _first in (
     _Composer.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", _SCALARS[_tag], list(_first))
 
 
+_NO_COLON = "could not find expected ':'"
 #: Tokens that begin an item or a key: where the parser expects none, the indentation is wrong.
 _BEGINNINGS = ("'<block sequence start>'", "'<block mapping start>'", "'-'", "'?'")
 
@@ -286,6 +312,10 @@ def _in_words(error: yaml.MarkedYAMLError, text: str) -> str:
             return "found a tab. Indent with spaces"
     if begin is None:
         return problem
+    if problem.startswith(_NO_COLON):
+        return (
+            f"no colon after the key {_quoted(text.splitlines()[begin.line].strip())}, or an item without '-'"
+        )
     if problem.startswith("expected <block end>") and problem.endswith(_BEGINNINGS):
         return f"the indentation differs from that of line {begin.line + 1}, where the list or the keys begin"
     if problem.startswith(("expected ',' or '}'", "expected ',' or ']'")):

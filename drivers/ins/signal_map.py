@@ -28,6 +28,8 @@ def _is_signal_name(value: str) -> str:
     message, dot, signal = value.partition(".")
     if not (message and dot and signal) or "." in signal:
         raise ValueError("expected MESSAGE.SIGNAL as the DBC file names them")
+    if message.startswith("-"):
+        raise ValueError(f"the opposite sign is written {{signal: {value[1:]}, sign: -1}}")
     return value
 
 

@@ -265,7 +265,7 @@ def test_values_that_a_step_cant_take_are_reported_with_a_misspelt_variable(
     ("text", "place", "part"),
     [
         ("steps: [power_off]", "1:1", "the key 'procedure' is missing"),
-        ("procedure: a b\nsteps: [power_off]", "1:1", "pattern"),
+        ("procedure: a b\nsteps: [power_off]", "1:1", "may have letters, digits, _ and - only"),
         ("procedure: a\nsteps: power_off", "2:1", "must be a list"),
         ("procedure: a\nbin_width: 5\nsteps: [power_off]", "2:1", "did you mean 'bin_width_c'"),
         ("procedure: a\nbin_width_c: 0\nsteps: [power_off]", "2:1", "at least 0.1"),

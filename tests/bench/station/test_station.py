@@ -49,6 +49,27 @@ def test_a_left_handed_mounting_is_an_error_with_its_place(changed):
 
 
 @pytest.mark.parametrize(
+    ("value", "put", "message"),
+    [
+        ("chamber_c: 23", "chamber_c: 90", "safe_state.chamber_c (90) is outside the chamber's limits"),
+        (
+            "safe_state:",
+            "interlocks:\n  chamber_air: {high_c: 30}\nsafe_state:",
+            "interlocks.chamber_air trips",
+        ),
+    ],
+)
+def test_a_value_that_contradicts_another_is_reported_at_its_own_place(changed, value, put, message):
+    text = changed((value, put)).read_text()
+    at = text.index("chamber_air" if "air" in put else put)
+    line, column = text[:at].count("\n") + 1, at - text.rindex("\n", 0, at)
+    with pytest.raises(DocumentError) as raised:
+        Station(changed((value, put)))
+    assert f"station.yaml:{line}:{column}: {message}" in str(raised.value)
+    assert "; found" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
     ("found", "put", "message"),
     [
         (

@@ -45,6 +45,7 @@ def test_an_epoch_is_complete_with_velocity_attitude_and_counter(signal_map, mak
         ("sequence: INS_STATUS.EULER_SEQUENCE", "sequence: rpy", "expected MESSAGE.SIGNAL"),
         ("sequence: INS_STATUS.EULER_SEQUENCE", "sequence: {rpy_321: 4}", "the signal of the sequence"),
         ("VELOCITY_NE.VELOCITY_EAST", "A.B.C", "expected MESSAGE.SIGNAL"),
+        ("VELOCITY_NE.VELOCITY_EAST", "-A.B", r"the opposite sign is written \{signal: A\.B, sign: -1\}"),
         ("sign: -1", "sign: 0", "1 or -1"),
         ("epoch_period_s: 0.1", "epoch_period_s: 0", "above 0"),
         ("time_s: SYSTEM_TIME.TIME_S\n", "", "time_ns is added to time_s"),
