@@ -115,9 +115,10 @@ class ModbusRtu:
 
     def _receive(self, size: int) -> bytes:
         deadline = Deadline(self._line.clock, self._reply_timeout_s)
-        reply = self._line.read(_EXCEPTION_FRAME_BYTES, deadline)
+        settings = f"this baud rate and Modbus address {self._address}"
+        reply = self._line.read(_EXCEPTION_FRAME_BYTES, deadline, settings)
         if not reply[1] & _EXCEPTION_BIT:
-            reply += self._line.read(size - _EXCEPTION_FRAME_BYTES, deadline)
+            reply += self._line.read(size - _EXCEPTION_FRAME_BYTES, deadline, settings)
         return reply
 
     def _unexpected(self, request: bytes, reply: bytes, problem: str) -> ReplyError:

@@ -141,10 +141,11 @@ class SerialLine:
         except _port_errors() as error:
             raise self._gone(error) from error
 
-    def read(self, count: int, deadline: Deadline) -> bytes:
+    def read(self, count: int, deadline: Deadline, settings: str = "this baud rate") -> bytes:
         """Read exactly ``count`` bytes.
 
-        Raises NoReplyError if fewer bytes arrived before the deadline; the message has those that did. Raises
+        Raises NoReplyError if fewer bytes arrived before the deadline; the message has those that did, and
+        the ``settings`` of the instrument that a reply depends on. Raises
         ConnectionFailedError if the port went away.
         """
         try:
@@ -158,7 +159,7 @@ class SerialLine:
             raise NoReplyError(
                 self.instrument,
                 f"{len(data)} of {count} bytes within {deadline.duration_s:g} s on {self.address}"
-                f"{': ' + data.hex(' ') if data else ''}. Is it switched on and set to this baud rate?",
+                f"{': ' + data.hex(' ') if data else ''}. Is it switched on and set to {settings}?",
             )
         return data
 

@@ -26,6 +26,7 @@ def control(
 
     Example: gyrobench control runs/six_position_fig7-001 hold
     """
+    import shlex
     import socket
 
     from gyrobench.bench.engine.operator import COMMAND_MEANINGS, send_command
@@ -40,7 +41,11 @@ def control(
         raise RunFolderError(f"{run_folder}: is an investigation. Give the folder of its run in progress")
     holder = holder_of(run_folder)
     if holder is None:
-        raise RunFolderError(f"{run_folder}: no run is in progress there on this machine")
+        look = f". `gyrobench resume {shlex.quote(str(run_folder))} --look` shows what is left of it"
+        is_run = RunFolder(run_folder).journal.exists()
+        raise RunFolderError(
+            f"{run_folder}: no run is in progress there on this machine{look if is_run else ''}"
+        )
     if holder.host != socket.gethostname():
         raise RunFolderError(f"{run_folder}: the run is on {holder.host}. Run gyrobench control there")
     if not is_held_by(run_folder, holder.pid):

@@ -279,6 +279,8 @@ class Resumption:
             f"{len(state.finished)} of {plan.dwell_count} dwells are finished and kept"
             f"{f', {len(state.skipped)} skipped' if state.skipped else ''}.",
         ]
+        if not state.unsafe:
+            lines.append("The bench was brought to its safe state.")
         lines += [f"Unit {number} was dropped and stays out: {why}" for number, why in state.dropped.items()]
         if state.in_progress:
             lines.append(f"Interrupted step: {state.in_progress}.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -99,6 +100,7 @@ class Headline:
     tiles: tuple[Tile, ...]
     end: datetime | None
     share_done: float
+    next_step: str  #: Command with which an operator continues; empty where there is none.
 
 
 def headline(snapshot: RunSnapshot, verdict: str = "") -> Headline:
@@ -114,7 +116,18 @@ def headline(snapshot: RunSnapshot, verdict: str = "") -> Headline:
         tiles=(_time_tile(snapshot), _temperature_tile(snapshot.bench), _dwell_tile(snapshot)),
         end=_expected_end(snapshot) if state in _PROGRESSING else None,
         share_done=min(max(share, 0.0), 1.0),
+        next_step=_next_step(snapshot),
     )
+
+
+def _next_step(snapshot: RunSnapshot) -> str:
+    folder = shlex.quote(snapshot.folder)
+    if snapshot.state in (RunState.STOPPED, RunState.FAILED):
+        return f"gyrobench resume {folder} --look shows what is left; without --look it resumes."
+    answers = snapshot.question.answers if snapshot.question else ()
+    if snapshot.state is RunState.PAUSED or "continue" in answers:
+        return f"gyrobench control {folder} continue resumes it, abort in its place ends it."
+    return ""
 
 
 def _state_class(state: RunState, verdict: str) -> str:

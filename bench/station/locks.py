@@ -72,9 +72,12 @@ class Holder:
         )
 
 
-_IN_PROGRESS = (
-    "That run is still in progress: wait for its end, or end it with `gyrobench control RUN abort`."
-)
+def _in_progress(run: str) -> str:
+    quoted = shlex.quote(run)
+    return (
+        f"That run is still in progress: watch it with `gyrobench monitor {quoted}`, or end it with "
+        f"`gyrobench control {quoted} abort`."
+    )
 
 
 class _LockFile:
@@ -206,14 +209,16 @@ class RunLock(_Lock):
         paths = {f"the run folder {run_path}": run_path / LOCK}
         super().__init__(paths, lambda: _identity(run_path, command), clock)
 
-    def _advice(self, holder: Holder | None) -> str:  # noqa: ARG002
-        return _IN_PROGRESS
+    def _advice(self, holder: Holder | None) -> str:
+        return _in_progress("RUN" if holder is None else holder.run)
 
 
 def require_no_holder(run_path: Path) -> None:
     """Raise BenchInUseError where a process holds a run folder."""
     if (holder := holder_of(run_path)) is not None:
-        raise BenchInUseError(f"the run folder {run_path} is in use by {holder.describe()}. {_IN_PROGRESS}")
+        raise BenchInUseError(
+            f"the run folder {run_path} is in use by {holder.describe()}. {_in_progress(holder.run)}"
+        )
 
 
 def holder_of(run_path: Path) -> Holder | None:

@@ -106,6 +106,9 @@ def _silent(station: Station, error: InstrumentError) -> Check:
     if station.file.unit.power == "operator" and isinstance(error, NoReplyError):
         why = "sends nothing; the operator switches it on"
         return Check.skipped(_SUBJECT, "answers", why, "Switch it on to check it.")
+    if not error.instrument.startswith(_SUBJECT):  # it switches the supply
+        found = f"not switched on: the {error.instrument}, whose output feeds it, failed: {error.message}"
+        return Check.of(_SUBJECT, "answers", False, found, "Nothing else is checked until it answers.")
     return unanswered(_SUBJECT, error)
 
 

@@ -100,7 +100,10 @@ def test_the_old_name_works_and_names_its_replacement(run_in_progress):
 def test_a_folder_without_a_run_in_progress_is_an_error(tmp_path):
     done = command("control", tmp_path, "pause", cwd=tmp_path)
     assert done.returncode == EXIT_NOT_FINISHED
-    assert "no run is in progress there on this machine" in done.stderr
+    assert done.stderr.endswith("no run is in progress there on this machine\n")
+    (tmp_path / "journal.jsonl").touch()
+    done = command("control", tmp_path, "pause", cwd=tmp_path)
+    assert f"`gyrobench resume {tmp_path} --look` shows what is left of it" in done.stderr
 
 
 @pytest.mark.parametrize("pid", [1, -1, 0, "own"])

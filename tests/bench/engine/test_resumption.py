@@ -197,7 +197,12 @@ def test_an_aborted_run_can_be_resumed(procedure, undisturbed, tmp_path):
 def test_a_run_in_progress_is_not_resumed(procedure, tmp_path):
     path = broken_off(procedure, tmp_path / "run", "soak")
     resumption = prepare_resumption(path)
-    with RunLock(path, VirtualClock()), pytest.raises(BenchInUseError, match="run folder"):
+    with (
+        RunLock(path, VirtualClock()),
+        pytest.raises(
+            BenchInUseError, match=rf"run folder.* watch it with `gyrobench monitor {path}`, or end it"
+        ),
+    ):
         resume_run(resumption, Watcher(), ConsentingOperator())
 
 

@@ -61,3 +61,4 @@ def test_what_the_guard_did_not_finish_is_named_until_it_has(served, begun):
         assert "(rate table stopped: no reply)" in prepare_resumption(begun.path).describe_bench()
         journal.record("guard_acted", reason="died", safe_state=[{"what": done[0].what, "problem": ""}])
     assert prepare_resumption(begun.path).describe_bench() == ""
+    assert "The bench was brought to its safe state." in prepare_resumption(begun.path).describe()

@@ -54,6 +54,16 @@ def test_a_run_in_its_middle():
     assert headline(made_up_snapshot()).share_done == pytest.approx(0.6)
 
 
+def test_a_run_that_waits_or_broke_off_shows_the_command_that_continues_it():
+    running = replace(made_up_snapshot(), folder="/runs/my run")
+    broken = replace(running, state=RunState.STOPPED)
+    waits = replace(waiting_snapshot(), folder="/runs/hot")
+    asked = replace(waits, question=replace(waits.question, answers=("yes", "no")))
+    assert headline(broken).next_step.startswith("gyrobench resume '/runs/my run' --look shows what is left")
+    assert headline(waits).next_step.startswith("gyrobench control /runs/hot continue resumes it, abort")
+    assert [headline(each).next_step for each in (running, asked)] == ["", ""]
+
+
 def test_a_run_that_is_over_took_what_it_took():
     shown = tiles(replace(made_up_snapshot(), state=RunState.FINISHED, left_s=0.0))
     assert shown["Took"][0] == "9:12 h"

@@ -161,6 +161,8 @@ def test_a_killed_run_is_shown_at_once(tmp_path):
     with run_under_way(run):
         assert "running" in text_of(site, "/fragment")
     assert "stopped without recording its end" in text_of(site, "/fragment")
+    assert "gyrobench resume runs/six_position-001 --look" in text_of(site, "/fragment")
+    assert "commands are sent" not in text_of(site, "/fragment")
     assert "stopped without recording its end" in text_of(Website(tmp_path, now), "/fragment")
 
 

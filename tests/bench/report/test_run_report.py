@@ -478,6 +478,16 @@ def test_run_in_one_position_says_once_that_there_is_nothing_to_compare(
     assert text.count("Nothing to compare") == 1
 
 
+def test_a_dwell_that_was_skipped_is_counted_on_the_first_page(
+    empty_folder: RunFolder, dwells: list[DwellRow]
+) -> None:
+    write_dwells(empty_folder.dwells, dwells[:1])
+    with Journal(empty_folder.journal, VirtualClock()) as journal:
+        for dwell in (dwells[0].dwell, 70, 71):  # the first was resumed and measured after all
+            journal.record("dwell_skipped", dwell=dwell)
+    assert "1 measured, 0 of them flagged; 2 skipped" in page_of(empty_folder).text
+
+
 def test_killed_run_is_reported_as_such(empty_folder: RunFolder, journal_writer: Callable[..., None]) -> None:
     journal_writer(empty_folder, ended="")
     text = text_of(empty_folder)

@@ -219,6 +219,12 @@ def test_a_silent_unit_that_the_operator_switches_is_skipped(tmp_path):
     assert "Switch it on" in of_unit.advice
 
 
+def test_a_chamber_at_another_address_fails_with_its_address_and_the_unit_with_its_supply(failures_of):
+    failures = failures_of(("  address: 1\n", "  address: 5\n"))
+    assert "set to this baud rate and Modbus address 5?" in failures["chamber: answers"].found
+    assert failures["INS: answers"].found.startswith("not switched on: the chamber, whose output feeds it,")
+
+
 def test_a_silent_unit_that_is_always_on_fails(failures_of):
     failures = failures_of(("power: chamber_event", "power: always_on"))
     assert list(failures) == ["INS: answers"]
