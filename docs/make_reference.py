@@ -44,8 +44,10 @@ def _generated(part: re.Match[str]) -> str:
     module, _, name = place.partition(":")
     found = getattr(importlib.import_module(module), name)
     tops = {"": found} if inspect.isclass(found) else found
-    sections = [each for path, model in tops.items() for each in sections_of(model, path)]
-    return "\n".join(_keys_section(section, left_out) for section in sections)
+    alike: dict[tuple[str, tuple[Key, ...]], list[Section]] = {}
+    for section in (each for path, model in tops.items() for each in sections_of(model, path)):
+        alike.setdefault((section.meaning, tuple(section.keys)), []).append(section)
+    return "\n".join(_keys_section(sections, left_out) for sections in alike.values())
 
 
 def _table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
@@ -56,14 +58,18 @@ def _table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
     )
 
 
-def _keys_section(section: Section, left_out: set[str]) -> str:
+def _keys_section(sections: list[Section], left_out: set[str]) -> str:
+    """Table of the keys that stand at one place or, alike, at several."""
+    section, *others = sections
     rows = [
         (f"`{key.name}`", key.meaning, key.values, _shown(key.default))
         for key in section.keys
         if key.name not in left_out
     ]
     parts = [
-        f"**`{section.path}`**\n" if section.path else "",
+        f"**`{section.path}`**{'; also ' * bool(others)}{', '.join(f'`{each.path}`' for each in others)}\n"
+        if section.path
+        else "",
         f"{section.meaning}\n" if section.meaning else "",
     ]
     parts.append(_table(("key", "meaning", "values", "default"), rows) if rows else "")

@@ -275,9 +275,8 @@ def parse_address(url: str) -> tuple[str, BenchAddress]:
     values = dict(parse_qsl(parts.query, keep_blank_values=True))
     unknown = values.keys() - ADDRESS_KEYS
     if unknown:
-        raise DocumentError(
-            f"{url}: unknown option {', '.join(map(repr, sorted(unknown)))}; allowed: {', '.join(ADDRESS_KEYS)}"
-        )
+        found = ", ".join(map(repr, sorted(unknown)))
+        raise DocumentError(f"{url}: unknown option {found}; allowed: {', '.join(ADDRESS_KEYS)}")
     numbers = {key: values.get(key, default) for key, default in (("seed", "0"), ("units", "1"))}
     for key, text in numbers.items():
         if not text.isdecimal():

@@ -15,3 +15,10 @@ def test_the_committed_reference_is_the_generated_one():
 def test_it_reads_as_plain_markdown():
     text = (DOCS / "reference" / "procedure.md").read_text(encoding="utf-8")
     assert "| `procedure` | name: letters, digits, underscore, hyphen | text | required |" in text
+
+
+def test_keys_that_are_alike_have_one_table_on_their_page():
+    for page in ("import_map", "station", "world"):
+        text = (DOCS / "reference" / f"{page}.md").read_text()
+        tables = [part.partition("\n")[2].strip() for part in text.split("\n**`")[1:]]
+        assert len(tables) == len(set(tables)) > 5, page
