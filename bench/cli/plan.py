@@ -71,7 +71,7 @@ def plan(
         typer.Option(
             metavar="NAME=NUMBER,...",
             help="With --observability: propose the shortest list that reaches these uncertainties, as "
-            "gyro_misalignment_arcsec=1,gyro_scale_factor_z_ppm=0.5; start, dwell and rate are the list's.",
+            "gyro_scale_factor_z_ppm=0.5, with commas between several; start, dwell and rate are the list's.",
         ),
     ] = "",
     as_json: JsonOption = False,

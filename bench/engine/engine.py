@@ -237,7 +237,7 @@ class Engine:
         match given.command:
             case RunCommand.HOLD:
                 self._is_hold_commanded = True
-                self._run.note("holds at the end of the dwell in progress")
+                self._run.note("holds at the end of the present step, or of the dwell that it belongs to")
             case RunCommand.CONTINUE:
                 if self._is_hold_commanded:
                     self._run.note("does not hold at the end of the dwell in progress")

@@ -355,9 +355,9 @@ def signs_sentence(facts: RunFacts, station: Mapping[str, Any], name: str | Path
         return ""
     if not facts.are_signs_tested:
         return (
-            "Signs and axes of the signal map were not tested: the windows are too short, or the output is "
-            "too coarse. If they are wrong, so are the biases: test them with "
-            f"gyrobench check {name} --signs."
+            "Signs and axes of the signal map were not tested: the windows are too short, the output is too "
+            "coarse, or the velocities do not follow from the tilt. If they are wrong, so are the "
+            f"biases: test them with gyrobench check {name} --signs."
         )
     match station:
         case {"location": {"latitude_deg": int() | float() as latitude_deg}}:

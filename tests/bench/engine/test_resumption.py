@@ -251,6 +251,8 @@ def test_nothing_is_approached_when_the_only_dwell_left_is_skipped(procedure, tm
     assert not [entry for entry in entries if "restarted" in entry.get("text", "")]
     given = [(entry["order"], entry["by"]) for entry in entries if entry["event"] == "ordered"]
     assert given == [("hold", "the terminal"), ("skip", "the terminal")]
+    notes = [entry["text"] for entry in entries if entry["event"] == "note"]
+    assert "holds at the end of the present step, or of the dwell that it belongs to" in notes
     assert [entry["kind"] for entry in entries[skipped:] if entry["event"] == "step_started"] == [
         "power_off",
         "chamber_off",

@@ -302,7 +302,12 @@ def test_accelerometers_that_follow_the_temperature_more_than_declared_are_named
     ("are_tested", "latitude_deg", "stated"),
     [
         (None, 5.0, ""),
-        (False, 36.4, "Signs and axes of the signal map were not tested"),
+        (
+            False,
+            36.4,
+            "Signs and axes of the signal map were not tested: the windows are too short, the output is "
+            "too coarse, or the velocities do not follow",
+        ),
         (True, 36.4, ""),
         (True, -35, ""),
         (True, 5.0, "At 5 deg of latitude no dwell shows whether heading and"),
