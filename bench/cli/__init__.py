@@ -59,6 +59,14 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "Files": ("new", "validate", "schema"),
     "Try and learn": ("emulate", "record", "replay"),
 }
+#: What does the task of a command that does not exist.
+_ELSEWHERE = {
+    **dict.fromkeys(("status", "watch"), "gyrobench monitor RUN, or gyrobench resume RUN --look"),
+    **{each: f"gyrobench control RUN {each}" for each in ("pause", "continue", "hold", "skip", "abort")},
+    "stop": "gyrobench control RUN abort",
+    "compare": "gyrobench report RUN --before RUN, or gyrobench runs --trend",
+    "init": "gyrobench new station NAME",
+}
 #: Names that are still accepted, by module and function.
 _HIDDEN = {"tell": "control.tell"}
 #: The first sentence is shown in full.
@@ -139,6 +147,12 @@ class _CommandGroups(TyperGroup):
             near = did_you_mean(found.strip("'"), re.findall(r"'([^']+)'", allowed))
             error.message = f"{message}{near}{'.' if message else ''}"  # empty where one is missing
             raise
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find the command. The error for one that does not exist names what does its task."""
+        if args and (instead := _ELSEWHERE.get(args[0])):
+            ctx.fail(f"No such command '{args[0]}'. Use {instead}.")
+        return super().resolve_command(ctx, args)
 
     def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002
         """Names of all commands, in the order of the groups."""

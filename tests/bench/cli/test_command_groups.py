@@ -1,8 +1,11 @@
 """The list of commands in the help."""
 
+import pytest
 import typer
+from typer.testing import CliRunner
 
 from gyrobench.bench.cli import GROUPS, app
+from gyrobench.bench.cli.output import EXIT_WRONG_INPUT
 from tests.bench.command_line import gyrobench
 
 
@@ -14,3 +17,10 @@ def test_every_command_is_in_a_group_in_its_order(tmp_path):
     assert sorted(command.commands) == sorted([*grouped, "tell"])
     shown = gyrobench("--help", cwd=tmp_path).stdout
     assert all(f"\n  {name} " in shown for name in grouped)
+
+
+@pytest.mark.parametrize(("word", "instead"), [("status", "monitor RUN"), ("pause", "control RUN pause")])
+def test_a_command_that_does_not_exist_names_the_one_that_does_its_task(word, instead):
+    result = CliRunner().invoke(app, [word])
+    assert result.exit_code == EXIT_WRONG_INPUT
+    assert f"No such command '{word}'. Use gyrobench {instead}" in result.output
