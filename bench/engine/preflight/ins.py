@@ -178,6 +178,9 @@ def _states(station: Station, status: InsStatus) -> Iterator[Check]:
             "Correct location.latitude_deg in the station file, the latitude entered in the INS, or "
             "`latitude` in the signal map.",
         )
+    else:
+        advice = "Map it if the INS sends it; else compare the one entered in it with location.latitude_deg."
+        yield Check.skipped(_SUBJECT, "latitude", "the signal map has none", advice)
     yield _temperatures(station, status)
 
 

@@ -225,6 +225,14 @@ def test_a_chamber_at_another_address_fails_with_its_address_and_the_unit_with_i
     assert failures["INS: answers"].found.startswith("not switched on: the chamber, whose output feeds it,")
 
 
+def test_without_the_latitude_of_the_ins_comparing_it_is_left_to_the_operator(tmp_path):
+    station = changed_station(tmp_path, {"    latitude: POSITION.LATITUDE\n": ""})
+    checks = check_bench(str(station), None, Emulation("ideal"), tmp_path)
+    (latitude,) = [each for each in checks if each.what == "latitude"]
+    assert latitude.verdict is CheckVerdict.SKIPPED
+    assert "compare the one entered in it with location.latitude_deg" in latitude.advice
+
+
 def test_a_silent_unit_that_is_always_on_fails(failures_of):
     failures = failures_of(("power: chamber_event", "power: always_on"))
     assert list(failures) == ["INS: answers"]
