@@ -1,8 +1,8 @@
 """Closing the loop: what the bias model leaves, the physical effect behind it, the error before and after.
 
-``inputs`` reads dwell tables, ``joined_tables`` joins several to one ``campaign``; ``plausibility`` and
-``contradictions`` find columns that are wrong. ``temperature_record`` and ``thermal_network`` are the
-temperatures between the dwells. ``problem`` is the least-squares problem of the declared model,
+``inputs`` reads dwell tables and joins several to one ``campaign``; ``plausibility`` finds columns that are
+wrong. ``temperature_record`` and ``thermal_network`` are the temperatures between the dwells. ``problem`` is
+the least-squares problem of the declared model,
 ``candidates`` fits ``effects`` to it, and ``search`` finds the sets of them that may explain the residual.
 ``evidence``, also beside a ``remainder`` that is on no list, gives the ``posterior`` probability of each set;
 ``selection`` takes one of them, in its own ``noise``. ``compose`` searches for a law where no effect explains

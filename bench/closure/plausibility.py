@@ -1,19 +1,26 @@
-"""Plausibility of a dwell table: what a search would take for data although no bench measures it."""
+"""Plausibility of a dwell table: what a search would take for data although no bench measures it.
+
+Columns are tested by themselves, then against each other: a wrong unit or sign makes a search name another
+cause, with certainty. Within a power cycle, start_s minus since_power_on_s is constant; between neighbouring
+dwells on a ramp, a temperature changes by its mean rate times the time between their middles, and while it
+settles after a ramp, by the logarithmic mean of both rates times that time. Each gives a factor, and both
+together the column that is wrong.
+"""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from itertools import pairwise
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby, pairwise
 
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.closure.contradictions import contradictions
 from gyrobench.bench.closure.quantity import GYRO_BIAS, Quantity
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.text import agreeing, counted
+from gyrobench.bench.navigation.positions import AXES
 
 #: Temperatures at which no INS is calibrated, degC.
 _COLDEST_C, _HOTTEST_C = -150.0, 200.0
@@ -47,7 +54,7 @@ def implausible(rows: Sequence[DwellRow], quantity: Quantity = GYRO_BIAS) -> lis
     problems = [*_times(good), *_copies(good), *_temperatures(good), *_sigmas(good, quantity)]
     if not problems and quantity.is_gyro_bias:
         problems += _too_small(good)
-    return problems or contradictions(good)
+    return problems or _contradictions(good)
 
 
 def _times(rows: Sequence[DwellRow]) -> Iterator[str]:
@@ -159,3 +166,227 @@ def _too_small(rows: Sequence[DwellRow]) -> Iterator[str]:
         f"sigma_{gyros}_dph in dwells of this length mean an angle random walk of {walk:.1g} deg/sqrt(h), "
         f"less than the {_MIN_RANDOM_WALK:g} deg/sqrt(h) of any gyro: {advice}"
     )
+
+
+#: Unit that a column seems to be in, by the factor that brings it to s, or to degC/h.
+_TIMES = {1e-3: "ms", 60.0: "min", 3600.0: "h"}
+_DEGF_PER_DEGC = 1.8
+_RATES = {60.0: "degC/min", 3600.0: "degC/s", 1.0 / _DEGF_PER_DEGC: "degF/h"}
+#: Largest relative deviation of a factor from that of a unit, and between factors that are one.
+_SAME_FACTOR = 0.2
+#: Pairs of dwells that show a factor; the smallest change of temperature that counts, degC.
+_MIN_PAIRS, _MIN_CHANGE_C = 3, 1.0
+#: On a ramp, the rates of two dwells differ by at most this share, and the time between the dwells is at most
+#: this many times their length. The temperature then changes by 0.8 to 1.3 times what correct rates give.
+_MAX_RATE_CHANGE, _MAX_GAP = 0.5, 1.0
+_MIN_FACTOR, _MAX_FACTOR = 0.6, 1.0 / 0.6
+#: While a temperature settles: pairs of dwells that show a factor, and the smallest change that counts, degC.
+_MIN_SETTLING_PAIRS, _MIN_SETTLED_C = 4, 0.2
+#: A wrong unit gives most of them the same factor, to this share. Noise and other courses of the temperature
+#: scatter; several time constants give a common factor, but a smaller one than this.
+_MIN_SAME, _SAME_SETTLING, _MAX_SETTLING_FACTOR = 0.8, 0.35, 5.0
+#: Power-on times that are one: they differ by at most this, and this share of the time since the first dwell.
+_POWER_ON_S, _CLOCK_DRIFT = 60.0, 1e-3
+#: A dwell with a turn in it lasts longer than this, s; and probably less long than that.
+_MIN_DWELL_S, _MAX_DWELL_S = 2.0, 1e5
+#: Range of a chamber's or case's temperatures, degC, from which that of a gyro shows its unit: self-heating
+#: adds less than the difference. The gyro's range in degF is 1.8 times the other one, to this share.
+_MIN_PROFILE_C, _SAME_RANGE = 40.0, 0.08
+#: Time after power-on from which self-heating changes little, s.
+_WARM_S = 7200.0
+#: Change of another temperature that each gyro shows at least a little of, degC.
+_MIN_MOVED_C = 5.0
+
+_Pairs = Sequence[tuple[DwellRow, DwellRow]]
+
+
+def _contradictions(rows: Sequence[DwellRow]) -> list[str]:
+    """What can't be right about the columns together, each as one sentence with the factor that repairs it.
+
+    ``rows``: dwells without flags. What only one run has wrong is found as well.
+    """
+
+    def power_cycle(row: DwellRow) -> tuple[str, str]:
+        return row.unit, row.run
+
+    if problems := [*_stuck_sensors(rows), *_degrees_fahrenheit(rows)]:
+        return problems
+    ordered = sorted(rows, key=lambda row: (*power_cycle(row), row.start_s))
+    cycles = [list(pairwise(group)) for _, group in groupby(ordered, key=power_cycle)]
+    of_cycles = [[*_wrong_scales(pairs, f" of run {pairs[0][0].run}")] for pairs in cycles if pairs]
+    wrong = [problems for problems in of_cycles if problems]
+    if not wrong or len(wrong) > 1 or len(cycles) == 1:
+        whole = [*_wrong_scales([pair for pairs in cycles for pair in pairs], "")]
+        wrong = [whole] if whole else wrong
+    return wrong[0] if wrong else [problem for pairs in cycles for problem in _two_power_ons(pairs)][:1]
+
+
+def _stuck_sensors(rows: Sequence[DwellRow]) -> Iterator[str]:
+    """Gyro temperatures that are one number, although others change."""
+    others = {name: [getattr(row, name) for row in rows] for name in ("case_c", "chamber_c")}
+    for index, axis in enumerate(AXES):
+        others[f"board_{axis}_c"] = [row.board_c[index] for row in rows]
+        if len({row.gyro_c[index] for row in rows}) > 1:
+            continue
+        for name, values in others.items():
+            change_c = _range(values)
+            if change_c > _MIN_MOVED_C:
+                yield (
+                    f"gyro_{axis}_c is {rows[0].gyro_c[index]:g} degC in all dwells, but {name} changes by "
+                    f"{change_c:.0f} degC: correct its values, or check its sensor"
+                )
+                break
+
+
+def _degrees_fahrenheit(rows: Sequence[DwellRow]) -> Iterator[str]:
+    """Gyro temperatures that change 1.8 times as much as the chamber or the case, which no warm gyro does."""
+    rows = [row for row in rows if row.since_power_on_s >= _WARM_S]
+    for name in ("chamber_set_c", "chamber_c", "case_c"):
+        other_c = _range([getattr(row, name) for row in rows])
+        if other_c < _MIN_PROFILE_C:
+            continue
+        ranges = [_range([row.gyro_c[index] for row in rows]) for index in range(len(AXES))]
+        found = [
+            (axis, gyro_c)
+            for axis, gyro_c in zip(AXES, ranges, strict=True)
+            if abs(gyro_c / other_c / _DEGF_PER_DEGC - 1.0) <= _SAME_RANGE
+        ]
+        if found:
+            axes = ",".join(axis for axis, _ in found)
+            axes = f"{{{axes}}}" if len(found) > 1 else axes
+            yield (
+                f"gyro_{axes}_c changes by {found[0][1]:.0f} degC in all, but {name} by {other_c:.0f} degC: "
+                f"gyro_{axes}_c seems to be in degF: correct its values"
+            )
+            return
+
+
+def _range(values: Sequence[float]) -> float:
+    """Largest less smallest of the known values; 0 without any."""
+    return float(np.ptp([value for value in values if math.isfinite(value)] or [0.0]))
+
+
+def _wrong_scales(pairs: _Pairs, where: str) -> Iterator[str]:
+    clock = _clock_factor(pairs)
+    rates = {axis: factor for index, axis in enumerate(AXES) if (factor := _rate_factor(pairs, index)) != 1.0}
+    factors = list(rates.values())
+    common = factors[0] if len(factors) == 3 and all(_is_near(each, factors[0]) for each in factors) else 1.0
+    dwell_s = float(np.median([row.end_s - row.start_s for pair in pairs for row in pair] or [_MAX_DWELL_S]))
+    is_odd = dwell_s < _MIN_DWELL_S or (dwell_s > _MAX_DWELL_S and common != 1.0)
+    if clock != 1.0 and (_is_near(clock, common) or (is_odd and not rates)):
+        others = " and the gyro temperatures" if rates else ""
+        advice = _repair(clock, _TIMES, "start_s and end_s")
+        yield f"start_s and end_s{where} contradict since_power_on_s{others}: {advice}"
+        return
+    if is_odd:
+        advice = _repair(common, _TIMES, "start_s, end_s and since_power_on_s")
+        yield f"the dwells{where} last {dwell_s:.3g} s (median): {advice}"
+        return
+    if clock != 1.0:
+        advice = _repair(1.0 / clock if clock else math.inf, _TIMES, "since_power_on_s")
+        yield f"since_power_on_s{where} grows by {clock:.3g} s in each second of start_s: {advice}"
+    for axis, factor in {"{x,y,z}": common}.items() if common != 1.0 else rates.items():
+        column, rate = f"gyro_{axis}_c", f"gyro_{axis}_rate_c_per_h"
+        change = (
+            f"changes by {factor:.3g} times that rate" if math.isfinite(factor) else "changes at a rate of 0"
+        )
+        advice = _repair(factor, _RATES, rate)
+        if _is_near(factor, _DEGF_PER_DEGC):
+            advice = f"{column} seems to be in degF: correct its values"
+        yield f"{rate} contradicts {column}, which between neighbouring dwells{where} {change}: {advice}"
+
+
+def _clock_factor(pairs: _Pairs) -> float:
+    """Median growth of since_power_on_s over that of start_s; 1 where that agrees."""
+    grown = [(b.since_power_on_s - a.since_power_on_s) / (b.start_s - a.start_s) for a, b in pairs]
+    factor = float(np.median(grown)) if len(grown) >= _MIN_PAIRS else 1.0
+    return 1.0 if _is_near(factor, 1.0) else factor
+
+
+def _rate_factor(pairs: _Pairs, gyro: int) -> float:
+    """Median change of a temperature over what its rates give; 1 where that agrees.
+
+    On ramps, or where there are too few of them, while the temperature settles.
+    """
+    changes = [*_changes(pairs, gyro)]
+    ramps = [*_on_ramps(changes)]
+    if len(ramps) >= _MIN_PAIRS:
+        is_right = [_MIN_FACTOR <= each <= _MAX_FACTOR for each in ramps]
+        return 1.0 if np.mean(is_right) >= 0.5 else float(np.median(ramps))
+    settling = [*_while_settling(changes)]
+    if len(settling) < _MIN_SETTLING_PAIRS:
+        return 1.0
+    factor = float(np.median(settling))
+    is_same = [abs(each - factor) <= _SAME_SETTLING * abs(factor) for each in settling]
+    is_wrong = not 1.0 / _MAX_SETTLING_FACTOR <= factor <= _MAX_SETTLING_FACTOR
+    return factor if is_wrong and np.mean(is_same) >= _MIN_SAME else 1.0
+
+
+def _changes(pairs: _Pairs, gyro: int) -> Iterator[tuple[float, float, float, float]]:
+    """Rates of neighbouring dwells, degC/h; the time between their middles, h; the change between them, degC.
+
+    Of dwells with a longer gap neither rate is that between them.
+    """
+    for a, b in pairs:
+        gap_s, dwell_s = b.start_s - a.end_s, 0.5 * (a.end_s - a.start_s + b.end_s - b.start_s)
+        passed_h = (b.start_s + b.end_s - a.start_s - a.end_s) / 7200.0
+        change_c = b.gyro_c[gyro] - a.gyro_c[gyro]
+        if gap_s <= _MAX_GAP * dwell_s and math.isfinite(change_c):
+            yield a.gyro_rate_c_per_h[gyro], b.gyro_rate_c_per_h[gyro], passed_h, change_c
+
+
+def _on_ramps(changes: Sequence[tuple[float, float, float, float]]) -> Iterator[float]:
+    """Changes over what the rates give, where both rates are about the same."""
+    for first, second, passed_h, change_c in changes:
+        expected_c = 0.5 * (first + second) * passed_h
+        is_ramp = abs(second - first) <= _MAX_RATE_CHANGE * max(abs(first), abs(second))
+        if is_ramp and max(abs(change_c), abs(expected_c)) >= _MIN_CHANGE_C:
+            yield change_c / expected_c if expected_c else math.inf
+
+
+def _while_settling(changes: Sequence[tuple[float, float, float, float]]) -> Iterator[float]:
+    """The same where the second rate is smaller; exact for a decay with one time constant."""
+    for first, second, passed_h, change_c in changes:
+        is_settling = first * second > 0.0 and abs(second) < abs(first)
+        if is_settling and abs(change_c) >= _MIN_SETTLED_C:
+            mean = (second - first) / math.log(second / first)
+            yield change_c / (mean * passed_h)
+
+
+def _two_power_ons(pairs: _Pairs) -> Iterator[str]:
+    """A dwell with another power-on time than that before it, in one run, unless it was in that dwell."""
+    first: DwellRow | None = None
+    for before, row in pairs:
+        first = first or before
+        first_on_s, on_s = (each.start_s - each.since_power_on_s for each in (first, row))
+        if abs(on_s - first_on_s) <= _POWER_ON_S + _CLOCK_DRIFT * (row.start_s - first.start_s):
+            continue
+        # Of a dwell that is missing here, neither start nor end is known.
+        latest_s = before.end_s if row.dwell == before.dwell + 1 else row.start_s
+        if not before.start_s - _POWER_ON_S <= on_s <= latest_s:
+            yield (
+                f"start_s minus since_power_on_s is {first_on_s:.7g} s for dwell {first.dwell}, but "
+                f"{on_s:.7g} s for dwell {row.dwell} of the same run {row.run}: use one clock for both, and "
+                "a new run after each power-on"
+            )
+            return
+        first = row
+
+
+def _is_near(factor: float, other: float) -> bool:
+    return factor == other or abs(factor - other) <= _SAME_FACTOR * abs(other)
+
+
+def _repair(factor: float, units: Mapping[float, str], columns: str) -> str:
+    """What to do about columns with a wrong scale."""
+    if not math.isfinite(factor) or factor in (0.0, 1.0):
+        return f"correct {columns}"
+    if _is_near(factor, -1.0):
+        return f"change the sign of {columns}"
+    for known, unit in units.items():
+        if _is_near(abs(factor), known):
+            sign = " with the wrong sign" if factor < 0.0 else ""
+            return (
+                f"the unit seems to be {unit}{sign}: multiply {columns} by {math.copysign(known, factor):.4g}"
+            )
+    return f"correct the unit of {columns}: a factor of {factor:.3g} is missing"

@@ -18,7 +18,7 @@ from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, Hypothesis, fit_hypothesis, refine, solve_with
 from gyrobench.bench.closure.effects.effect import Effect
 from gyrobench.bench.closure.evidence import Evidences
-from gyrobench.bench.closure.joined_tables import TableToJoin, join_tables
+from gyrobench.bench.closure.inputs import TableToJoin, join_tables
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.planned_campaign import UnitProperties
 from gyrobench.bench.closure.posterior import TIE_ODDS

@@ -1,4 +1,4 @@
-"""Effects that are a law of the grammar: what drives the bias, a memory, and a factor."""
+"""Effects of the unit itself, most of them a law of the grammar: what drives the bias, a memory, a factor."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from gyrobench.bench.closure.effects.effect import (
     Parameter,
     constant_at_end,
     fixed,
+    needs_positions,
     no_ins_term,
     same_for_all_gyros,
     searched_length_s,
@@ -292,4 +293,60 @@ DAILY_COURSE = Effect(
     imitated_by=("supply_power",),
     # Over two days and more a daily course returns: no drift looks like it.
     may_imitate=lambda campaign: float(campaign.end_s.max() - campaign.start_s.min()) < _TWO_DAYS_S,
+)
+
+
+def _after_jump(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
+    """Share of each dwell after the jump: (n, 3, 1)."""
+    length_s = np.maximum(campaign.end_s - campaign.start_s, 1e-9)
+    after = np.clip((campaign.end_s - values[0]) / length_s, 0.0, 1.0)
+    return same_for_all_gyros(after[:, None])
+
+
+def _starts_of_dwells(campaign: Campaign) -> FloatArray:
+    return campaign.start_s[~campaign.held_out][1:]
+
+
+BIAS_JUMP = Effect(
+    name="bias_jump",
+    statement="the bias steps to a new value at one time and remains there",
+    experiment=(
+        "repeat the positions and temperatures measured before the step within the same power cycle: a step "
+        "remains"
+    ),
+    compensation=constant_at_end,
+    forms=(
+        Form(("after the jump",), _after_jump, (Parameter("jump_s", -np.inf, np.inf, _starts_of_dwells),)),
+    ),
+)
+
+
+def _squares_across(campaign: Campaign, _: tuple[float, ...]) -> FloatArray:
+    """Terms ``Kpp ap^2 + Koo ao^2`` of the model equation of an accelerometer, IEEE Std 1293: (n, 3, 1).
+
+    Across a level input axis the squares of gravity add up to one, so that at rest their difference alone is
+    distinguished from the bias.
+    """
+    squares = campaign.up_body**2
+    across = np.roll(squares, -1, axis=1) - np.roll(squares, -2, axis=1)
+    return across[:, list(campaign.quantity.sensors), np.newaxis]
+
+
+CROSS_AXIS_NONLINEARITY = Effect(
+    name="cross_axis_nonlinearity",
+    label="cross-axis nonlinearity",
+    statement="the bias follows the square of gravity across the input axis",
+    experiment=(
+        "turn the unit about the level input axis by quarter turns: the bias is the same after half a turn, "
+        "and differs after a quarter"
+    ),
+    forms=(
+        Form(
+            ("square of Up along the next axis less along the one after",),
+            _squares_across,
+            (),
+            needs_positions,
+        ),
+    ),
+    sensors=("accelerometer",),
 )

@@ -3,9 +3,15 @@ import pytest
 from scipy.optimize import minimize, rosen
 
 from gyrobench.bench.closure.candidates import Candidate, best_start, lowest, refine, stack, starts
-from gyrobench.bench.closure.effects import attitude_thermal, bias_jump
+from gyrobench.bench.closure.effects import attitude_thermal
 from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter, fixed
-from gyrobench.bench.closure.effects.laws import THERMAL_HYSTERESIS, THERMAL_LAG, TIME_DRIFT, WARM_UP
+from gyrobench.bench.closure.effects.laws import (
+    BIAS_JUMP,
+    THERMAL_HYSTERESIS,
+    THERMAL_LAG,
+    TIME_DRIFT,
+    WARM_UP,
+)
 from tests.bench.closure.thermal_bench import HALF_WIDTH_C, LAG_H, WARM_UP_H
 
 
@@ -24,7 +30,7 @@ def whole(effect, *values):
         (THERMAL_HYSTERESIS, HALF_WIDTH_C, 0.08),
         (THERMAL_LAG, LAG_H * 3600.0, 0.08),
         (WARM_UP, WARM_UP_H * 3600.0, 0.05),
-        (bias_jump.EFFECT, 0.4 * 3 * 67_200.0, 0.01),
+        (BIAS_JUMP, 0.4 * 3 * 67_200.0, 0.01),
     ],
 )
 def test_the_parameter_of_an_effect_is_recovered(problem, effect, true, tolerance):

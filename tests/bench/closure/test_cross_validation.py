@@ -2,9 +2,14 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.candidates import solve_with
-from gyrobench.bench.closure.effects import bias_jump
 from gyrobench.bench.closure.effects.effect import Effect, Form
-from gyrobench.bench.closure.effects.laws import G_SENSITIVITY, TEMPERATURE_RATE, TIME_DRIFT, WARM_UP
+from gyrobench.bench.closure.effects.laws import (
+    BIAS_JUMP,
+    G_SENSITIVITY,
+    TEMPERATURE_RATE,
+    TIME_DRIFT,
+    WARM_UP,
+)
 from gyrobench.bench.closure.problem import declared_problem
 from gyrobench.bench.closure.validation import (
     LeftOut,
@@ -63,7 +68,7 @@ def test_one_cycle_alone_has_none_to_be_left_out(problem):
 def test_a_jump_between_two_cycles_is_determined_by_neither_alone(problem):
     jump_s = 68_343.0  # 57 s before the end of the first cycle's last dwell
     one = problem({jump(jump_s / (3 * 67_200.0)): 5.0})
-    assert gains_by_cycle(one, [whole(bias_jump.EFFECT, jump_s)], 0) == {}
+    assert gains_by_cycle(one, [whole(BIAS_JUMP, jump_s)], 0) == {}
 
 
 def test_a_term_that_the_declared_model_makes_up_in_the_others_is_not_asked(problem):

@@ -9,8 +9,8 @@ import pytest
 import yaml
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.effects import all_effects, bias_jump
-from gyrobench.bench.closure.effects.laws import G_SENSITIVITY, TIME_DRIFT
+from gyrobench.bench.closure.effects import all_effects
+from gyrobench.bench.closure.effects.laws import BIAS_JUMP, G_SENSITIVITY, TIME_DRIFT
 from gyrobench.bench.closure.files import (
     closure_document,
     format_predictions,
@@ -83,7 +83,7 @@ def test_shares_are_null_where_nothing_is_beyond_the_noise():
 
 def test_effects_are_listed_strongest_first():
     rows = measure({"g_sensitivity": 3.0, "bias_jump": 8.0}, cycles=2).rows
-    closure = close_loop(campaign_of(rows), effects=[bias_jump.EFFECT, G_SENSITIVITY])
+    closure = close_loop(campaign_of(rows), effects=[BIAS_JUMP, G_SENSITIVITY])
     document = closure_document(closure)
     assert [each["effect"] for each in document["effects"]] == ["bias_jump", "g_sensitivity"]
     assert document["effects"][0]["rms_dph"] > document["effects"][1]["rms_dph"]

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.effects import bias_jump
-from gyrobench.bench.closure.effects.laws import G_SENSITIVITY, TEMPERATURE_RATE, TIME_DRIFT
+from gyrobench.bench.closure.effects.laws import BIAS_JUMP, G_SENSITIVITY, TEMPERATURE_RATE, TIME_DRIFT
 from gyrobench.bench.closure.files import closure_document
 from gyrobench.bench.closure.loop import close_loop, composed
 from gyrobench.bench.report.closure_page import closure_sections
@@ -67,7 +66,7 @@ def test_of_two_cycles_another_one_is_to_be_measured_and_of_three_another_one_he
 
 def test_with_another_cycle_held_out_as_advised_the_jump_is_found():
     campaign = campaign_of(jumped(measure(cycles=3).rows, 0.5, 9.0))
-    candidates = [bias_jump.EFFECT, TIME_DRIFT, TEMPERATURE_RATE]
+    candidates = [BIAS_JUMP, TIME_DRIFT, TEMPERATURE_RATE]
     assert close_loop(campaign, effects=candidates).held_out_axes == ["x"]
     closure = close_loop(campaign, [1], effects=candidates)
     assert closure.names == ("bias_jump",)

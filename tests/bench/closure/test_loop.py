@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.effects import all_effects, attitude_thermal, bias_jump, chamber_state
+from gyrobench.bench.closure.effects import all_effects, attitude_thermal
 from gyrobench.bench.closure.effects.laws import (
+    BIAS_JUMP,
     G_SENSITIVITY,
     TEMPERATURE_RATE,
     THERMAL_G_SENSITIVITY,
@@ -15,6 +16,7 @@ from gyrobench.bench.closure.effects.laws import (
     TIME_DRIFT,
     WARM_UP,
 )
+from gyrobench.bench.closure.effects.surroundings import CHAMBER_STATE
 from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.closure.problem import declared_columns, declared_problem
 from gyrobench.bench.closure.search import Search
@@ -144,7 +146,7 @@ def test_an_effect_without_its_candidate_is_unexplained():
     assert closure.verdict == "unexplained"
 
 
-@among(bias_jump.EFFECT, G_SENSITIVITY, TEMPERATURE_RATE, TIME_DRIFT)
+@among(BIAS_JUMP, G_SENSITIVITY, TEMPERATURE_RATE, TIME_DRIFT)
 def test_with_an_unexplained_residual_a_cross_validated_effect_is_kept_with_its_probability(candidates):
     rows = measure({"g_sensitivity": 4.0, "sinusoid": 1.5}, headings_deg=(0.0, 90.0), seed=1).rows
     closure = close_loop(campaign_of(rows), effects=candidates)
@@ -159,7 +161,7 @@ def test_with_an_unexplained_residual_a_cross_validated_effect_is_kept_with_its_
 
 def test_a_stand_in_for_an_unexplained_residual_is_replaced_by_the_confirmed_effect():
     """The best hypothesis is without the drift; alone, the drift is best."""
-    candidates = [bias_jump.EFFECT, chamber_state.EFFECT, THERMAL_LAG, TIME_DRIFT]
+    candidates = [BIAS_JUMP, CHAMBER_STATE, THERMAL_LAG, TIME_DRIFT]
     rows = measure({"time_drift": 8.0, "square_wave": 2.0}, seed=1).rows
     closure = close_loop(campaign_of(rows), effects=candidates)
     best = Search(declared_problem(closure.campaign, closure.searched), candidates).best()
@@ -169,7 +171,7 @@ def test_a_stand_in_for_an_unexplained_residual_is_replaced_by_the_confirmed_eff
 
 
 def test_with_an_unexplained_residual_an_unconfirmed_effect_is_dropped():
-    candidates = [bias_jump.EFFECT, chamber_state.EFFECT, WARM_UP]
+    candidates = [BIAS_JUMP, CHAMBER_STATE, WARM_UP]
     closure = close_loop(campaign_of(measure({"sinusoid": 3.0}, seed=1).rows), effects=candidates)
     best = Search(declared_problem(closure.campaign, closure.searched), candidates).best()
     assert best.candidates
@@ -293,7 +295,7 @@ def test_noise_understated_by_up_to_1_6_is_recognized(closed):
     assert closure.noise_scale == pytest.approx(1.55, rel=0.08)
 
 
-@among(attitude_thermal.EFFECT, bias_jump.EFFECT, TEMPERATURE_RATE, TIME_DRIFT, WARM_UP)
+@among(attitude_thermal.EFFECT, BIAS_JUMP, TEMPERATURE_RATE, TIME_DRIFT, WARM_UP)
 def test_much_more_noise_than_stated_is_unexplained_without_any_effect(candidates):
     closure = close_loop(campaign_of(measure(cycles=2, noise=2.2).rows), effects=candidates)
     assert closure.verdict == "unexplained"
@@ -347,7 +349,7 @@ def test_one_position_alone_shows_no_gravity():
     assert {each.effect.name: each.candidate for each in closure.evidence}["g_sensitivity"] is None
 
 
-@among(attitude_thermal.EFFECT, bias_jump.EFFECT, G_SENSITIVITY, THERMAL_G_SENSITIVITY)
+@among(attitude_thermal.EFFECT, BIAS_JUMP, G_SENSITIVITY, THERMAL_G_SENSITIVITY)
 def test_an_effect_of_thirty_times_the_noise_is_explained_by_itself_alone(candidates):
     campaign = campaign_of(measure({"attitude_thermal": 30.0}, cycles=2).rows)
     closure = close_loop(campaign, effects=candidates)
@@ -372,7 +374,7 @@ def test_one_dwell_far_off_is_no_effect_but_an_outlier():
 
 
 def test_outliers_do_not_influence_the_fit_and_hide_no_effect():
-    candidates = [bias_jump.EFFECT, G_SENSITIVITY, TEMPERATURE_RATE, TIME_DRIFT]
+    candidates = [BIAS_JUMP, G_SENSITIVITY, TEMPERATURE_RATE, TIME_DRIFT]
     rows = measure({"g_sensitivity": 4.0}).rows
     disturbed = (11, 50)
     bad = [

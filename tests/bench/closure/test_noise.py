@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.effects import bias_jump, supply_power
-from gyrobench.bench.closure.effects.laws import AGEING, TEMPERATURE_RATE, THERMAL_LAG, TIME_DRIFT, WARM_UP
+from gyrobench.bench.closure.effects.laws import (
+    AGEING,
+    BIAS_JUMP,
+    TEMPERATURE_RATE,
+    THERMAL_LAG,
+    TIME_DRIFT,
+    WARM_UP,
+)
+from gyrobench.bench.closure.effects.surroundings import SUPPLY_POWER
 from gyrobench.bench.closure.loop import close_loop, without_search
 from gyrobench.bench.closure.noise import OUTLIER_SIGMA, estimate_campaign_noise, outweighing_dwell
 from gyrobench.bench.report.closure_text import error_sentence
@@ -108,7 +115,7 @@ def test_a_dwell_that_is_thousands_of_sigmas_off_is_the_only_outlier_and_counts_
 @pytest.mark.parametrize(
     "candidates",
     [
-        pytest.param([TEMPERATURE_RATE, THERMAL_LAG, TIME_DRIFT, bias_jump.EFFECT], id="some"),
+        pytest.param([TEMPERATURE_RATE, THERMAL_LAG, TIME_DRIFT, BIAS_JUMP], id="some"),
         pytest.param(None, id="all", marks=pytest.mark.long),
     ],
 )
@@ -125,7 +132,7 @@ def test_an_effect_is_found_beside_a_dwell_that_is_thousands_of_sigmas_off(dwell
 @pytest.mark.parametrize(
     "candidates",
     [
-        pytest.param([TEMPERATURE_RATE, TIME_DRIFT, bias_jump.EFFECT, supply_power.EFFECT], id="some"),
+        pytest.param([TEMPERATURE_RATE, TIME_DRIFT, BIAS_JUMP, SUPPLY_POWER], id="some"),
         pytest.param(None, id="all", marks=pytest.mark.long),
     ],
 )
@@ -172,7 +179,7 @@ def test_no_dwell_of_a_unit_with_a_large_effect_outweighs_all_others():
 @pytest.mark.parametrize(
     "candidates",
     [
-        pytest.param([TIME_DRIFT, AGEING, WARM_UP, bias_jump.EFFECT], id="what follows the time"),
+        pytest.param([TIME_DRIFT, AGEING, WARM_UP, BIAS_JUMP], id="what follows the time"),
         pytest.param(None, id="all", marks=pytest.mark.long),
     ],
 )

@@ -4,9 +4,15 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.candidates import fit_hypothesis
-from gyrobench.bench.closure.effects import all_effects, bias_jump
+from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect, Form
-from gyrobench.bench.closure.effects.laws import TEMPERATURE_RATE, THERMAL_HYSTERESIS, THERMAL_LAG, TIME_DRIFT
+from gyrobench.bench.closure.effects.laws import (
+    BIAS_JUMP,
+    TEMPERATURE_RATE,
+    THERMAL_HYSTERESIS,
+    THERMAL_LAG,
+    TIME_DRIFT,
+)
 from gyrobench.bench.closure.posterior import TIE_ODDS
 from gyrobench.bench.closure.problem import declared_problem
 from gyrobench.bench.closure.search import EFFECT_SIGNIFICANCE, MAY_BE_LACK, Search
@@ -164,7 +170,7 @@ def test_an_effect_in_one_dwell_is_not_found(problem):
     bias_dph = one.campaign.bias_dph.copy()
     bias_dph[20] += 10.0 * SIGMA_DPH
     searched = declared_problem(replace(one.campaign, bias_dph=bias_dph), one.searched)
-    searching = Search(searched, [bias_jump.EFFECT, following_dwell(20)])
+    searching = Search(searched, [BIAS_JUMP, following_dwell(20)])
     assert searching.p_value(searching.alone["dwells"], 0) < EFFECT_SIGNIFICANCE
     assert "dwells" not in searching.best().names
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.effects import magnetic_sensitivity
 from gyrobench.bench.closure.effects.laws import (
     G_SENSITIVITY,
     TEMPERATURE_RATE,
@@ -16,6 +15,7 @@ from gyrobench.bench.closure.effects.laws import (
     TIME_DRIFT,
     WARM_UP,
 )
+from gyrobench.bench.closure.effects.surroundings import MAGNETIC_SENSITIVITY
 from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.closure.posterior import TIE_ODDS
 from gyrobench.bench.closure.separability import searched_dwells, separability
@@ -31,7 +31,7 @@ def slow_warm_up(course):
 #: Campaigns that leave a tie: effects hidden, sensors, candidates.
 TIES = {
     "one power-on": ({slow_warm_up: 2.5}, ("set",), (TIME_DRIFT, WARM_UP)),
-    "one heading": ({"g_sensitivity": 1.5}, ("set",), (G_SENSITIVITY, magnetic_sensitivity.EFFECT)),
+    "one heading": ({"g_sensitivity": 1.5}, ("set",), (G_SENSITIVITY, MAGNETIC_SENSITIVITY)),
     "no sensor at the electronics": (
         {"temperature_rate": 2.0},
         ("set",),

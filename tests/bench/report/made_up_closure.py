@@ -7,8 +7,13 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.effects import bias_jump
-from gyrobench.bench.closure.effects.laws import G_SENSITIVITY, TEMPERATURE_RATE, THERMAL_GRADIENT, TIME_DRIFT
+from gyrobench.bench.closure.effects.laws import (
+    BIAS_JUMP,
+    G_SENSITIVITY,
+    TEMPERATURE_RATE,
+    THERMAL_GRADIENT,
+    TIME_DRIFT,
+)
 from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.navigation.positions import POSITIONS
 
@@ -16,7 +21,7 @@ SIGMA_DPH = 0.002
 DWELLS_A_CYCLE = 48
 #: deg/h for each K/h.
 SENSITIVITY = np.array([0.0010, -0.0008, 0.0])
-EFFECTS = [bias_jump.EFFECT, G_SENSITIVITY, TEMPERATURE_RATE, THERMAL_GRADIENT, TIME_DRIFT]
+EFFECTS = [BIAS_JUMP, G_SENSITIVITY, TEMPERATURE_RATE, THERMAL_GRADIENT, TIME_DRIFT]
 TWIN = replace(TEMPERATURE_RATE, name="twin", experiment="separate the twins")
 
 

@@ -1,8 +1,8 @@
 import numpy as np
 
-from gyrobench.bench.closure.effects.bias_jump import EFFECT
+from gyrobench.bench.closure.effects.laws import BIAS_JUMP
 
-[FORM] = EFFECT.forms
+[FORM] = BIAS_JUMP.forms
 
 
 def test_the_bias_is_there_from_the_jump_on(clean):

@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.effects.chamber_state import EFFECT
+from gyrobench.bench.closure.effects.surroundings import CHAMBER_STATE
 from tests.bench.closure.thermal_bench import measure
 from tests.benchmarks.closure_courses import STEP_H, lagged
 
-FORM, HEAT = EFFECT.forms
+FORM, HEAT = CHAMBER_STATE.forms
 COLD_BELOW_C = 5.0
 #: Walls four times as well coupled to the air as the room, and settling within an hour.
 WALLS = (COLD_BELOW_C, 4.0, 3600.0)

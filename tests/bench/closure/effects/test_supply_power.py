@@ -5,12 +5,12 @@ import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.effects import all_effects
-from gyrobench.bench.closure.effects.supply_power import EFFECT
+from gyrobench.bench.closure.effects.surroundings import SUPPLY_POWER
 from gyrobench.bench.closure.loop import close_loop
 from tests.bench.closure.thermal_bench import STEP_S, measure
 from tests.benchmarks.closure_courses import lagged
 
-AT_ONCE, LAGGING = EFFECT.forms
+AT_ONCE, LAGGING = SUPPLY_POWER.forms
 TAU_H = 0.1
 OFF_STEPS = 10
 OPTIONS = {
