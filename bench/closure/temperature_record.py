@@ -139,6 +139,36 @@ def _ages(size: int) -> IntArray:
     return np.asarray(instants - instants[:, np.newaxis] + size - 1)
 
 
+def followed_with_play(values: FloatArray, half_width: FloatArray | float, first: FloatArray) -> FloatArray:
+    """Follower with play of a quantity (m, k): it moves where the quantity is a half width ahead of it.
+
+    ``first`` (k,): where it stands before the first instant. NaN from an instant on at which the quantity is.
+
+    Notes
+    -----
+    Each instant limits the follower of the one before; limits of limits are limits, so that those of 2, 4,
+    8, ... instants follow from each other. From one turn of the quantity to the next, those of the last
+    instant are enough.
+    """
+    course, half = np.ascontiguousarray(values.T), np.reshape(half_width, (-1, 1))
+    steps = course[:, 1:] - course[:, :-1]
+    turns = np.flatnonzero(~(steps[:, 1:] * steps[:, :-1] > 0.0).all(axis=0)) + 1
+    turns = np.concatenate([[0], turns])
+    low, high = course - half, course + half
+    limits = np.stack([low[:, turns], high[:, turns]])
+    reach = 1
+    while reach < len(turns):
+        earlier = np.maximum(limits[..., :-reach], limits[0, :, reach:])
+        np.minimum(earlier, limits[1, :, reach:], out=earlier)
+        limits[..., reach:] = earlier
+        if (earlier[0] == earlier[1]).all():  # where both limits are one, instants before do not matter
+            break
+        reach *= 2
+    at_turns = np.minimum(np.maximum(first[:, np.newaxis], limits[0]), limits[1])
+    follower = np.repeat(at_turns, np.diff(turns, append=len(values)), axis=1)
+    return np.asarray(np.minimum(np.maximum(follower, low), high).T)
+
+
 def record_of_dwells(
     start_s: FloatArray,
     end_s: FloatArray,

@@ -9,11 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
+from operator import itemgetter
 
 import numpy as np
 from scipy.stats import f, norm
 
 from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.closure.temperature_record import followed_with_play
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.drivers.ins.compensation import Compensation
@@ -89,17 +92,16 @@ def _play_k(cycles: Sequence[str], at_c: FloatArray, half_width_k: FloatArray) -
     Between dwells the temperature is taken to change one way. NaN while the play depends on what it was at
     the first dwell of its power cycle.
     """
-    found = np.full(at_c.shape, np.nan)
-    lowest_c = highest_c = np.zeros(3)
-    for number, (cycle, now_c) in enumerate(zip(cycles, at_c, strict=True)):
-        low_c, high_c = now_c - half_width_k, now_c + half_width_k
-        is_first = not number or cycle != cycles[number - 1]
-        lowest_c = low_c if is_first else np.clip(lowest_c, low_c, high_c)
-        highest_c = high_c if is_first else np.clip(highest_c, low_c, high_c)
-        found[number] = np.where(
-            highest_c - lowest_c < _PLAY_KNOWN_K, 0.5 * (lowest_c + highest_c) - now_c, np.nan
+    found = []
+    for _, group in groupby(zip(cycles, at_c, strict=True), key=itemgetter(0)):
+        course_c = np.array([each for _, each in group])
+        lowest_c, highest_c = (
+            followed_with_play(course_c, half_width_k, course_c[0] + side * half_width_k)
+            for side in (-1.0, 1.0)
         )
-    return found
+        is_known = highest_c - lowest_c < _PLAY_KNOWN_K
+        found.append(np.where(is_known, 0.5 * (lowest_c + highest_c) - course_c, np.nan))
+    return np.concatenate(found) if found else np.zeros_like(at_c)
 
 
 def measured_change(

@@ -28,7 +28,7 @@ from gyrobench.bench.closure.effects.effect import (
     needs_electronics,
     needs_positions,
 )
-from gyrobench.bench.closure.temperature_record import lag
+from gyrobench.bench.closure.temperature_record import followed_with_play, lag
 from gyrobench.bench.foundations.arrays import S_PER_DAY, S_PER_H, FloatArray
 from gyrobench.bench.navigation.positions import AXES
 
@@ -165,29 +165,8 @@ def _decay(state: FloatArray, time_s: FloatArray, tau_s: float) -> FloatArray:
 
 
 def _play(state: FloatArray, _: FloatArray, half_width: float) -> FloatArray:
-    """How far a follower with play stands from the quantity (m, 3): at most the half width.
-
-    Each instant limits the follower of the one before; limits of limits are limits, so that those of 2, 4,
-    8, ... instants follow from each other. From one turn of the quantity to the next, those of the last
-    instant are enough.
-    """
-    course = np.ascontiguousarray(state.T)
-    steps = course[:, 1:] - course[:, :-1]
-    turns = np.flatnonzero((steps[:, 1:] * steps[:, :-1] <= 0.0).any(axis=0)) + 1
-    turns = np.concatenate([[0], turns])
-    low, high = course - half_width, course + half_width
-    limits = np.stack([low[:, turns], high[:, turns]])
-    reach = 1
-    while reach < len(turns):
-        earlier = np.maximum(limits[..., :-reach], limits[0, :, reach:])
-        np.minimum(earlier, limits[1, :, reach:], out=earlier)
-        limits[..., reach:] = earlier
-        if (earlier[0] == earlier[1]).all():  # where both limits are one, instants before do not matter
-            break
-        reach *= 2
-    at_turns = np.minimum(np.maximum(course[:, :1], limits[0]), limits[1])
-    follower = np.repeat(at_turns, np.diff(turns, append=len(state)), axis=1)
-    return np.asarray((np.minimum(np.maximum(follower, low), high) - course).T)
+    """How far a follower with play stands from the quantity (m, 3): at most the half width."""
+    return followed_with_play(state, half_width, state[0]) - state
 
 
 #: State (m, 3) of a quantity over time, from that, the times (m,) and the parameter.

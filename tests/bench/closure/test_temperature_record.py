@@ -3,7 +3,12 @@ import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.effects.grammar import MEMORIES
-from gyrobench.bench.closure.temperature_record import TemperatureRecord, lag, record_of_dwells
+from gyrobench.bench.closure.temperature_record import (
+    TemperatureRecord,
+    followed_with_play,
+    lag,
+    record_of_dwells,
+)
 from tests.bench.closure.thermal_bench import measure
 
 DWELL_S = 1800.0
@@ -119,3 +124,9 @@ def test_a_follower_with_play_is_pushed_step_by_step(count, half_width):
         follower.append(np.clip(follower[-1], each - half_width, each + half_width))
     found = MEMORIES["play"](state, np.arange(count), half_width)
     np.testing.assert_array_equal(found, np.array(follower) - state)
+
+
+def test_a_follower_begins_where_it_stands_and_is_lost_where_the_quantity_is():
+    state = np.array([[0.0, 0.0], [1.0, np.nan], [2.0, 2.0]])
+    found = followed_with_play(state, np.array([1.0, 0.5]), np.array([-0.5, 9.0]))
+    np.testing.assert_array_equal(found, [[-0.5, 0.5], [0.0, np.nan], [1.0, np.nan]])
