@@ -154,7 +154,7 @@ class Run:
         RunFolderError, DocumentError
             As :meth:`navigation`.
         """
-        from gyrobench.bench.dwells.recorded_dwells import finished_marks
+        from gyrobench.bench.dwells.run_dwells import finished_marks
 
         navigation = self.navigation(dwell)
         [marks] = [each for each in finished_marks(self.folder) if each.dwell == dwell][-1:]
@@ -171,7 +171,7 @@ class Run:
         return {name: draw() for name, draw in figures_of(read_run(self.folder))}
 
     def _block(self, dwell: int) -> FrameBlock:
-        from gyrobench.bench.dwells.recorded_dwells import read_dwell_frames
+        from gyrobench.bench.dwells.run_dwells import read_dwell_frames
 
         return read_dwell_frames(self.folder, dwell)
 

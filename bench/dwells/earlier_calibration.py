@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,6 @@ import numpy as np
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.bias.statistics import weighted_mean
-from gyrobench.bench.dwells.calibration_check_bias import KnownAccelerometers
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, STANDARD_GRAVITY, UG_TO_MPS2, FloatArray, Triple
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
@@ -20,6 +20,19 @@ from gyrobench.bench.runs.folder import RunFolder
 #: How far the bias of an accelerometer may change with temperature beyond where it was measured, ug/K, if no
 #: more is declared.
 _ACCELEROMETER_SLOPE_UG = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class KnownAccelerometers:
+    """Accelerometer biases of the calibration, m/s^2, body axes."""
+
+    #: bias, sigma: Shape (3,). Values and standard uncertainties.
+    bias: FloatArray
+    sigma: FloatArray
+
+    def along(self, direction: FloatArray) -> tuple[float, float]:
+        """Bias and standard uncertainty along a unit vector (3,) in body axes."""
+        return float(direction @ self.bias), float(np.linalg.norm(direction * self.sigma))
 
 
 class EarlierCalibration:

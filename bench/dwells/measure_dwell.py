@@ -1,14 +1,14 @@
-"""One dwell: marks and frames in, a row of the dwell table out."""
+"""One dwell: marks and frames in, a row of the dwell table out; or a dwell that checks a calibration."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from gyrobench.bench.bias.bias_filter import StateSpaceEstimate, estimate_state_space
+from gyrobench.bench.bias.bias_filter import StateSpaceEstimate, estimate_state_space, navigation_fit
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell
 from gyrobench.bench.bias.dwell_table import NEIGHBOURS_ON, NOT_MEASURED, DwellRow
 from gyrobench.bench.bias.error_split import ErrorParts
@@ -24,17 +24,17 @@ from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.dwells.output_checks import OutputFault
 from gyrobench.bench.dwells.setup_check import SetupEvidence, drift_fault, raise_setup_fault
 from gyrobench.bench.dwells.temperatures import DwellTemperatures, dwell_temperatures
-from gyrobench.bench.foundations.arrays import UG_TO_MPS2, triple
+from gyrobench.bench.foundations.arrays import UG_TO_MPS2, Triple, triple
 from gyrobench.bench.foundations.errors import MeasurementError, SignalMapError
 from gyrobench.bench.navigation.earth import earth_rate_enu
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.marks import DwellMarks
 from gyrobench.drivers.frames import FrameBlock
-from gyrobench.drivers.ins.navigation_data import EpochCounts
+from gyrobench.drivers.ins.navigation_data import EpochCounts, NavigationData
 
 #: Below this p-value the fit fails: one in a hundred thousand good dwells.
-MIN_FIT_P_VALUE = 1e-5
+_MIN_FIT_P_VALUE = 1e-5
 #: The same for biases that differ between the windows: one in ten thousand.
 _MIN_STEADY_P_VALUE = 1e-4
 #: Attitude that is noisier than declared by this factor comes in steps of its sensors.
@@ -77,24 +77,44 @@ class MeasuredDwell:
         return replace(self, row=replace(self.row, flags=(*self.flags, flag)))
 
 
+@dataclass(eq=False)
+class _Reading:
+    """What the frames of a dwell show before anything is estimated, as far as it came."""
+
+    flags: list[str]
+    counts: EpochCounts = field(default_factory=EpochCounts)
+    temperatures: DwellTemperatures = field(default_factory=DwellTemperatures)
+    setup_fault: str = ""
+    are_signs_tested: bool = False
+
+    def decode(self, marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> NavigationData:
+        """Decode the frames and compare them with the signal map; raises MeasurementError."""
+        navigation, decoding_flags = decoded_navigation(marks, frames, setup)
+        self.flags += decoding_flags
+        self.are_signs_tested = check_signal_map(marks, frames, navigation, setup)
+        self.counts = navigation.counts
+        self.temperatures = dwell_temperatures(navigation, *marks.span)
+        return navigation
+
+    def end(self, error: MeasurementError) -> None:
+        """Flag the dwell with the reason why it can't be used."""
+        self.flags.append(str(error))
+        self.setup_fault = str(error) if isinstance(error, SignalMapError) else ""
+
+
 def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> MeasuredDwell:
     """Measure the gyro biases of one dwell.
 
     A dwell that can't give a result gives a row without biases, flagged with the reason.
     """
-    flags = list(marks.disturbances)
+    reading = _Reading(list(marks.disturbances))
     estimate, paper, joint_information = None, None, None
     persistent_flags: tuple[str, ...] = ()
     windows: tuple[RestMotion, ...] = ()
-    counts, temperatures, setup_fault = EpochCounts(), DwellTemperatures(), ""
     evidence: SetupEvidence | None = None
-    are_signs_tested = False
+    flags = reading.flags
     try:
-        navigation, decoding_flags = decoded_navigation(marks, frames, setup)
-        flags += decoding_flags
-        are_signs_tested = check_signal_map(marks, frames, navigation, setup)
-        counts = navigation.counts
-        temperatures = dwell_temperatures(navigation, *marks.span)
+        navigation = reading.decode(marks, frames, setup)
         dwell = dwell_at_rest(marks, navigation, setup)
         noise = setup.noise_in(dwell.windows)
         faults = setup.output_faults(dwell.windows, noise)
@@ -113,19 +133,17 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
             persistent_flags = (*persistent_flags, drift)
         flags += persistent_flags
     except MeasurementError as error:
-        flags.append(str(error))
-        setup_fault = str(error) if isinstance(error, SignalMapError) else ""
-    row = _row(marks, temperatures, estimate, paper, flags)
+        reading.end(error)
     return MeasuredDwell(
-        row,
+        _row(marks, reading.temperatures, estimate, paper, flags),
         estimate,
         joint_information,
         windows,
-        counts,
+        reading.counts,
         persistent_flags,
-        setup_fault,
+        reading.setup_fault,
         evidence,
-        are_signs_tested,
+        reading.are_signs_tested,
     )
 
 
@@ -193,7 +211,7 @@ def _contradictions(estimate: StateSpaceEstimate) -> list[str]:
     flags = []
     if estimate.damping.shows(_MIN_STEADY_P_VALUE):
         flags.append(estimate.damping.text)
-    if estimate.fit.p_value < MIN_FIT_P_VALUE:
+    if estimate.fit.p_value < _MIN_FIT_P_VALUE:
         flags.append(lack_of_fit_text(estimate.fit))
     if estimate.steady_p_value < _MIN_STEADY_P_VALUE:
         flags.append(
@@ -255,3 +273,107 @@ def _row(
         other=() if marks.neighbours_on is None else ((NEIGHBOURS_ON, marks.neighbours_on),),
         flags=tuple(flags),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class AlignedNavigation:
+    """Navigation straight from an alignment, and the noise of the INS in it."""
+
+    dwell: Dwell  #: An epoch a second.
+    noise: NoiseModel  #: Declared, or as estimated from all epochs.
+
+
+@dataclass(frozen=True, eq=False)
+class CheckDwell:
+    """One dwell of a calibration check: an alignment, and the navigation straight after it."""
+
+    marks: DwellMarks  #: Where and when.
+    navigation: AlignedNavigation | None  #: None where it can't be used.
+    temperatures: DwellTemperatures  #: Of the navigation.
+    aligning_c: Triple  #: Mean temperatures of the gyros over the alignment.
+    counts: EpochCounts  #: How the frames came.
+    flags: tuple[str, ...]  #: What was wrong; empty where nothing was.
+    setup_fault: str = ""  #: What of signal map or latitude is wrong.
+    are_signs_tested: bool = False  #: Whether wrong signs or axes of the velocities would have shown in it.
+
+    @property
+    def dwell(self) -> int:
+        """Number of the dwell."""
+        return self.marks.dwell
+
+    @property
+    def run(self) -> str:
+        """Power cycle of the unit."""
+        return self.marks.run
+
+    @property
+    def cycle(self) -> int:
+        """Cycle of the temperature profile."""
+        return self.marks.cycle
+
+    @property
+    def chamber_set_c(self) -> float | None:
+        """Set point of the chamber, degC."""
+        return self.marks.chamber_set_c
+
+    @property
+    def gyro_c(self) -> Triple:
+        """Mean temperatures of the gyros over the navigation, degC."""
+        return self.temperatures.gyro_c
+
+    @property
+    def is_disturbed(self) -> bool:
+        """Whether a fault disturbed it, so that a repeated dwell may be better."""
+        return bool(self.flags)
+
+
+def measure_check_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> CheckDwell:
+    """Measure one alignment and the navigation straight after it.
+
+    A dwell that can't be used is flagged with the reason.
+    """
+    reading = _Reading(list(marks.disturbances))
+    navigation, aligning_c, flags = None, NOT_MEASURED, reading.flags
+    try:
+        data = reading.decode(marks, frames, setup)
+        aligning_c = _aligning_c(data, marks.span[0], reading.temperatures)
+        dwell = dwell_at_rest(marks, data, setup)
+        navigation = _navigation(dwell, setup)
+        faults = setup.output_faults(dwell.windows, navigation.noise)
+        if not flags:
+            raise_setup_fault(setup.evidence(dwell, navigation.noise, faults))
+        flags += [fault.text for fault in faults]
+        (window,) = navigation.dwell.windows
+        fit = navigation_fit(window, setup.site, navigation.noise, setup.prior)
+        if fit.p_value < _MIN_FIT_P_VALUE:
+            flags.append(lack_of_fit_text(fit))
+    except MeasurementError as error:
+        reading.end(error)
+    return CheckDwell(
+        marks,
+        navigation,
+        reading.temperatures,
+        aligning_c,
+        reading.counts,
+        tuple(flags),
+        reading.setup_fault,
+        reading.are_signs_tested,
+    )
+
+
+def _navigation(dwell: Dwell, setup: MeasurementSetup) -> AlignedNavigation:
+    if len(dwell.windows) != 1:
+        raise MeasurementError(
+            f"{len(dwell.windows)} navigations; a calibration check has one, straight from the alignment"
+        )
+    thinned = tuple(window.thinned(EPOCH_S) for window in dwell.windows)
+    return AlignedNavigation(replace(dwell, windows=thinned), setup.noise_in(dwell.windows))
+
+
+def _aligning_c(data: NavigationData, first_frame: int, temperatures: DwellTemperatures) -> Triple:
+    """Temperatures of the alignment; where the INS does not send them, those of the navigation."""
+    try:
+        aligning_c = dwell_temperatures(data, 0, first_frame).gyro_c
+    except MeasurementError:
+        return temperatures.gyro_c
+    return temperatures.gyro_c if any(map(math.isnan, aligning_c)) else aligning_c

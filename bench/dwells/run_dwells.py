@@ -1,17 +1,33 @@
-"""The dwells of a run, collected as they are measured: what several show together flags each of them.
+"""The dwells of a run: collected as they are measured, or measured again from its folder.
 
-A run of a thousand hours has thousands of dwells. Their rows and what the joint solution needs are small; the
-navigation for the noise estimate is kept of some dwells only, evenly spread over the run.
+What several dwells show together flags each of them. A run of a thousand hours has thousands of dwells: their
+rows and what the joint solution needs are small; the navigation for the noise estimate is kept of some only,
+evenly spread over the run. The folder has the marks of each dwell in the journal, and its frames in the raw
+CAN log.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from typing import Any
+
+import numpy as np
 
 from gyrobench.bench.bias.damping import Damping
-from gyrobench.bench.dwells.measure_dwell import MeasuredDwell
+from gyrobench.bench.characteristics.allan_test import RateRecord
+from gyrobench.bench.dwells.measure_dwell import CheckDwell, MeasuredDwell, measure_check_dwell, measure_dwell
+from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
+from gyrobench.bench.dwells.rotated_dwell import navigated_increments
 from gyrobench.bench.dwells.setup_check import setup_fault
 from gyrobench.bench.dwells.temperatures import stuck_sensors
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.procedure.plan import DwellPurpose
+from gyrobench.bench.runs.can_log import read_can_log
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.runs.marks import DwellMarks
+from gyrobench.drivers.frames import FrameBlock, concatenate
 
 #: The noise estimate does not improve with more dwells than this.
 _MAX_WITH_NAVIGATION = 128
@@ -72,3 +88,133 @@ def _keep_navigation_of_some(dwells: list[MeasuredDwell]) -> None:
 def _spacing(count: int) -> int:
     """Smallest power of two that leaves few enough."""
     return 1 << max(0, (max(count, 1) - 1) // _MAX_WITH_NAVIGATION).bit_length()
+
+
+#: Longest segments of a noise record are thinned to this number of samples: the integral of the rate loses
+#: nothing between them.
+_MAX_NOISE_SAMPLES = 50_000
+
+
+def measure_recorded(
+    folder: RunFolder, setup: MeasurementSetup
+) -> tuple[list[MeasuredDwell], list[CheckDwell]]:
+    """Measure every finished dwell of a run again; check dwells are returned separately.
+
+    The journal lists the frames of each dwell; the frames themselves come from the raw log, one part of it at
+    a time. Of a dwell that was finished twice, the last time counts; parts of the log that belong to no
+    finished dwell, as a kill leaves them, are passed over. Raises RunFolderError if the journal or the log
+    can't be read, or the log lacks the frames of a dwell.
+    """
+    dwells: list[MeasuredDwell] = []
+    check_dwells: list[CheckDwell] = []
+    for marks, frames in _recorded(folder):
+        if marks.purpose is DwellPurpose.CALIBRATION_CHECK:
+            check_dwells.append(measure_check_dwell(marks, frames, setup))
+        else:
+            add_dwell(dwells, measure_dwell(marks, frames, setup))
+    return dwells, check_dwells
+
+
+def _recorded(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
+    finished = [marks for marks in finished_marks(folder) if marks.purpose.gives_bias]
+    parts = [marks.log_part for marks in finished if marks.windows]
+    if len(set(parts)) < len(parts):
+        raise RunFolderError(f"{folder.journal}: damaged: it places two dwells in one part of the log")
+    for marks in finished:
+        yield marks, read_frames(folder, marks)
+
+
+def rotated_dwells(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
+    """Finished dwells with rotations that nothing disturbed, in order; raises as :func:`measure_recorded`."""
+    for marks in rotated_marks(folder):
+        yield marks, read_frames(folder, marks)
+
+
+def rotated_marks(folder: RunFolder) -> list[DwellMarks]:
+    """Marks of :func:`rotated_dwells`."""
+    return _undisturbed(folder, DwellPurpose.ROTATIONS)
+
+
+def noise_records(folder: RunFolder, setup: MeasurementSetup) -> list[RateRecord]:
+    """Gyro rates of the finished noise records that nothing disturbed; raises as :func:`measure_recorded`."""
+    return [
+        _rate_record(marks, read_frames(folder, marks), setup)
+        for marks in _undisturbed(folder, DwellPurpose.NOISE)
+    ]
+
+
+def _undisturbed(folder: RunFolder, purpose: DwellPurpose) -> list[DwellMarks]:
+    return [marks for marks in finished_marks(folder) if marks.purpose is purpose and not marks.disturbances]
+
+
+def _rate_record(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> RateRecord:
+    """Integrated rates of the gyros over the window of a noise record, in pieces where epochs are missing."""
+    increments = navigated_increments(setup.decode(frames), setup.site)
+    first, end = marks.span
+    inside = (increments.row > first) & (increments.row < end)
+    angle, follows = increments.angle[inside], increments.follows[inside]
+    every = int(np.ceil(max(len(angle), 1) / _MAX_NOISE_SAMPLES))
+    pieces = np.split(angle, np.flatnonzero(~follows[1:]) + 1)
+    segments = [np.vstack([np.zeros(3), np.cumsum(piece, axis=0)])[::every] for piece in pieces]
+    return RateRecord(increments.interval_s * every, segments)
+
+
+def finished_marks(folder: RunFolder) -> list[DwellMarks]:
+    """Marks of the finished dwells in the journal, each number once, in the order of time.
+
+    Raises RunFolderError if the journal is damaged.
+    """
+    return marks_in(read_journal(folder.journal), folder)
+
+
+def marks_in(entries: Iterable[Mapping[str, Any]], folder: RunFolder) -> list[DwellMarks]:
+    """:func:`finished_marks` of entries that were read already."""
+    found: dict[int, DwellMarks] = {}
+    for entry in entries:
+        if entry.get("event") == "data_given_up":
+            given_up = entry.get("dwells")
+            if not isinstance(given_up, list):
+                raise RunFolderError(f"{folder.journal}: damaged: data_given_up lacks its list of dwells")
+            found = {dwell: marks for dwell, marks in found.items() if dwell not in given_up}
+        elif entry.get("event") == "dwell_finished":
+            try:
+                marks = DwellMarks.from_json(entry.get("marks", {}))
+            except RunFolderError as error:
+                raise RunFolderError(f"{folder.journal}: {error}") from error
+            found[marks.dwell] = marks
+    return sorted(found.values(), key=lambda marks: marks.start_s)
+
+
+def read_dwell_frames(folder: RunFolder, dwell: int) -> FrameBlock:
+    """Frames of one finished dwell.
+
+    Raises RunFolderError if the run has no finished dwell of that number, or the log lacks its frames.
+    """
+    marks = {each.dwell: each for each in finished_marks(folder)}.get(dwell)
+    if marks is None:
+        raise RunFolderError(f"{folder.path}: has no finished dwell {dwell}")
+    return read_frames(folder, marks)
+
+
+def read_frames(folder: RunFolder, marks: DwellMarks) -> FrameBlock:
+    """Frames of a dwell by its marks, none if the INS never navigated in it.
+
+    Raises RunFolderError if the log lacks them.
+    """
+    if not marks.windows:
+        return concatenate([])
+    for _, frames in read_can_log(folder.can, {marks.log_part}):
+        return _frames(folder, marks, frames)
+    raise RunFolderError(
+        f"{folder.can}: lacks part {marks.log_part}, which dwell {marks.dwell} needs. Restore it"
+    )
+
+
+def _frames(folder: RunFolder, marks: DwellMarks, logged: FrameBlock) -> FrameBlock:
+    frames, needed = logged.data_frames(), marks.frame_count
+    if len(frames) < needed:
+        raise RunFolderError(
+            f"{folder.can}: part {marks.log_part} holds {len(frames)} frames, where dwell {marks.dwell} "
+            f"needs {needed}: it is cut off or damaged. Restore the part"
+        )
+    return frames.take(slice(0, needed))

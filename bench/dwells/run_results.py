@@ -22,17 +22,11 @@ from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, write_ac
 from gyrobench.bench.bias.vertical_pairs import UpRate
 from gyrobench.bench.characteristics.results import TestResult, write_characteristics
 from gyrobench.bench.dwells.calibration_check import calibration_check_rows
-from gyrobench.bench.dwells.check_dwell import CheckDwell
 from gyrobench.bench.dwells.latitude import with_latitude_uncertainty, without_latitude_error
-from gyrobench.bench.dwells.measure_dwell import MeasuredDwell
+from gyrobench.bench.dwells.measure_dwell import CheckDwell, MeasuredDwell
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup, measurement_setup
 from gyrobench.bench.dwells.plateau_calibration import PlateauCalibration, calibrate_plateaus
-from gyrobench.bench.dwells.recorded_dwells import (
-    measure_recorded,
-    noise_records,
-    rotated_dwells,
-    rotated_marks,
-)
+from gyrobench.bench.dwells.run_dwells import measure_recorded, noise_records, rotated_dwells, rotated_marks
 from gyrobench.bench.dwells.run_rotations import RunRotations, spin_record
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.files import remove

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from gyrobench.bench.dwells.recorded_dwells import marks_in, read_frames
+from gyrobench.bench.dwells.run_dwells import marks_in, read_frames
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import cant_be_written, read_limited, sync_folder, write_whole

@@ -1,22 +1,28 @@
-"""A unit that is measured: its dwells are measured at their end, and repeated where data are invalid."""
+"""A unit that is measured: its dwell in progress, its dwells at their end, and which of them are repeated."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
 
+import numpy as np
+
+from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
 from gyrobench.bench.bias.dwell_table import write_dwells
-from gyrobench.bench.dwells.check_dwell import measure_check_dwell
-from gyrobench.bench.dwells.measure_dwell import MeasuredDwell, measure_dwell
+from gyrobench.bench.dwells.live_estimate import LiveEstimate
+from gyrobench.bench.dwells.measure_dwell import MeasuredDwell, measure_check_dwell, measure_dwell
+from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.dwells.run_dwells import add_dwell
-from gyrobench.bench.engine.dwell_recorder import DwellRecorder
+from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.live_unit import LiveUnit
 from gyrobench.bench.engine.run_context import RunContext
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import SignalMapError
 from gyrobench.bench.foundations.text import flag_text
+from gyrobench.bench.navigation.table_axes import Angles
 from gyrobench.bench.procedure.plan import DwellPurpose
 from gyrobench.bench.procedure.rotation_steps import counted_moves
-from gyrobench.bench.runs.marks import DwellMarks
-from gyrobench.drivers.frames import FrameBlock
+from gyrobench.bench.runs.marks import DwellMarks, WindowMark
+from gyrobench.drivers.frames import FrameBlock, concatenate
 
 
 class MeasuredUnit:
@@ -128,3 +134,127 @@ class MeasuredUnit:
 
     def _noted(self, text: str) -> None:
         self._context.observers.noted(self.run.named(text))
+
+
+#: A single reading of the table may differ by this much from the one at the window's begin, deg.
+_STILL_DEG = 0.001
+#: A creep of this size from the first third of a window's readings to the last biases the result by sigmas.
+_CREEP_DEG = 1e-4
+#: A creep also has to exceed the scatter of the readings by this number of standard deviations.
+_CREEP_SIGMAS = 5.0
+
+
+class DwellRecorder:
+    """Marks of the dwell in progress of one unit."""
+
+    def __init__(self, bench: LiveBench, unit: LiveUnit, setup: MeasurementSetup) -> None:
+        self._bench = bench
+        self._unit = unit
+        self._setup = setup
+        self._align_begin_s = 0.0
+        self._start_s = 0.0
+        self._start_azimuth_deg = 0.0
+        self._first_frame = 0
+        self._angles: Angles = (0.0, 0.0)
+        self._turn: tuple[int | None, int | None] = (None, None)
+        self._windows: list[WindowMark] = []
+        self._disturbances: list[str] = []
+        self._live: LiveEstimate | None = None
+
+    def begin(self) -> None:
+        """Begin a dwell with its alignment."""
+        self._unit.begin_capture()
+        self._align_begin_s = self._start_s = self._bench.clock.now()
+        self._windows.clear()
+        self._disturbances.clear()
+        self._turn = (None, None)
+        self._start_azimuth_deg = self._unit.state.azimuth_deg
+        self._live = LiveEstimate(self._setup, self._frames)
+
+    def begin_window(self) -> None:
+        """Begin a window: the INS navigates at rest."""
+        self._first_frame = self._unit.captured_frames()
+        if not self._windows:
+            self._start_s = self._bench.clock.now()
+        self._angles = self._bench.table_angles()
+        self._unit.begin_window(is_first=not self._windows)
+
+    def end_window(self) -> None:
+        """End the window; a table that moved disturbs the dwell."""
+        read_deg = [*(self._unit.capture.table_deg if self._unit.capture else ()), self._bench.table_angles()]
+        moved_deg = float(np.abs(np.subtract(read_deg, self._angles)).max())
+        if moved_deg > _STILL_DEG:
+            self.disturb(f"the table moved by {moved_deg:.4f} deg while the INS navigated")
+        elif (creep_deg := _creep_deg(np.array(read_deg))) > _CREEP_DEG:
+            self.disturb(f"the table crept by {creep_deg:.5f} deg while the INS navigated")
+        self._windows.append(self._window())
+        self._turn = (None, None)
+
+    def begin_turn(self) -> None:
+        """Begin a turn."""
+        if self._turn[0] is None:
+            self._turn = (self._unit.captured_frames(), None)
+
+    def end_turn(self) -> None:
+        """End a turn: the table is at rest."""
+        self._turn = (self._turn[0], self._unit.captured_frames())
+
+    @property
+    def has_window(self) -> bool:
+        """Whether the INS has navigated in this dwell."""
+        return bool(self._windows)
+
+    def estimate_so_far(self) -> StateSpaceEstimate | None:
+        """Estimate the biases during a window; None as long as they are not observable."""
+        if self._live is None or self._unit.capture is None:
+            return None
+        return self._live.update([*self._windows, self._window()])
+
+    def _window(self) -> WindowMark:
+        return WindowMark(self._first_frame, self._unit.captured_frames(), *self._angles, *self._turn)
+
+    def _frames(self, first: int) -> FrameBlock:
+        capture = self._unit.capture
+        return capture.frames(first) if capture else concatenate([])
+
+    def disturb(self, text: str) -> None:
+        """Note a disturbance of the dwell in progress, which keeps it out of the bins."""
+        if text not in self._disturbances:
+            self._disturbances.append(text)
+
+    def marks(self) -> DwellMarks:
+        """Return the marks of the dwell that is over."""
+        at = self._bench.state.at
+        capture = self._unit.capture
+        chamber_c = capture.chamber_c if capture else []
+        neighbours_on = capture.neighbours_on if capture else []
+        return DwellMarks(
+            unit=self._unit.state.number,
+            run=f"{self._bench.clock.epoch:%Y%m%dT%H%M%S}-{at.power_ons}",
+            dwell=at.dwell,
+            cycle=at.cycle,
+            position=self._unit.state.position,
+            azimuth_deg=self._start_azimuth_deg,
+            log_part=capture.log_part if capture else 0,
+            windows=tuple(self._windows),
+            start_s=round(self._start_s, 6),
+            end_s=round(self._bench.clock.now(), 6),
+            since_power_on_s=round(self._start_s - at.powered_s, 6),
+            chamber_set_c=self._bench.state.commanded_c,
+            chamber_c=float(np.mean(chamber_c)) if chamber_c else None,
+            purpose=at.purpose,
+            neighbours_on=float(np.mean(neighbours_on)) if neighbours_on else None,
+            align_s=round(self._start_s - self._align_begin_s, 6),
+            disturbances=tuple(self._disturbances),
+        )
+
+
+def _creep_deg(read_deg: FloatArray) -> float:
+    """Creep of readings in time order, shape (n, 2), beyond their scatter, deg; else zero."""
+    count = len(read_deg) // 3
+    if count == 0:
+        return 0.0
+    first, last = read_deg[:count], read_deg[-count:]
+    creep_deg = np.abs(last.mean(axis=0) - first.mean(axis=0))
+    scatter_deg = np.sqrt((first.var(axis=0) + last.var(axis=0)) / count)
+    return float(np.where(creep_deg > _CREEP_SIGMAS * scatter_deg, creep_deg, 0.0).max())

@@ -11,7 +11,7 @@ from pathlib import Path
 from gyrobench.bench.bias.dwell_table import write_dwells
 from gyrobench.bench.dwells.live_estimate import compile_estimator
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup, measurement_setup
-from gyrobench.bench.dwells.recorded_dwells import measure_recorded
+from gyrobench.bench.dwells.run_dwells import measure_recorded
 from gyrobench.bench.dwells.run_results import evaluate_run
 from gyrobench.bench.dwells.run_rotations import compile_calibration
 from gyrobench.bench.engine.engine import Engine

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from gyrobench.bench.dwells.check_dwell import CheckDwell
-from gyrobench.bench.dwells.measure_dwell import MeasuredDwell
+from gyrobench.bench.dwells.measure_dwell import CheckDwell, MeasuredDwell
 from gyrobench.bench.dwells.run_results import RunResults
 from gyrobench.bench.dwells.run_rotations import RunRotations
 from gyrobench.bench.foundations.text import flag_text, run_ending

@@ -20,10 +20,9 @@ from gyrobench.bench.closure.loadable_model import (
 from gyrobench.bench.closure.loop import repeat_search
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.quantity import QUANTITIES
-from gyrobench.bench.dwells.check_dwell import CheckDwell
-from gyrobench.bench.dwells.measure_dwell import MeasuredDwell
+from gyrobench.bench.dwells.measure_dwell import CheckDwell, MeasuredDwell
 from gyrobench.bench.dwells.measurement_setup import measurement_setup
-from gyrobench.bench.dwells.recorded_dwells import measure_recorded
+from gyrobench.bench.dwells.run_dwells import measure_recorded
 from gyrobench.bench.engine.job import Job, emulation_of, prepare_job
 from gyrobench.bench.engine.observers import RunObserver
 from gyrobench.bench.engine.operator import Operator

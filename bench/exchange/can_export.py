@@ -17,7 +17,7 @@ import pyarrow as pa
 from scipy.spatial.transform import Rotation
 
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
-from gyrobench.bench.dwells.recorded_dwells import finished_marks
+from gyrobench.bench.dwells.run_dwells import finished_marks
 from gyrobench.bench.exchange.export_folder import ExportFolder, field_of
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import RunFolderError

@@ -19,7 +19,7 @@ from gyrobench.bench.closure.loadable_model import LoadableModel
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.uncertainty import Draws
 from gyrobench.bench.closure.validation import LACK_OF_FIT_P
-from gyrobench.bench.dwells.check_dwell import CheckDwell
+from gyrobench.bench.dwells.measure_dwell import CheckDwell
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms
 from gyrobench.bench.foundations.csv_tables import format_csv, write_text
 from gyrobench.bench.foundations.errors import MeasurementError

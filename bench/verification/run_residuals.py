@@ -14,7 +14,7 @@ from scipy.stats import norm, studentized_range
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.plateaus import set_point_c
 from gyrobench.bench.bias.statistics import weighted_mean
-from gyrobench.bench.dwells.check_dwell import CheckDwell
+from gyrobench.bench.dwells.measure_dwell import CheckDwell
 from gyrobench.bench.foundations.arrays import FloatArray, rms
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.error_model import Site

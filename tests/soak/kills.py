@@ -23,7 +23,7 @@ from scipy.stats import chi2 as chi2_distribution
 
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.dwells.measurement_setup import measurement_setup
-from gyrobench.bench.dwells.recorded_dwells import measure_recorded
+from gyrobench.bench.dwells.run_dwells import measure_recorded
 from gyrobench.bench.engine.job import Job, prepare_job
 from gyrobench.bench.engine.resume import prepare_resumption, resume_state_of
 from gyrobench.bench.foundations.errors import RunFolderError

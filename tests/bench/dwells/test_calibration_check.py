@@ -10,7 +10,7 @@ import pytest
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.dwells.calibration_check import calibration_check_rows
-from gyrobench.bench.dwells.check_dwell import AlignedNavigation, CheckDwell
+from gyrobench.bench.dwells.measure_dwell import AlignedNavigation, CheckDwell
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.dwells.temperatures import DwellTemperatures
 from gyrobench.bench.navigation.positions import AXES, POSITIONS

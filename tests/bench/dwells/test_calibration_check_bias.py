@@ -8,7 +8,7 @@ from gyrobench.bench.bias.bias_filter import navigation_fit
 from gyrobench.bench.bias.dwell import NavigationWindow
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.bias.statistics import uniformity_p_value
-from gyrobench.bench.dwells.calibration_check_bias import (
+from gyrobench.bench.dwells.calibration_check import (
     KnownAccelerometers,
     bias_from_alignments,
     bias_from_velocity,

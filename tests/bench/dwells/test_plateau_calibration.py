@@ -18,7 +18,7 @@ from gyrobench.bench.dwells.plateau_calibration import (
     calibrate_plateaus,
     with_temperature_change,
 )
-from gyrobench.bench.dwells.recorded_dwells import rotated_dwells
+from gyrobench.bench.dwells.run_dwells import rotated_dwells
 from gyrobench.bench.dwells.run_results import recompute_run
 from gyrobench.bench.dwells.run_rotations import PlateauRotations, RunRotations
 from gyrobench.bench.exchange.import_map import load_log_map

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.characteristics.results import read_characteristics
-from gyrobench.bench.dwells.recorded_dwells import finished_marks
+from gyrobench.bench.dwells.run_dwells import finished_marks
 from gyrobench.bench.dwells.run_results import recompute_run
 from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.operator import ConsentingOperator

@@ -5,7 +5,7 @@ import shutil
 import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells
-from gyrobench.bench.dwells.recorded_dwells import finished_marks
+from gyrobench.bench.dwells.run_dwells import finished_marks
 from gyrobench.bench.engine.damage import find_damage
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.errors import RunFolderError

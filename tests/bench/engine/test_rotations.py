@@ -14,7 +14,7 @@ import yaml
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.calibration.rotation_list import load_rotation_list
 from gyrobench.bench.dwells.measurement_setup import measurement_setup
-from gyrobench.bench.dwells.recorded_dwells import finished_marks, read_frames
+from gyrobench.bench.dwells.run_dwells import finished_marks, read_frames
 from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.run import run_job

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from gyrobench.bench.dwells.measurement_setup import measurement_setup
-from gyrobench.bench.dwells.recorded_dwells import measure_recorded
+from gyrobench.bench.dwells.run_dwells import measure_recorded
 from gyrobench.bench.dwells.run_results import recompute_run
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.runs.can_log import read_can_log
