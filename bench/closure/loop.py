@@ -16,7 +16,7 @@ from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect
 from gyrobench.bench.closure.evidence import detectable_dph
 from gyrobench.bench.closure.files import holds_search, read_held_out_cycles, read_quantity, read_tables
-from gyrobench.bench.closure.held_out import HeldOutTest, held_out_test
+from gyrobench.bench.closure.held_out import HeldOutTest, held_out_test, is_confirmed
 from gyrobench.bench.closure.inputs import read_campaign
 from gyrobench.bench.closure.outcome import CandidateResult, Closure, FoundEffect, HeldOutCycle, OtherForm
 from gyrobench.bench.closure.posterior import CLEAN, EXPLAINED, Posterior
@@ -24,13 +24,7 @@ from gyrobench.bench.closure.problem import DEGREE, Problem, Solution, declared_
 from gyrobench.bench.closure.search import Search
 from gyrobench.bench.closure.selection import Selected, select
 from gyrobench.bench.closure.uncertainty import Draws, draw, interval
-from gyrobench.bench.closure.validation import (
-    LackOfFit,
-    is_confirmed,
-    lack_of_fit,
-    leave_out_cycles,
-    measured_minus,
-)
+from gyrobench.bench.closure.validation import LackOfFit, lack_of_fit, leave_out_cycles, measured_minus
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms, rms_of_known
 from gyrobench.bench.foundations.errors import MeasurementError, RunFolderError
 from gyrobench.bench.foundations.text import counted, listed

@@ -16,13 +16,15 @@ from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, stack
 from gyrobench.bench.closure.problem import SCALE_C, Problem, declared_problem
-from gyrobench.bench.closure.validation import MEDIAN, LackOfFit, lack_of_fit
+from gyrobench.bench.closure.validation import LackOfFit, lack_of_fit
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.navigation.positions import AXES
 
 #: A measured bias further from the model than this many standard deviations is an outlier.
 OUTLIER_SIGMA = 5.0
+#: Median of the absolute value of a standard normal number.
+MEDIAN = 0.6745
 #: With a larger share the outliers are no exceptions: all count in full.
 _MAX_OUTLIERS = 0.1
 #: Scatter without structure is noise up to this ratio to the stated uncertainties.

@@ -17,7 +17,7 @@ from gyrobench.bench.bias.statistics import chi2_p_value, f_p_value
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, solve_with
 from gyrobench.bench.closure.problem import SCALE_C, Problem, Solution, declared_problem
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, b_splines, rms
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, b_splines
 
 #: A lack of fit is significant below this p-value.
 LACK_OF_FIT_P = 1e-3
@@ -139,55 +139,6 @@ _STRUCTURES: dict[str, Callable[[Campaign], FloatArray]] = {
     "position": _positions,
     "temperature rate": _rate,
 }
-
-
-#: What effects predict counts as seen in held-out dwells from this many standard deviations of its size on. A
-#: gyro where it is this many times as large also decides alone.
-_MIN_T, _DECIDES_ALONE = 3.0, 3.0
-#: Range of the size of what effects predict: 1 if they are right.
-_MIN_SIZE, _MAX_SIZE = 0.5, 2.0
-#: Errors beyond this many standard deviations are outliers; held-out dwells are like those searched up to
-#: this ratio of their errors to the noise.
-_MAX_ERROR, _MAX_HELD_OUT_NOISE = 5.0, 2.0
-_STEPS_TO_SIZE = 30
-#: Median of the absolute value of a standard normal number.
-MEDIAN = 0.6745
-
-
-def is_confirmed(before_dph: FloatArray, after_dph: FloatArray, noise_dph: FloatArray) -> bool:
-    """Whether effects reduce the errors in held-out dwells by more than chance, and to their noise.
-
-    Decided for all gyros together, and for each where the effects predict enough. ``before_dph``,
-    ``after_dph`` (n, 3): measured minus predicted bias without and with the effects. ``noise_dph`` (n, 3):
-    standard deviation of the noise.
-
-    Notes
-    -----
-    The size of what the effects predict is fitted to the errors without them, outliers at a lower weight: it
-    is 1 if they are right, and 0 if these dwells show nothing of them. Its standard deviation follows from
-    the errors left. The sum of squared errors, an outlier counted as :data:`_MAX_ERROR`, must fall too.
-    """
-    before, after = (np.nan_to_num(each / noise_dph) for each in (before_dph, after_dph))
-    lengths = np.linalg.norm(before - after, axis=0)
-    decisive = np.flatnonzero(lengths > _DECIDES_ALONE * _MIN_T)
-    pairs = [(before.ravel(), after.ravel()), *((before[:, each], after[:, each]) for each in decisive)]
-    return all(_are_reduced(*each) for each in pairs)
-
-
-def _are_reduced(before: FloatArray, after: FloatArray) -> bool:
-    """Whether errors (n,) in units of the noise are reduced by more than chance, and to the noise."""
-    predicted = before - after
-    noise = max(1.0, float(np.median(np.abs(after))) / MEDIAN)
-    if not predicted.any() or noise > _MAX_HELD_OUT_NOISE:
-        return False
-    limit, size = _MAX_ERROR * noise, 1.0
-    for _ in range(_STEPS_TO_SIZE):
-        weighted = predicted * limit / np.maximum(np.abs(before - size * predicted), limit)
-        size = float(weighted @ before / (weighted @ predicted))
-    left = np.clip(before - size * predicted, -limit, limit)
-    is_seen = size * float(np.linalg.norm(predicted)) > _MIN_T * max(1.0, rms(left))
-    is_less = rms(np.clip(after, -limit, limit)) < rms(np.clip(before, -limit, limit))
-    return is_seen and is_less and _MIN_SIZE < size < _MAX_SIZE
 
 
 #: The other cycles determine a term's size if they have this share of its length in the one left out.

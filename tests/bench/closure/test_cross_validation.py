@@ -10,10 +10,10 @@ from gyrobench.bench.closure.effects.laws import (
     TIME_DRIFT,
     WARM_UP,
 )
+from gyrobench.bench.closure.held_out import is_confirmed
 from gyrobench.bench.closure.problem import declared_problem
 from gyrobench.bench.closure.validation import (
     LeftOut,
-    is_confirmed,
     leave_out_cycles,
     measured_minus,
     without_unseen_constants,
