@@ -60,22 +60,22 @@ def run(
     from gyrobench.bench.foundations.errors import DocumentError
     from gyrobench.bench.foundations.text import listed
     from gyrobench.bench.monitor.terminal_view import observe_in_terminal
-    from gyrobench.bench.runs.compensation_file import read_compensation, unit_of_compensation
+    from gyrobench.bench.runs.compensation_file import read_compensation_file
     from gyrobench.bench.station.instruments import Emulation
 
     terminal = console(as_json)
-    loaded = read_compensation(compensation) if compensation else None
+    loaded = read_compensation_file(compensation) if compensation else None
     job = prepare_job(
         procedure,
         station,
         Emulation.of(station, world, seed, faults),
         calibration,
-        loaded,
+        loaded.compensation() if loaded else None,
         {"customer": customer, "order": order, "item": item},
         acknowledge or (),
     )
-    if compensation:
-        job = replace(job, unit=unit_of_compensation(compensation))
+    if loaded:
+        job = replace(job, unit=loaded.serial_number)
     if missing := [key for key in job.station.not_filled_in if key != "description"]:
         raise DocumentError(f"{job.station.path}: not filled in yet: {listed(missing)}. Fill them in")
     gc.freeze()  # what is loaded stays: no collection needs to search it

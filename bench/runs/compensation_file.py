@@ -99,6 +99,11 @@ class CompensationFile(StrictModel):
         self.compensation()
         return self
 
+    @property
+    def serial_number(self) -> str:
+        """Serial number of the only INS that gets it; empty for any."""
+        return str(self.unit or "")
+
     def compensation(self) -> Compensation:
         """Give what the file describes."""
         numbers = {name: np.array(value) for name, value in self if value is not None and name in NUMBERS}
@@ -143,14 +148,14 @@ def _entry(correction: Correction) -> dict[str, Any]:
     return entry
 
 
-def read_compensation(path: Path) -> Compensation:
+def read_compensation_file(path: Path) -> CompensationFile:
     """Read a compensation file. Raises DocumentError, which lists everything wrong with it, with places."""
-    return validate(read_document(path), CompensationFile).compensation()
+    return validate(read_document(path), CompensationFile)
 
 
-def unit_of_compensation(path: Path) -> str:
-    """Serial number of the only INS that gets a compensation; empty for any. Raises as reading it does."""
-    return str(validate(read_document(path), CompensationFile).unit or "")
+def read_compensation(path: Path) -> Compensation:
+    """What a compensation file describes; raises as :func:`read_compensation_file` does."""
+    return read_compensation_file(path).compensation()
 
 
 def compensations_in_use(run: RunFolder) -> list[str]:

@@ -6,7 +6,7 @@ import pytest
 from gyrobench.bench.closure.loadable_model import declared_model, model_with_effects
 from gyrobench.bench.exchange.export_folder import ExportFolder
 from gyrobench.bench.exchange.run_export import compensation_files, export_compensation
-from gyrobench.bench.runs.compensation_file import read_compensation, unit_of_compensation
+from gyrobench.bench.runs.compensation_file import read_compensation_file
 from tests.bench.report import made_up_closure
 
 
@@ -59,10 +59,11 @@ def test_the_terms_give_back_every_number_of_the_compensation(exported):
 
 def test_the_file_is_one_that_a_run_takes(exported):
     closure, out = exported
-    loaded, model = read_compensation(out / "compensation.yaml"), model_with_effects(closure).compensation
+    read = read_compensation_file(out / "compensation.yaml")
+    loaded, model = read.compensation(), model_with_effects(closure).compensation
     np.testing.assert_array_equal(loaded.polynomial_dph, model.polynomial_dph)
     assert loaded.terms() == model.terms()
-    assert unit_of_compensation(out / "compensation.yaml") == closure.campaign.unit
+    assert read.serial_number == closure.campaign.unit
 
 
 def test_verdict_and_what_is_left_out_are_reported(exported):

@@ -12,7 +12,7 @@ from gyrobench.bench.runs.compensation_file import (
     _Name,
     compensations_in_use,
     read_compensation,
-    unit_of_compensation,
+    read_compensation_file,
     write_compensation,
 )
 from gyrobench.bench.runs.folder import RunFolder
@@ -38,9 +38,9 @@ def test_every_number_of_a_compensation_has_its_key():
 @pytest.mark.parametrize(("line", "unit"), [("", ""), ("unit: 1001\n", "1001"), ("unit: 'A-7'\n", "A-7")])
 def test_a_compensation_is_for_the_unit_that_it_names(written, tmp_path, line, unit):
     path = written(line + POLYNOMIAL)
-    assert unit_of_compensation(path) == unit
+    assert read_compensation_file(path).serial_number == unit
     write_compensation(tmp_path / "again.yaml", read_compensation(path), unit)
-    assert unit_of_compensation(tmp_path / "again.yaml") == unit
+    assert read_compensation_file(tmp_path / "again.yaml").serial_number == unit
 
 
 def test_a_compensation_is_read_as_it_was_written(tmp_path):
