@@ -44,6 +44,7 @@ from gyrobench.bench.investigation.proposal import (
     MIN_GAIN,
     SETTLED,
     Outcome,
+    PossibleBlocks,
     Proposal,
     calibration_of,
     hours_left,
@@ -208,9 +209,13 @@ class Investigator:
                 measured = [each.proposal.block.kinds for each in self._stages if each.proposal]
                 is_settled = stage.is_uncertain and stage.purpose != DISTINGUISH
                 found = propose(
-                    forecast, stage.rivals, refused, left_h, self._bench, measured,
-                    self._profile, stage.calibration if stage.is_uncertain else None, is_settled=is_settled,
-                )  # fmt: skip
+                    forecast,
+                    stage.rivals,
+                    PossibleBlocks(self._bench, left_h, refused, measured),
+                    self._profile,
+                    stage.calibration if stage.is_uncertain else None,
+                    is_settled=is_settled,
+                )
                 useful = [
                     each
                     for each in found

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -105,13 +105,32 @@ class Proposal:
         return self.weight * chance / self.block.plan.duration_h
 
 
+@dataclass(frozen=True)
+class PossibleBlocks:
+    """Which blocks a bench can measure, and which it has measured."""
+
+    planner: BlockPlanner = field(default_factory=AfterLastDwell)  #: The bench.
+    max_h: float = np.inf  #: Longest block.
+    #: Kinds of the blocks that the bench refused. One kind is not proposed in a pair either; the kinds of a
+    #: refused pair are proposed alone.
+    refused: Collection[Sequence[str]] = ()
+    measured: Sequence[Sequence[str]] = ()  #: Kinds of the blocks measured since the first table.
+
+    def usable(self, blocks: Sequence[Block]) -> list[Block]:
+        """Those of some blocks that can be measured, with the times of the bench."""
+        asked = [each for each in blocks if not any(set(kinds) <= set(each.kinds) for kinds in self.refused)]
+        timed = filter(None, map(self.planner.timed, asked))
+        return [each for each in timed if each.plan.duration_h <= self.max_h]
+
+    def repeats(self, block: Block) -> int:
+        """How often the kinds of a block were measured, the most of each."""
+        return max(sum(kind in kinds for kinds in self.measured) for kind in block.kinds)
+
+
 def propose(
     forecast: Forecast,
     rivals: Sequence[Rival],
-    refused: Collection[Sequence[str]] = (),
-    max_h: float = np.inf,
-    planner: BlockPlanner | None = None,
-    measured: Sequence[Sequence[str]] = (),
+    possible: PossibleBlocks | None = None,
     profile: Profile | None = None,
     calibration: ProfileCalibration | None = None,
     *,
@@ -125,15 +144,8 @@ def propose(
         Of all dwells measured.
     rivals : sequence of Rival
         Hypotheses fitted to them.
-    refused : collection of sequence of str
-        Kinds of the blocks that the bench refused. One kind is not proposed in a pair either; the kinds of a
-        refused pair are proposed alone.
-    max_h : float
-        Longest block.
-    planner : BlockPlanner, optional
-        The bench; by default one that stays as it is after the last dwell.
-    measured : sequence of sequence of str
-        Kinds of the blocks measured since the first table.
+    possible : PossibleBlocks, optional
+        By default any, on a bench that stays as it is after the last dwell.
     profile : Profile, optional
         Its dwells are blocks too.
     calibration : ProfileCalibration, optional
@@ -141,16 +153,11 @@ def propose(
     is_settled : bool
         Whether only that counts; the proposals are without predictions then.
     """
-    rows, planner = forecast.measured, planner or AfterLastDwell()
-    start = planner.start(rows)
-
-    def usable(blocks: Sequence[Block]) -> list[Block]:
-        asked = [each for each in blocks if not any(set(kinds) <= set(each.kinds) for kinds in refused)]
-        timed = filter(None, map(planner.timed, asked))
-        return [each for each in timed if each.plan.duration_h <= max_h]
+    rows, possible = forecast.measured, possible or PossibleBlocks()
+    start = possible.planner.start(rows)
 
     def proposal(block: Block) -> Proposal:
-        repeats = max(sum(kind in kinds for kinds in measured) for kind in block.kinds)
+        repeats = possible.repeats(block)
         if calibration is None:
             return replace(proposal_of(forecast, block, rivals), repeats=repeats)
         new = tuple(forecast.rows(block.plan))
@@ -164,14 +171,14 @@ def propose(
         return replace(found, repeats=repeats, replaced_h=replaced_h, missing_h=missing_h)
 
     more = profile.kinds() if profile else ()
-    paired = {kind for kinds in refused if len(kinds) > 1 for kind in kinds}
+    paired = {kind for kinds in possible.refused if len(kinds) > 1 for kind in kinds}
 
     def ordered(found: Sequence[Proposal]) -> list[Proposal]:
         key = hours_left(found, is_settled=is_settled) if calibration else lambda each: -each.gain_per_h
         return sorted(found, key=key)
 
     def proposals(sequences: Iterable[Sequence[str]] | None = None) -> list[Proposal]:
-        return [proposal(each) for each in usable(catalogue(rows, sequences, start, more))]
+        return [proposal(each) for each in possible.usable(catalogue(rows, sequences, start, more))]
 
     found = ordered(proposals())
     best = [each.block.name for each in found[:_PAIRED]]

@@ -31,7 +31,13 @@ from gyrobench.bench.investigation.open_hypotheses import (
     rivals_of,
     searched,
 )
-from gyrobench.bench.investigation.proposal import hours_left, is_confirmed_by, outcome_of, propose
+from gyrobench.bench.investigation.proposal import (
+    PossibleBlocks,
+    hours_left,
+    is_confirmed_by,
+    outcome_of,
+    propose,
+)
 from tests.benchmarks.closure_laws import ON_THE_LIST
 from tests.benchmarks.investigation_units import SimulatedUnit
 
@@ -184,7 +190,7 @@ class State:
 
     def proposed(self, rivals):
         begin_s = time.process_time()
-        found = propose(self.forecast, rivals, measured=self._measured)
+        found = propose(self.forecast, rivals, PossibleBlocks(measured=self._measured))
         self.choice_s = time.process_time() - begin_s
         return found
 

@@ -13,6 +13,7 @@ from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.open_hypotheses import confirming_rivals, rivals_of, searched
 from gyrobench.bench.investigation.proposal import (
     Outcome,
+    PossibleBlocks,
     Proposal,
     hours_left,
     is_confirmed_by,
@@ -74,7 +75,7 @@ def test_a_kind_that_was_measured_is_worth_half_of_what_is_expected(rows, closur
     before = {each.block.name: each for each in propose(forecast, rivals)}
     measured = [("four headings",), ("power cycle", "four headings")]
     for name, each in {
-        each.block.name: each for each in propose(forecast, rivals, measured=measured)
+        each.block.name: each for each in propose(forecast, rivals, PossibleBlocks(measured=measured))
     }.items():
         if name in ("four headings", "power cycle", "slow ramp"):
             repeats = {"four headings": 2, "power cycle": 1}.get(name, 0)
