@@ -31,7 +31,6 @@ from gyrobench.bench.report.run_text import (
     agreement_sentence,
     differing,
     equality_sentence,
-    place_of,
     power_cycle_sentence,
     scatter_sentence,
 )
@@ -421,7 +420,7 @@ def _acceptance_row(judged: Judgement, scale: BiasScale) -> list[str]:
     return [
         gyro_label(judged.gyro),
         bin_label(judged.bin_low_c, judged.bin_high_c),
-        place_of(judged),
+        " above ".join(map(position_label, judged.worst)),
         judged.verdict,
         scale.with_sigma(judged.value_dph, judged.sigma_dph),
         scale.text(judged.at_least_dph),

@@ -19,7 +19,7 @@ from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.noise_estimate import NoiseComparison, NoiseEstimate, compare_noise
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.statistics import uniformity_p_value
-from gyrobench.bench.bias.verdicts import Acceptance, Judgement, RunVerdict
+from gyrobench.bench.bias.verdicts import Acceptance, RunVerdict
 from gyrobench.bench.bias.vertical_pairs import Finding
 from gyrobench.bench.foundations.text import agreeing, counted, flag_text, listed
 from gyrobench.bench.navigation.positions import AXES, gyro_label, position_label
@@ -454,11 +454,6 @@ def acceptance_sentence(acceptance: Acceptance) -> str:
             advice = _UNDECIDED.format(_deciding_cycles(acceptance))
             return f"{_gyros(acceptance, 'marginal')} near {limit}. {advice}"
     return _lacking_sentence(acceptance) if acceptance.judgements else _NOTHING
-
-
-def place_of(judged: Judgement) -> str:
-    """Name the positions that differ most, "Y-Down above Y-Up", or the one with the largest bias."""
-    return " above ".join(map(position_label, judged.worst))
 
 
 def _deciding_cycles(acceptance: Acceptance) -> str:
