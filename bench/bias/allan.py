@@ -41,13 +41,13 @@ from gyrobench.bench.foundations.kernels import compiled
 #: Terms of the noise, in the order of arrays: S^2, N^2, K^2, and B^2 where asked for.
 WHITE_ANGLE, RANDOM_WALK, RATE_WALK, BIAS_INSTABILITY = range(4)
 #: Averaging times in a decade.
-PER_DECADE = 8
+_PER_DECADE = 8
 #: The longest segment holds the longest averaging time at least this number of times.
-MIN_REPEATS = 6
+_MIN_REPEATS = 6
 #: Fewest equivalent degrees of freedom of an averaging time that takes part in a fit.
-MIN_EDF = 8.0
+_MIN_EDF = 8.0
 #: Squares of the residuals above this, relative to their expectation, mean that the model does not fit.
-MAX_CHI2_RATIO = 3.0
+_MAX_CHI2_RATIO = 3.0
 
 _TERMS = 3  # without the bias instability
 _FLICKER_REACH = 4  # in overlaps of two second differences
@@ -135,13 +135,13 @@ def allan_variance(segments: Sequence[FloatArray], interval_s: float) -> AllanVa
     ``interval_s``: time between two samples. Raises MeasurementError if no segment is long enough.
     """
     longest = max((len(each) for each in segments), default=0)
-    if longest < 2 * MIN_REPEATS:
+    if longest < 2 * _MIN_REPEATS:
         raise MeasurementError(
-            f"the longest segment for an Allan variance has {longest} samples; it needs {2 * MIN_REPEATS}. "
+            f"the longest segment for an Allan variance has {longest} samples; it needs {2 * _MIN_REPEATS}. "
             "Record longer at rest"
         )
-    top = longest // MIN_REPEATS
-    wanted = np.geomspace(1, top, max(2, 1 + int(np.ceil(PER_DECADE * np.log10(top)))))
+    top = longest // _MIN_REPEATS
+    wanted = np.geomspace(1, top, max(2, 1 + int(np.ceil(_PER_DECADE * np.log10(top)))))
     factors = np.unique(np.rint(wanted).astype(np.int64))
     arrays = [np.ascontiguousarray(segment, np.float64) for segment in segments]
     sums = [[_sum_of_squares(segment, factor) for segment in arrays] for factor in factors.tolist()]
@@ -187,7 +187,7 @@ def fit_rate_noise(allan: AllanVariance, *, with_instability: bool = False) -> R
     for _ in range(_ROUNDS):
         model, covariance = information.design @ terms, information.covariance(terms)
         edf = 2.0 * model**2 / np.diag(covariance)
-        used = candidates & (edf >= MIN_EDF)
+        used = candidates & (edf >= _MIN_EDF)
         _check_enough(used, allan)
         excess = _excess(allan.variance, model, np.diag(covariance), used, len(terms))
         errors = covariance + np.diag((excess * model) ** 2)
@@ -273,7 +273,7 @@ def _excess(
     """Common relative error that brings the squares of the residuals down to their number."""
     residual = ((variance - model) / model)[used] ** 2
     relative, dof = (errors / model**2)[used], np.count_nonzero(used) - terms
-    if (residual / relative).sum() <= MAX_CHI2_RATIO * dof:
+    if (residual / relative).sum() <= _MAX_CHI2_RATIO * dof:
         return 0.0
     low, high = 0.0, float(residual.sum() / dof)
     for _ in range(60):

@@ -17,7 +17,7 @@ from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.estimate import BenchEstimate
 
 #: A step of more than a week is taken for a mistake.
-MAX_STEP_S = 604_800.0
+_MAX_STEP_S = 604_800.0
 
 _TIMEOUT_FACTOR = 1.5
 _TIMEOUT_MARGIN_S = 60.0
@@ -31,8 +31,8 @@ def _known_position(name: str) -> str:
     )
 
 
-Duration = Annotated[float, Field(gt=0.0, le=MAX_STEP_S)]
-DurationOrZero = Annotated[float, Field(ge=0.0, le=MAX_STEP_S)]
+Duration = Annotated[float, Field(gt=0.0, le=_MAX_STEP_S)]
+DurationOrZero = Annotated[float, Field(ge=0.0, le=_MAX_STEP_S)]
 Celsius = Annotated[float, Field(gt=-273.15, le=1000.0)]
 TableRate = Annotated[float, Field(ge=0.001, le=10_000.0)]
 KnownPosition = Annotated[
