@@ -26,8 +26,13 @@ import numpy as np
 from gyrobench.bench.bias.bins import BiasBin
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.error_sources import SOURCES
-from gyrobench.bench.bias.error_split import ErrorPart
-from gyrobench.bench.bias.power_cycles import SplitErrors, mean_error, scatter_variances, split_errors
+from gyrobench.bench.bias.error_split import (
+    ErrorPart,
+    SplitErrors,
+    mean_error,
+    scatter_variances,
+    split_errors,
+)
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, RADPS_TO_DPH, FloatArray
 from gyrobench.bench.navigation.positions import AXES
 

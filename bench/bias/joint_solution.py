@@ -283,12 +283,6 @@ class JointSolution:
         return matrix.reshape(3, 3), sigma.reshape(3, 3)
 
     @property
-    def gyro_matrix(self) -> tuple[FloatArray, FloatArray]:
-        """Scale factor errors and misalignments (3, 3), and their standard uncertainties."""
-        matrix, sigma = self._shared(SHARED_GYRO_MATRIX)
-        return matrix.reshape(3, 3), sigma.reshape(3, 3)
-
-    @property
     def north_rate(self) -> tuple[float, float]:
         """Rate North fixed in the navigation frame, free of prior knowledge, and its uncertainty, rad/s."""
         return float(self.north_free_fit.values[_NORTH]), float(self.north_free_fit.sigmas[_NORTH])

@@ -7,8 +7,7 @@ from collections.abc import Callable, Sequence
 from pydantic import Field
 
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.error_split import SharedErrors
-from gyrobench.bench.bias.power_cycles import SplitErrors
+from gyrobench.bench.bias.error_split import SharedErrors, SplitErrors
 from gyrobench.bench.characteristics.allan_test import RateRecord, allan_test
 from gyrobench.bench.characteristics.results import TestName, TestResult
 from gyrobench.bench.characteristics.scale_factor import MIN_MEASUREMENTS, SpinRecord, scale_factor_stability

@@ -21,7 +21,7 @@ from types import MappingProxyType
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.power_cycles import SplitError, SplitErrors, mean_error, scatter_variances
+from gyrobench.bench.bias.error_split import SplitError, SplitErrors, mean_error, scatter_variances
 from gyrobench.bench.bias.statistics import excess_variance, weighted_fit
 from gyrobench.bench.characteristics.results import Coefficient, Curve, TestResult, coefficient
 from gyrobench.bench.foundations.arrays import FloatArray

@@ -13,11 +13,10 @@ from gyrobench.bench.bias.bins import BiasBin, bin_biases, write_bins
 from gyrobench.bench.bias.budget import BiasBudget, BudgetedDwell, bin_budgets, dwell_budgets, with_budgets
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells, write_dwells
 from gyrobench.bench.bias.error_sources import SOURCES
-from gyrobench.bench.bias.error_split import SharedErrors, shared_errors
+from gyrobench.bench.bias.error_split import SharedErrors, shared_errors, split_errors
 from gyrobench.bench.bias.joint_solution import JointDwell, JointSolution, pooled_up_rate, solve_jointly
 from gyrobench.bench.bias.noise_estimate import NoiseEstimate, estimate_noise
 from gyrobench.bench.bias.plateaus import PlannedDwell, group_plateaus
-from gyrobench.bench.bias.power_cycles import split_errors
 from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, write_acceptance
 from gyrobench.bench.bias.vertical_pairs import UpRate
 from gyrobench.bench.characteristics.results import TestResult, write_characteristics

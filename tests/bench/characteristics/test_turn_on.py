@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.power_cycles import SplitError, SplitErrors
+from gyrobench.bench.bias.error_split import SplitError, SplitErrors
 from gyrobench.bench.characteristics.turn_on import turn_on_repeatability, variance_interval
 from gyrobench.bench.foundations.errors import MeasurementError
 from tests.bench.characteristics.simulated_rows import holds, power_cycles
