@@ -29,6 +29,10 @@ from gyrobench.bench.runs.telemetry import read_telemetry
 _MIN_SAMPLES = 2
 _STEP_S = 30.0
 _MAX_STEPS = 20_000
+#: Time from the end of a table to the power-on of the next one where no common clock is known.
+ASSUMED_PAUSE_S = 3600.0
+_SAME_S = 1.0
+_ON_CLOCK = "on the clock of "
 
 
 def read_campaign(*paths: Path, quantity: Quantity = GYRO_BIAS) -> Campaign:
@@ -171,63 +175,6 @@ def _with_values(row: DwellRow, pairs: FloatArray, sensors: Sequence[int]) -> Dw
     }
     triples |= {"bias_dph": tuple(pairs[:, 0].tolist()), "sigma_dph": tuple(pairs[:, 1].tolist())}
     return replace(row, **triples)
-
-
-def joined_rows(campaign: Campaign) -> list[DwellRow]:
-    """Rows of the tables of a campaign in the order of time, with its times, numbers and names of runs."""
-    whole, rows = campaign.whole, list[DwellRow]()
-    place = {dwell: index for index, dwell in enumerate(whole.dwell.tolist())}
-    for table in campaign.tables:
-        path = Path(table.name)
-        own = read_dwells(open_run_folder(path).dwells if path.is_dir() else path)
-        known = {row.dwell: place[row.dwell + table.added] for row in own if row.dwell + table.added in place}
-        first = next(row for row in own if row.dwell in known)
-        shift_s = float(whole.start_s[known[first.dwell]]) - first.start_s
-        cycles = int(whole.cycle[known[first.dwell]]) - first.cycle
-        names = {row.run: whole.run_names[whole.run[known[row.dwell]]] for row in own if row.dwell in known}
-        rows += [
-            replace(
-                row,
-                dwell=row.dwell + table.added,
-                cycle=row.cycle + cycles,
-                run=names.get(row.run, row.run),
-                start_s=row.start_s + shift_s,
-                end_s=row.end_s + shift_s,
-            )
-            for row in own
-        ]
-    return sorted(rows, key=lambda row: (row.start_s, row.dwell))
-
-
-def temperature_record(telemetry: Mapping[str, FloatArray]) -> TemperatureRecord | None:
-    """Make a record of a run's readings at equal steps; None where a gyro's temperature was not read.
-
-    Between readings the temperature is taken as a straight line.
-    """
-    time_s = telemetry["time_s"]
-    readings = [telemetry[f"gyro_{axis}_c"] for axis in AXES]
-    readings += [telemetry["chamber_c"]] if np.isfinite(telemetry["chamber_c"]).sum() >= _MIN_SAMPLES else []
-    valid = [np.isfinite(each) for each in readings]
-    if any(np.count_nonzero(each) < _MIN_SAMPLES for each in valid):
-        return None
-    first_s, last_s = float(time_s[0]), float(time_s[-1])
-    steps = min(max(round((last_s - first_s) / _STEP_S), 1), _MAX_STEPS)
-    even_s = np.linspace(first_s, last_s, steps + 1)
-    even_c = np.stack(
-        [
-            np.interp(even_s, time_s[known], values[known])
-            for values, known in zip(readings, valid, strict=True)
-        ],
-        axis=1,
-    )
-    air_c = even_c[:, 3] if len(readings) > len(AXES) else None
-    return TemperatureRecord(even_s, even_c[:, :3], air_c=air_c)
-
-
-#: Time from the end of a table to the power-on of the next one where no common clock is known.
-ASSUMED_PAUSE_S = 3600.0
-_SAME_S = 1.0
-_ON_CLOCK = "on the clock of "
 
 
 @dataclass(frozen=True)
@@ -413,3 +360,54 @@ def _together(parts: Sequence[Campaign], tables: Sequence[Table]) -> Campaign:
 
 def _known(whole: Campaign, values: FloatArray | None) -> FloatArray:
     return np.full(len(whole), np.nan) if values is None else values
+
+
+def joined_rows(campaign: Campaign) -> list[DwellRow]:
+    """Rows of the tables of a campaign in the order of time, with its times, numbers and names of runs."""
+    whole, rows = campaign.whole, list[DwellRow]()
+    place = {dwell: index for index, dwell in enumerate(whole.dwell.tolist())}
+    for table in campaign.tables:
+        path = Path(table.name)
+        own = read_dwells(open_run_folder(path).dwells if path.is_dir() else path)
+        known = {row.dwell: place[row.dwell + table.added] for row in own if row.dwell + table.added in place}
+        first = next(row for row in own if row.dwell in known)
+        shift_s = float(whole.start_s[known[first.dwell]]) - first.start_s
+        cycles = int(whole.cycle[known[first.dwell]]) - first.cycle
+        names = {row.run: whole.run_names[whole.run[known[row.dwell]]] for row in own if row.dwell in known}
+        rows += [
+            replace(
+                row,
+                dwell=row.dwell + table.added,
+                cycle=row.cycle + cycles,
+                run=names.get(row.run, row.run),
+                start_s=row.start_s + shift_s,
+                end_s=row.end_s + shift_s,
+            )
+            for row in own
+        ]
+    return sorted(rows, key=lambda row: (row.start_s, row.dwell))
+
+
+def temperature_record(telemetry: Mapping[str, FloatArray]) -> TemperatureRecord | None:
+    """Make a record of a run's readings at equal steps; None where a gyro's temperature was not read.
+
+    Between readings the temperature is taken as a straight line.
+    """
+    time_s = telemetry["time_s"]
+    readings = [telemetry[f"gyro_{axis}_c"] for axis in AXES]
+    readings += [telemetry["chamber_c"]] if np.isfinite(telemetry["chamber_c"]).sum() >= _MIN_SAMPLES else []
+    valid = [np.isfinite(each) for each in readings]
+    if any(np.count_nonzero(each) < _MIN_SAMPLES for each in valid):
+        return None
+    first_s, last_s = float(time_s[0]), float(time_s[-1])
+    steps = min(max(round((last_s - first_s) / _STEP_S), 1), _MAX_STEPS)
+    even_s = np.linspace(first_s, last_s, steps + 1)
+    even_c = np.stack(
+        [
+            np.interp(even_s, time_s[known], values[known])
+            for values, known in zip(readings, valid, strict=True)
+        ],
+        axis=1,
+    )
+    air_c = even_c[:, 3] if len(readings) > len(AXES) else None
+    return TemperatureRecord(even_s, even_c[:, :3], air_c=air_c)
