@@ -79,7 +79,7 @@ class MeasuredDwell:
 
 @dataclass(eq=False)
 class _Reading:
-    """What the frames of a dwell show before anything is estimated, as far as it came."""
+    """What the frames of a dwell show before anything is estimated, as far as they could be read."""
 
     flags: list[str]
     counts: EpochCounts = field(default_factory=EpochCounts)
