@@ -89,7 +89,8 @@ _GYRO_FRAME_COEFFICIENTS = _coefficients(_LOWER, _ALL)
 _DPH_PER_G = RADPS_TO_DPH * STANDARD_GRAVITY
 #: What may be estimated beside them: places of the accelerometers in the unit, their delay against the gyros,
 #: and their quadratic terms, ``K2 f^2``; biases of the gyros that follow the specific force, ``G f``, by
-#: acceleration or by heat that rises to another side in another attitude.
+#: acceleration or by heat that rises to another side in another attitude; asymmetries of their scale factors,
+#: those in positive direction less those in negative.
 BESIDE = (
     *(
         SensorCoefficient("accelerometer", "lever_arm", AXES[i] + AXES[j], "mm", 1e3, 0.2)
@@ -106,6 +107,7 @@ BESIDE = (
         for i in range(3)
         for j in range(3)
     ),
+    *(SensorCoefficient("gyro", "scale_factor_asymmetry", axis, "ppm", 1e6, 1e-5) for axis in AXES),
 )
 COUNT = len(COEFFICIENTS)
 _GYRO_BIAS, _GYRO_MATRIX = slice(0, 3), slice(3, 12)

@@ -40,7 +40,12 @@ from gyrobench.bench.calibration.increment_recording import (
     find_rotations,
     measure_noise,
 )
-from gyrobench.bench.calibration.information import IS_FORCE_SCALE, CalibrationOptions, Information
+from gyrobench.bench.calibration.information import (
+    IS_FORCE_SCALE,
+    CalibrationOptions,
+    Information,
+    spun_both_ways,
+)
 from gyrobench.bench.calibration.problem import (
     GYRO_SCALES,
     UNEXPLAINED_P_VALUE,
@@ -81,7 +86,7 @@ class Calibration(CoefficientEstimate):
     fit: Chi2Test
     sections: tuple[IncrementSection, ...]  #: Of each recording, between rests.
     starts: tuple[FloatArray, ...]  #: Attitude ``C_nb`` (3, 3) at the start of each.
-    common: FloatArray  #: Shape (43,). Parameters common to all recordings, SI, observed or not.
+    common: FloatArray  #: Shape (46,). Parameters common to all recordings, SI, observed or not.
     trajectories: tuple[Trajectory, ...]  #: Of the sections, at values close to these.
     #: Shapes (n, n). Parts of the covariance by the uncertainty of gravity, latitude and time.
     by_site: Mapping[str, FloatArray]
@@ -121,6 +126,7 @@ def calibrate(
     _check_force(recordings, rests, gravity)
     _check_angle(recordings, rests)
     rotations, problem = _problem(recordings, rests, noise, site, options)
+    options = problem.options
     found, note = problem.solve(), ""
     if options.g_sensitivity is None and found.fit.p_value < UNEXPLAINED_P_VALUE:
         problem, found, note = problem.with_g_sensitivity(found)
@@ -189,6 +195,9 @@ def _problem(
             find_rotations(each, its, errors.removed(each.angle, each.velocity, each.interval_s)[0])
             for each, its in zip(recordings, rests, strict=True)
         ]
+    if options.asymmetries is None:
+        spun = [(turn.axis, turn.path) for turns in rotations for turn in turns if turn.is_spin]
+        options = replace(options, asymmetries=spun_both_ways(spun))
     return rotations, problem(options)
 
 

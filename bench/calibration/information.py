@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,6 +13,7 @@ from gyrobench.bench.calibration.coefficients import BESIDE, COEFFICIENTS, COUNT
 from gyrobench.bench.calibration.increment_recording import SensorNoise
 from gyrobench.bench.calibration.section import IncrementSection
 from gyrobench.bench.calibration.strapdown import (
+    ASYMMETRIES,
     ATTITUDE,
     DELAY,
     DRIFT,
@@ -57,6 +58,9 @@ class CalibrationOptions:
     quadratic: bool = False  #: Quadratic terms of the accelerometers.
     #: Biases of the gyros that follow the specific force; None: where they explain what noise does not.
     g_sensitivity: bool | None = False
+    #: Gyros the asymmetry of whose scale factor is estimated: by default those with whole turns both ways,
+    #: whose asymmetry would pass for a bias; none: ``()``.
+    asymmetries: tuple[int, ...] | None = None
     #: Standard uncertainty, rad, with which the table returns after whole turns; None: spins count as any
     #: other rotation.
     whole_turns: float | None = None
@@ -85,7 +89,14 @@ class CalibrationOptions:
         arms = range(LEVER_ARMS.start + 3, LEVER_ARMS.stop) if self.lever_arms else ()
         squares = range(QUADRATIC.start, QUADRATIC.stop) if self.quadratic else ()
         by_force = range(G_SENSITIVITIES.start, G_SENSITIVITIES.stop) if self.g_sensitivity else ()
-        return [*range(COUNT), *arms, *([DELAY] if self.delay else []), *squares, *by_force]
+        by_sign = [ASYMMETRIES.start + axis for axis in self.asymmetries or ()]
+        return [*range(COUNT), *arms, *([DELAY] if self.delay else []), *squares, *by_force, *by_sign]
+
+
+def spun_both_ways(turns: Iterable[tuple[int, float]]) -> tuple[int, ...]:
+    """Gyros with whole turns both ways, from the axis and the angle of each."""
+    ways = {(axis, angle > 0.0) for axis, angle in turns}
+    return tuple(axis for axis in range(3) if {(axis, True), (axis, False)} <= ways)
 
 
 def integrated_sections(
@@ -95,7 +106,7 @@ def integrated_sections(
     site: Site,
     options: CalibrationOptions,
 ) -> list[Trajectory]:
-    """Trajectory of each section from its attitude (3, 3) at the start, freed of ``common`` (43,)."""
+    """Trajectory of each section from its attitude (3, 3) at the start, freed of ``common`` (46,)."""
     gravity, every = options.gravity or site.gravity, range(LATITUDE)
     columns = [*options.columns, *every[ATTITUDE], *(every[DRIFT] if options.bias_drift else ()), LATITUDE]
     pairs = zip(sections, starts, strict=True)
@@ -123,7 +134,7 @@ class Information:
         site: Site,
         options: CalibrationOptions,
     ) -> Information:
-        """From what :func:`integrated_sections` gives with the values ``common`` (43,)."""
+        """From what :func:`integrated_sections` gives with the values ``common`` (46,)."""
         used, blocks = options.columns, []
         for number, (section, trajectory) in enumerate(zip(sections, trajectories, strict=True)):
             table = options.whole_turns, options.heading

@@ -6,7 +6,7 @@ each is the same problem with one assumption changed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,8 +23,8 @@ from gyrobench.bench.calibration.information import (
     Information,
     integrated_sections,
 )
-from gyrobench.bench.calibration.section import IncrementSection
-from gyrobench.bench.calibration.strapdown import G_SENSITIVITIES, PARAMETER_COUNT, Trajectory
+from gyrobench.bench.calibration.section import IncrementSection, SpinError
+from gyrobench.bench.calibration.strapdown import ASYMMETRIES, G_SENSITIVITIES, PARAMETER_COUNT, Trajectory
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, STANDARD_GRAVITY, BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import rotation_matrices
@@ -57,12 +57,15 @@ _NAMED_SIGMAS, _CLEAR_SIGMAS = 3.0, 4.0
 _SENSITIVITIES = BESIDE[G_SENSITIVITIES.start - COUNT : G_SENSITIVITIES.stop - COUNT]
 #: Least eigenvalue of a correlation matrix, above rounding.
 _MIN_EIGENVALUE = 1e-9
+#: Size of a parameter that is held, in its usual one.
+_FIXED = 1e-6
 #: Options that may explain a misfit, with the option of ``gyrobench calibrate``.
 _BESIDE_COEFFICIENTS: tuple[tuple[dict[str, Any], str], ...] = (
     ({"quadratic": True}, "quadratic terms of the accelerometers (--quadratic)"),
     ({"lever_arms": True}, "places of the accelerometers (--lever-arms)"),
     ({"delay": True}, "a delay of the accelerometers (--delay)"),
     ({"g_sensitivity": True}, "gyro biases that follow the specific force (--g-sensitivity)"),
+    ({"asymmetries": (0, 1, 2)}, "asymmetries of the gyros' scale factors (--asymmetry)"),
     ({"bias_drift": BIAS_DRIFT}, "a drift of the gyro biases (--drift)"),
 )
 #: Places of the scale factors of the gyros among the coefficients.
@@ -82,11 +85,22 @@ class Estimates:
     values: FloatArray
     covariance: FloatArray
     is_observed: BoolArray
-    common: FloatArray  #: Shape (43,). Parameters common to all recordings, SI.
+    common: FloatArray  #: Shape (46,). Parameters common to all recordings, SI.
     starts: list[FloatArray]  #: Attitudes (3, 3) at the start of each section.
     fit: Chi2Test
     information: Information
     trajectories: list[Trajectory]
+
+
+@dataclass(frozen=True, eq=False)
+class _TurnScatter:
+    """Spins of one gyro, less its scale factor."""
+
+    axis: int
+    path: FloatArray  #: Shape (n,). Angles travelled, rad, with their signs.
+    left: FloatArray  #: Shape (n,). Rad.
+    variance: FloatArray  #: Shape (n,). Of each by noise and the table's return, rad^2.
+    dof: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,41 +232,68 @@ class CalibrationProblem:
         elsewhere. ``spun``: the gyros that were spun.
         """
         offset, text = self._contradiction(found, spun)
-        if not text and found.fit.p_value >= UNEXPLAINED_P_VALUE:
+        is_explained = found.fit.p_value >= UNEXPLAINED_P_VALUE
+        if not text and is_explained and self._scatter_p_value(found) >= UNEXPLAINED_P_VALUE:
             return self, found, offset, ""
         alone = replace(self, options=replace(self.options, whole_turns=None)).solve()
-        spins = [
-            spin
-            for section, start in zip(self.sections, alone.starts, strict=True)
-            for spin in section.spin_errors(start, alone.common, self.site)
-        ]
+        spins = self._spins(alone)
         if not spins or not (text or alone.fit.p_value >= UNEXPLAINED_P_VALUE):
             return self, found, offset, ""
-        left = []
-        for axis in {spin.axis for spin in spins}:
-            error, path = np.array([(each.error, each.path) for each in spins if each.axis == axis]).T
-            left += list(error - path * (path @ error) / (path @ path) + path * offset[axis])
+        left = np.concatenate([each.left + each.path * offset[each.axis] for each in self._left(spins)])
         turns = float(np.hypot(self.options.whole_turns or 0.0, np.sqrt(np.mean(np.square(left)))))
         widened = replace(self, options=replace(self.options, whole_turns=turns))
         return widened, widened.solve(), offset, text
 
+    def _spins(self, found: Estimates) -> list[SpinError]:
+        """What each spin is wrong by with the values found."""
+        pairs = zip(self.sections, found.starts, strict=True)
+        return [spin for each, start in pairs for spin in each.spin_errors(start, found.common, self.site)]
+
+    def _left(self, spins: Sequence[SpinError]) -> Iterator[_TurnScatter]:
+        """What no scale factor and asymmetry explains of the spins of each gyro."""
+        for axis in sorted({spin.axis for spin in spins}):
+            error, path, duration_s = np.array(
+                [(each.error, each.path, each.duration_s) for each in spins if each.axis == axis]
+            ).T
+            design = path[:, np.newaxis]
+            if axis in (self.options.asymmetries or ()):
+                design = np.column_stack([path, np.abs(path)])
+            variance = (
+                (self.options.whole_turns or 0.0) ** 2
+                + 2.0 * self.noise.white_angle[axis] ** 2
+                + self.noise.angle_random_walk[axis] ** 2 * duration_s
+            )
+            left = error - design @ np.linalg.lstsq(design, error)[0]
+            yield _TurnScatter(axis, path, left, variance, max(0, len(path) - design.shape[1]))
+
+    def _scatter_p_value(self, found: Estimates) -> float:
+        """Probability of the scatter of whole turns by noise and the table's return."""
+        scatters = list(self._left(self._spins(found)))
+        chi2 = sum(float(np.sum(each.left**2 / each.variance)) for each in scatters)
+        dof = sum(each.dof for each in scatters)
+        return chi2_p_value(dof, chi2) if dof else 1.0
+
     def _contradiction(self, found: Estimates, spun: Sequence[int]) -> tuple[FloatArray, str]:
         """Scale factors (3,) of whole turns less the others, and that as text; zero where noise explains it.
 
-        The covariance of the difference is that of a part of the data less that of all (Hausman 1978).
+        The covariance of the difference is that of a part of the data less that of all (Hausman 1978). The
+        asymmetries are those of all data: left open without the turns, they would hide the difference.
         """
         offset, options = np.zeros(3), replace(self.options, whole_turns=None)
         known = self.sections, found.trajectories, found.common
         others = Information.of(*known, self.noise, self.site, options)
+        sizes = others.sizes.copy()
+        sizes[[place for place, each in enumerate(options.columns) if each >= ASYMMETRIES.start]] *= _FIXED
         origin = np.zeros(len(found.values))
         origin[: len(options.columns)] = found.common[options.columns]
-        values, others_covariance, is_observed = others.solve(origin)
+        values, others_covariance, is_observed = replace(others, sizes=sizes).solve(origin)
+        _, all_covariance, _ = replace(found.information, sizes=sizes).solve(origin)
         axes = [axis for axis in spun if is_observed[GYRO_SCALES[axis]]]
         places = [GYRO_SCALES[axis] for axis in axes]
         if not places:
             return offset, ""
         difference = found.values[places] - values[places]
-        covariance = (others_covariance - found.covariance)[np.ix_(places, places)]
+        covariance = (others_covariance - all_covariance)[np.ix_(places, places)]
         scales = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         squares, directions = np.linalg.eigh(covariance / np.outer(scales, scales))
         parts = (directions.T @ (difference / scales)) ** 2 / np.maximum(squares, _MIN_EIGENVALUE)
@@ -260,7 +301,7 @@ class CalibrationProblem:
         if p_value >= UNEXPLAINED_P_VALUE:
             return offset, ""
         # All data are a weighted mean of both.
-        share = 1.0 - np.diag(found.covariance)[places] / np.diag(others_covariance)[places]
+        share = 1.0 - np.diag(all_covariance)[places] / np.diag(others_covariance)[places]
         offset[axes] = difference / np.maximum(share, _MIN_EIGENVALUE)
         apart = ", ".join(f"{AXES[axis]} {1e6 * offset[axis]:+.2g} ppm" for axis in axes)
         return offset, (
@@ -295,7 +336,7 @@ class CalibrationProblem:
             return (
                 f"{what} would reduce it: {falls}; noise alone gives {fit.dof}. Something else is wrong too"
             )
-        others = "; gyrobench calibrate has --lever-arms, --delay, --quadratic, --g-sensitivity"
+        others = "; gyrobench calibrate has --lever-arms, --delay, --quadratic, --g-sensitivity, --asymmetry"
         return (
             "Check latitude, gravity, signs and times, and whether the unit drifts, changes its temperature, "
             f"moves at rest or has biases that follow attitude{others * self.options.are_explained}"

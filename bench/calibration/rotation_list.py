@@ -22,6 +22,7 @@ from gyrobench.bench.calibration.information import (
     CalibrationOptions,
     Information,
     integrated_sections,
+    spun_both_ways,
 )
 from gyrobench.bench.calibration.section import REST_EPOCH_S, IncrementSection
 from gyrobench.bench.calibration.strapdown import PARAMETER_COUNT, IncrementEpochs
@@ -163,8 +164,14 @@ def expected_uncertainties(rotations: RotationList, setup: RotationSetup) -> Exp
         STEP_S, angle, velocity, len(angle), IncrementEpochs(ends, at_rest[ends], turns, setup.has_vertical)
     )
     gravity_sigma, latitude_sigma = setup.site_sigmas
+    spun = [angle[first:last].sum(axis=0) for first, last in spins]
     options = CalibrationOptions(
-        whole_turns=whole_turns, gravity_sigma=gravity_sigma, latitude_sigma=latitude_sigma
+        whole_turns=whole_turns,
+        gravity_sigma=gravity_sigma,
+        latitude_sigma=latitude_sigma,
+        asymmetries=spun_both_ways(
+            (int(np.argmax(np.abs(each))), float(each[np.argmax(np.abs(each))])) for each in spun
+        ),
     )
     common = np.zeros(PARAMETER_COUNT)
     trajectories = integrated_sections([section], [attitude[0]], common, site, options)
@@ -172,8 +179,9 @@ def expected_uncertainties(rotations: RotationList, setup: RotationSetup) -> Exp
     _, covariance, is_observed = ideal.solve()
     if not setup.has_vertical:
         is_observed[:COUNT] &= ~np.array(IS_FORCE_SCALE)
-    covariance = covariance[:COUNT, :COUNT] + sum(ideal.site_parts(site, options).values())
-    return ExpectedUncertainties(rotations.duration_s, np.sqrt(np.diag(covariance)), is_observed[:COUNT])
+    parts = covariance, *ideal.site_parts(site, options).values()
+    variances = sum(np.diag(part)[:COUNT] for part in parts)
+    return ExpectedUncertainties(rotations.duration_s, np.sqrt(variances), is_observed[:COUNT])
 
 
 def _check(rotations: RotationList, table: TwoAxisTable, start: Angles, max_rate_dps: float) -> None:

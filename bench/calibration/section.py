@@ -10,6 +10,8 @@ import numpy as np
 from gyrobench.bench.calibration.coefficients import COUNT, SensorErrors
 from gyrobench.bench.calibration.increment_recording import IncrementRecording, RecordedRotation, Rest
 from gyrobench.bench.calibration.strapdown import (
+    ASYMMETRIES,
+    ASYMMETRY_RATE,
     ATTITUDE,
     DELAY,
     G_SENSITIVITIES,
@@ -87,7 +89,7 @@ class IncrementSection:
         return np.stack([east, np.cross(up, east), up])
 
     def freed(self, errors: SensorErrors, common: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-        """Increments (k, 3) without errors of the sensors and what is beside them: ``common`` (43,), SI."""
+        """Increments (k, 3) without errors of the sensors and what is beside them: ``common`` (46,), SI."""
         interval_s = self.interval_s
         angle, velocity = errors.removed(self.angle, self.velocity, interval_s)
         if common is None:
@@ -102,12 +104,15 @@ class IncrementSection:
             velocity -= common[QUADRATIC] * velocity**2 / interval_s
         if common[G_SENSITIVITIES].any():
             angle -= velocity @ common[G_SENSITIVITIES].reshape(3, 3).T
+        if common[ASYMMETRIES].any():
+            is_turning = np.abs(angle) > ASYMMETRY_RATE * interval_s
+            angle -= 0.5 * common[ASYMMETRIES] * np.abs(angle) * is_turning
         return angle, velocity
 
     def integrated(
         self, start: FloatArray, common: FloatArray, latitude: float, gravity: float, columns: Sequence[int]
     ) -> Trajectory:
-        """From an attitude (3, 3) at the start, freed of ``common`` (43,), with responses to ``columns``."""
+        """From an attitude (3, 3) at the start, freed of ``common`` (46,), with responses to ``columns``."""
         errors, angle, velocity = SensorErrors.from_vector(common[:COUNT]), self.angle, self.velocity
         if are_freed := any(COUNT <= each < ATTITUDE.start for each in columns):
             angle, velocity = self.freed(errors, common)

@@ -21,6 +21,7 @@ from gyrobench.bench.bias.statistics import chi2_p_value
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS
 from gyrobench.bench.calibration.estimator import Calibration
 from gyrobench.bench.calibration.section import SpinError
+from gyrobench.bench.calibration.strapdown import ASYMMETRIES
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES
@@ -73,12 +74,14 @@ def spin_scale_factors(calibration: Calibration, site: Site, whole_turns: float)
     ``whole_turns``: standard uncertainty, rad, of the table's return.
     """
     found: dict[int, list[tuple[float, SpinError]]] = {}
+    common = calibration.common.copy()
+    common[ASYMMETRIES] = 0.0  # each spin shows its own
     for section, recording, rests, start in zip(
         calibration.sections, calibration.recordings, calibration.rests, calibration.starts, strict=True
     ):
         begin_s = recording.start_s + rests[0].begin * recording.interval_s
         edges_s = section.interval_s * np.concatenate([[0], section.epochs.ends])
-        for spin in section.spin_errors(start, calibration.common, site):
+        for spin in section.spin_errors(start, common, site):
             found.setdefault(spin.axis, []).append((begin_s + float(edges_s[spin.epoch]), spin))
     return [_of_gyro(calibration, axis, found[axis], whole_turns) for axis in sorted(found)]
 

@@ -39,10 +39,12 @@ from gyrobench.bench.navigation.earth import earth_rate_enu
 
 #: Columns of the responses: the coefficients; inner lever arms of the accelerometers by rows, m; delay of the
 #: accelerometers, s; their quadratic terms, s^2/m; sensitivities of the gyros to the specific force by rows,
-#: s/m; initial attitude error, rad; drift of the gyro biases about those at half time, rad/s^2; latitude,
-#: rad.
+#: s/m; asymmetries of their scale factors; initial attitude error, rad; drift of the gyro biases about those
+#: at half time, rad/s^2; latitude, rad.
 LEVER_ARMS, DELAY, QUADRATIC = slice(COUNT, COUNT + 9), COUNT + 9, slice(COUNT + 10, COUNT + 13)
-G_SENSITIVITIES = slice(COUNT + 13, COUNT + 22)
+G_SENSITIVITIES, ASYMMETRIES = slice(COUNT + 13, COUNT + 22), slice(COUNT + 22, COUNT + 25)
+#: Rate, rad/s, from which an asymmetry acts: below it noise changes the sign.
+ASYMMETRY_RATE = np.deg2rad(0.1)
 PARAMETER_COUNT = COUNT + len(BESIDE)
 ATTITUDE, DRIFT = slice(PARAMETER_COUNT, PARAMETER_COUNT + 3), slice(PARAMETER_COUNT + 3, PARAMETER_COUNT + 6)
 LATITUDE = PARAMETER_COUNT + 6
@@ -283,10 +285,13 @@ def _integrate(
                 sensor = c - DELAY - 1
                 for i in range(3):
                     response[3 + i, r] -= middle[i, sensor] * squares[sensor]
-            elif c < PARAMETER_COUNT:
+            elif c < DELAY + 13:
                 sensor, along = (c - DELAY - 4) // 3, (c - DELAY - 4) % 3
                 for i in range(3):
                     response[i, r] -= middle[i, sensor] * middle[2, along] * lifted
+            elif c < PARAMETER_COUNT and abs(angles[c - DELAY - 13]) > ASYMMETRY_RATE * length_s:
+                for i in range(3):
+                    response[i, r] -= 0.5 * of_gyros[i, c - DELAY - 13] * abs(angles[c - DELAY - 13])
             elif c == LATITUDE:
                 for i in range(3):
                     response[i, r] -= by_latitude[i] * length_s

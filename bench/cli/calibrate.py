@@ -42,6 +42,14 @@ def calibrate(
         bool,
         typer.Option("--g-sensitivity", help="Estimate how the gyro biases follow the specific force, too."),
     ] = False,
+    asymmetry: Annotated[
+        bool,
+        typer.Option(
+            "--asymmetry",
+            help="Estimate the asymmetry of each gyro's scale factor, too; default: where the log has whole "
+            "turns both ways.",
+        ),
+    ] = False,
     drift: Annotated[
         bool, typer.Option("--drift", help="Estimate a steady drift of each gyro's bias in each log, too.")
     ] = False,
@@ -91,6 +99,7 @@ def calibrate(
         delay=delay,
         quadratic=quadratic,
         g_sensitivity=g_sensitivity,
+        asymmetries=(0, 1, 2) if asymmetry else None,
         bias_drift=BIAS_DRIFT if drift else 0.0,
     )
     found = estimate([recording for each in read for recording in each.recordings], site, options)
