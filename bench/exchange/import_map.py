@@ -14,6 +14,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from gyrobench.bench.foundations.csv_tables import COLDEST_C, HOTTEST_C
 from gyrobench.bench.foundations.documents import StrictModel, read_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.navigation.earth import gravity_fault
 from gyrobench.bench.navigation.positions import AXES, PositionName
 from gyrobench.drivers import ins
 
@@ -342,6 +343,14 @@ class CalibrationLog(StrictModel):
         description="standard uncertainty with which the table returns after whole turns; without it spins "
         "count as any other rotation",
     )
+
+    @model_validator(mode="after")
+    def _has_its_gravity(self) -> Self:
+        if self.gravity_mps2 is not None:
+            place = self.latitude_deg, self.height_m
+            if fault := gravity_fault(self.gravity_mps2, self.gravity_sigma_mps2, *place):
+                raise ValueError(fault)
+        return self
 
 
 class Averages(NamedTuple):

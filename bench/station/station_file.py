@@ -27,6 +27,7 @@ from gyrobench.bench.foundations.documents import (
     validate,
 )
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.navigation.earth import gravity_fault
 from gyrobench.bench.navigation.error_model import MAX_LATITUDE
 from gyrobench.bench.station.instrument_sections import (
     ChamberSection,
@@ -107,6 +108,14 @@ class Location(StrictModel):
                 f"{_MAX_LATITUDE_DEG:g} deg"
             )
         return latitude_deg
+
+    @model_validator(mode="after")
+    def _has_its_gravity(self) -> Self:
+        if self.gravity_mps2 is not None:
+            place = self.latitude_deg, self.height_m
+            if fault := gravity_fault(self.gravity_mps2, self.gravity_uncertainty_mps2, *place):
+                raise ValueError(fault)
+        return self
 
 
 def _no_secret(key: str) -> str:

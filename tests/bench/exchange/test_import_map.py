@@ -36,6 +36,13 @@ def test_the_shipped_import_maps_are_valid(name):
         ({"window": "5"}, r"unknown key 'window' \(did you mean 'window_s'\?\)"),
         ({"text": "absent", "records": "{fields: [a, a]}"}, r"fields are named twice: a"),
         ({"text": "absent", "records": "{fields: [a], type: float}"}, r"<>"),
+        (
+            {
+                "calibration": "{accelerometers: {unit: g, x: a, y: b, z: c}, latitude_deg: 36.4, "
+                "gravity_mps2: 9.80665}"
+            },
+            r"9.80665 m/s\^2 is standard gravity, which defines the unit g; normal gravity at 36.4 deg",
+        ),
     ],
 )  # fmt: skip
 def test_mistakes_are_shown_with_their_place(log, changes, message):

@@ -47,6 +47,15 @@ def test_a_procedure_in_place_of_a_station_is_named_with_how_to_check_it(tmp_pat
     )
 
 
+def test_standard_gravity_in_place_of_that_of_the_bench_is_refused(changed):
+    path = changed(
+        ("latitude_deg: 36.4", "latitude_deg: 36.4, gravity_mps2: 9.80665"),
+        (", gravity_uncertainty_mps2: 1.0e-6", ""),
+    )
+    with pytest.raises(DocumentError, match=r"station\.yaml:7:\d+: .*9.80665 m/s\^2 is standard gravity"):
+        Station(path)
+
+
 @pytest.mark.parametrize("latitude_deg", ["85.01", "-90", "135"])
 def test_near_a_pole_the_place_of_the_latitude_and_its_range_are_reported(changed, latitude_deg):
     path = changed(("latitude_deg: 36.4", f"latitude_deg: {latitude_deg}"))
