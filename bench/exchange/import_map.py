@@ -319,6 +319,13 @@ class CalibrationLog(StrictModel):
 
     accelerometers: CalibrationAccelerometers = Field(description="columns of the accelerometers")
     latitude_deg: float = Field(ge=-85.0, le=85.0, description="geodetic latitude, deg")
+    latitude_uncertainty_arcmin: float = Field(
+        default=0.33,
+        ge=0.0,
+        le=60.0,
+        description="standard uncertainty of the latitude, arcmin; the default holds the deflection of the "
+        "vertical to the north, 20 arcsec without an astronomical survey",
+    )
     height_m: float = Field(default=0.0, ge=-1000.0, le=10000.0, description="above the ellipsoid, m")
     gravity_mps2: float | None = Field(
         default=None, ge=9.7, le=9.9, description="local gravity; default: normal gravity of the place"

@@ -15,6 +15,7 @@ from gyrobench.bench.exchange.log_windows import FORCES, RATES, SampleReader, Sc
 from gyrobench.bench.exchange.signal_logs import NoFramesError
 from gyrobench.bench.foundations.arrays import (
     DEG_PER_SQRT_H_TO_SI,
+    RAD_TO_ARCMIN,
     STANDARD_GRAVITY,
     UG_PER_SQRT_HZ_TO_SI,
     BoolArray,
@@ -193,6 +194,7 @@ def calibration_settings(log_map: LogMap, interval_error: float = 0.0) -> tuple[
         gravity=section.gravity_mps2,
         walks=walks,
         gravity_sigma=gravity_sigma,
+        latitude_sigma=section.latitude_uncertainty_arcmin / RAD_TO_ARCMIN,
         scales_by_time=(
             0.0 if angles_are_increments else time_error,
             -time_error if velocities_are_increments else 0.0,

@@ -147,6 +147,13 @@ def _topics(calibration: Calibration, site: Site, left_out: tuple[int, int]) -> 
         }
         parts = [f"{sigma:.2g} ppm of the {sensor} scale factors" for sensor, sigma in by_sensor.items()]
         yield "Time", f"clock and time stamps: {listed(parts)}, included"
+    if "latitude" in calibration.by_site and calibration.is_observed[:3].any():
+        variances = np.diag(calibration.by_site["latitude"])[:3][calibration.is_observed[:3]]
+        yield (
+            "Latitude",
+            f"± {calibration.options.latitude_sigma * RAD_TO_ARCMIN:.2g} arcmin: up to "
+            f"{np.sqrt(variances.max()) * RADPS_TO_DPH:.2g} deg/h of the gyro biases, included",
+        )
     up_dph = earth_rate_enu(site.latitude)[2] * RADPS_TO_DPH
     if len(rests) <= _MAX_RESTS:
         for rest in rests:

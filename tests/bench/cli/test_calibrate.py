@@ -79,6 +79,22 @@ def test_a_log_gives_a_table_of_coefficients_with_their_uncertainties(tmp_path, 
     assert "31 ppm of the accelerometer scale factors" in " ".join(result.stdout.split())
 
 
+def test_the_deflection_of_the_vertical_is_in_the_uncertainty_of_the_gyro_biases(tmp_path):
+    write_log(tmp_path, unit())
+    command, text = ("calibrate", "log.csv", "--map", "map.yaml"), (tmp_path / "map.yaml").read_text()
+    variances = []
+    for line in ("  latitude_uncertainty_arcmin: 0\n", "", "  latitude_uncertainty_arcmin: 3.3\n"):
+        (tmp_path / "map.yaml").write_text(text + line)
+        rows = json.loads(gyrobench(*command, "--json", cwd=tmp_path).stdout)["coefficients"]
+        variances.append(np.array([row["sigma"] for row in rows if row["coefficient"] == "gyro_bias"]) ** 2)
+    added = variances[1:] - variances[0]
+    np.testing.assert_allclose(added[1], 100.0 * added[0], rtol=1e-3)
+    # All of them see the rate North or Up at times: 1 arcmin is 0.003 deg/h of either at 45 deg.
+    assert 0.33 * 0.001 < np.sqrt(added[0]).max() < 0.33 * 0.005
+    printed = " ".join(gyrobench(*command, cwd=tmp_path).stdout.split())
+    assert "Latitude ± 3.3 arcmin: up to 0.0" in printed
+
+
 def test_the_body_frame_may_be_that_of_the_gyros(tmp_path):
     write_log(tmp_path, unit())
     command = ("calibrate", "log.csv", "--map", "map.yaml", "--body-frame", "gyros")
