@@ -36,6 +36,9 @@ _INCREMENTS = ("m/s", "mm/s")
 _LAG, _NEAR, _MIN_STEP_ERROR = 100, 16, 0.3
 #: Share of samples with the time stamp of the one before, above which stamps are coarser than samples.
 _COARSE = 0.3
+#: An axis is saturated where this many samples in a row, over this time, s, have its extreme value, while of
+#: the others at most this share repeats the one before.
+_SATURATED, _SATURATED_S, _MAX_REPEATED = 12, 0.1, 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +79,18 @@ def read_increments(path: Path, log_map: LogMap) -> LogIncrements:
     samples = {name: values[kept] for name, values in samples.items()}
     time_s = samples["time_s"]
     angle, velocity = (np.column_stack([samples[name] for name in names]) for names in (RATES, FORCES))
+    full_scale = np.inf if log_map.gyro.full_scale is None else log_map.gyro.full_scale * angle_unit
+    for columns, values, limit in (
+        (log_map.gyro, angle, full_scale),
+        (section.accelerometers, velocity, np.inf),
+    ):
+        for axis, each in zip((columns.x, columns.y, columns.z), values.T, strict=True):
+            if (at := _saturated(time_s, each, limit)) is not None:
+                raise MeasurementError(
+                    f"{path}: column {axis.column!r} stays at the end of its range from {time_s[at]:.2f} s "
+                    "after the first sample: the sensor or its number format is saturated. Record slower "
+                    "rotations, or cut the log there"
+                )
     recordings, errors, found = [], [0.0], _pieces(time_s, np.hstack([angle, velocity]))
     for part in found:
         if time_s[part[-1]] - time_s[part[0]] < MIN_REST_TOTAL_S:
@@ -166,6 +181,26 @@ def _pieces(time_s: FloatArray, values: FloatArray) -> list[IntArray]:
     joined = valid[1:] & valid[:-1] & ~is_gap
     edges = np.flatnonzero(np.diff(np.concatenate([[False], joined, [False]]).astype(np.int8)))
     return [kept[begin : end + 1] for begin, end in edges.reshape(-1, 2)]
+
+
+def _saturated(time_s: FloatArray, values: FloatArray, limit: float) -> int | None:
+    """First of the samples at which an axis (n,) is saturated; None if it never is.
+
+    It reaches the ``limit``, or stays exactly at its largest or smallest value, which a sensor whose noise
+    changes its output from sample to sample does not.
+    """
+    if (beyond := np.flatnonzero(np.abs(values) >= limit * (1.0 - 1e-6))).size:
+        return int(beyond[0])
+    for extreme in (np.nanmax(values), np.nanmin(values)) if np.isfinite(values).any() else ():
+        is_at = values == extreme
+        free = ~is_at[1:] & ~is_at[:-1]
+        if not free.any() or np.mean(values[1:][free] == values[:-1][free]) > _MAX_REPEATED:
+            continue
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], is_at, [False]]).astype(np.int8)))
+        for begin, end in edges.reshape(-1, 2):
+            if end - begin >= _SATURATED and time_s[end - 1] - time_s[begin] >= _SATURATED_S:
+                return int(begin)
+    return None
 
 
 def calibration_settings(log_map: LogMap, interval_error: float = 0.0) -> tuple[Site, CalibrationOptions]:

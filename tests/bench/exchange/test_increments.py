@@ -98,3 +98,32 @@ def test_time_stamps_coarser_than_samples_name_the_rate_as_the_way_out(tmp_path)
         read(tmp_path, np.floor(time_s), rows)
     with pytest.raises(MeasurementError, match=r"39\.98 s of samples; at least 60 s"):
         read(tmp_path, *(each[:2000] for each in samples(50.0)))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("column", [2, 6])
+def test_an_axis_that_stays_at_the_end_of_its_range_is_named(tmp_path, column, sign):
+    time_s, rows = samples(50.0)
+    rows[3000:3100, column - 2] += 9.0 * sign
+    read(tmp_path, time_s, rows)
+    clipped = np.clip(rows, -7.0, 7.0)
+    with pytest.raises(MeasurementError, match=f"column {column} stays at the end of its range from 6[0-2]"):
+        read(tmp_path, time_s, clipped)
+
+
+def test_coarse_counts_of_a_steady_rotation_are_no_saturation(tmp_path):
+    time_s, rows = samples(50.0)
+    rows *= 0.1
+    rows[3000:3500] += 40.0
+    (recording,) = read(tmp_path, time_s, np.diff(np.round(np.cumsum(rows, axis=0)), axis=0, prepend=0.0))
+    assert len(recording.angle) == len(rows)
+
+
+def test_a_gyro_beyond_its_declared_range_is_named(tmp_path):
+    time_s, rows = samples(50.0)
+    rows[3000, 0] = 8.0
+    (tmp_path / "map.yaml").write_text(MAP.replace("unit: rad,", "unit: rad, full_scale: 8,"))
+    np.savetxt(tmp_path / "log.csv", np.column_stack([time_s, rows]), "%.9g", ",")
+    log_map = load_log_map(tmp_path / "map.yaml", for_calibration=True)
+    with pytest.raises(MeasurementError, match=r"column 2 stays at the end of its range from 60\.00 s"):
+        read_increments(tmp_path / "log.csv", log_map)
