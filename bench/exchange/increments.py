@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gyrobench.bench.calibration.increment_recording import MIN_REST_TOTAL_S, IncrementRecording
+from gyrobench.bench.calibration.increment_recording import MIN_REST_TOTAL_S, IncrementRecording, find_rests
 from gyrobench.bench.calibration.information import CalibrationOptions
 from gyrobench.bench.exchange.import_map import LogMap
 from gyrobench.bench.exchange.log_windows import FORCES, RATES, SampleReader, ScaledColumn
@@ -57,7 +57,7 @@ class LogIncrements:
 
 
 def read_increments(path: Path, log_map: LogMap) -> LogIncrements:
-    """Read a log, cut where samples are missing; pieces shorter than a minute are left out.
+    """Read a log, cut where samples are missing; pieces that rest for less than a minute are left out.
 
     Rates and specific forces count as means since the sample before. Raises DocumentError if the log can't be
     read, or does not fit the map. Raises MeasurementError if no piece is long enough.
@@ -107,7 +107,16 @@ def read_increments(path: Path, log_map: LogMap) -> LogIncrements:
         )
     if not recordings:
         raise MeasurementError(f"{path}: {_without_pieces(time_s, found)}")
-    return LogIncrements(recordings, len(time_s), max(errors))
+    # A part that hardly rests shows nothing; of a log that nowhere rests for long the estimator states it.
+    resting = [each for each in recordings if _rests(each)] if len(recordings) > 1 else recordings
+    return LogIncrements(resting or recordings, len(time_s), max(errors))
+
+
+def _rests(recording: IncrementRecording) -> bool:
+    try:
+        return bool(find_rests(recording))
+    except MeasurementError:
+        return False
 
 
 def read_logs(paths: Sequence[Path], log_map: LogMap) -> list[LogIncrements]:

@@ -123,7 +123,7 @@ def _topics(calibration: Calibration, site: Site, left_out: tuple[int, int]) -> 
         yield (
             "Left out",
             f"{left_out[0]} of {left_out[1]} samples ({share:.2g} %): missing, not a number, repeated, or in "
-            "a part of less than a minute",
+            "a part with less than a minute at rest",
         )
     noise = calibration.noise
     yield (

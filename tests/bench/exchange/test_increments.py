@@ -92,6 +92,15 @@ def test_samples_that_do_not_count_are_counted(tmp_path):
     assert [each.start_s for each in log.recordings] == [pytest.approx(90.0, abs=0.03)]
 
 
+def test_a_part_that_hardly_rests_is_left_out(tmp_path):
+    time_s, rows = samples(50.0, 210.0)
+    rows[6501] = np.nan
+    rows[7000:8500] += 40.0 * np.sin(0.01 * np.arange(1500.0))[:, np.newaxis]
+    log = read_log(tmp_path, time_s, rows)
+    assert [len(each.angle) for each in log.recordings] == [6501]
+    assert log.left_out == 10_500 - 6501
+
+
 def test_time_stamps_coarser_than_samples_name_the_rate_as_the_way_out(tmp_path):
     time_s, rows = samples(50.0)
     with pytest.raises(MeasurementError, match=r"coarser than its samples.*sample_rate_hz"):
