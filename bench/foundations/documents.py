@@ -222,7 +222,7 @@ def problems_of(error: ValidationError, at: KeyPath = ()) -> list[DocumentProble
 
 def _repair(kind: str, found: Any, location: KeyPath) -> str:
     """How to write what was found instead, as a sentence; empty where that is unknown."""
-    if kind == "list_type" and not isinstance(found, dict):
+    if kind == "list_type" and isinstance(found, int | float):
         return f". Put it in brackets: [{_shown(found)}, ...]"
     if not isinstance(found, str):
         return ""
