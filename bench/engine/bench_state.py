@@ -192,7 +192,7 @@ class BenchState:
         safe = self._station.file.safe_state
         for action in actions:
             match action.part:
-                case SafePart.CHAMBER if safe.chamber_c is None:
+                case SafePart.CHAMBER_OFF:
                     is_on = None if action.problem else False
                     self._expect(chamber_set_c=None, chamber_on=is_on, chamber_reached=False)
                 case SafePart.CHAMBER:

@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from gyrobench.bench.engine.bench_state import BenchState, Readings
+from gyrobench.bench.engine.interlocks.checks import CHAMBER_OUT_OF_CONTROL
 from gyrobench.bench.engine.interlocks.watch import InterlockWatch, Trip
 from gyrobench.bench.engine.live_unit import BUS_SILENCE_S, LiveUnit, telemetry_row
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import ConnectionFailedError, FaultError, InstrumentError, ReplyError
 from gyrobench.bench.navigation.table_axes import Angles
 from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE, Instruments
-from gyrobench.bench.station.safe_state import SafeAction, make_safe
+from gyrobench.bench.station.safe_state import SafeAction, make_safe, repeat
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.ins.can_bus import INSTRUMENT
 
@@ -300,8 +301,14 @@ class LiveBench:
     def make_safe(
         self, release_table: bool = True, meanwhile: Callable[[], object] = lambda: None
     ) -> list[SafeAction]:
-        """Bring all outputs to their safe values; ``meanwhile`` is called during the waits. None raises."""
-        actions = make_safe(self.station, self.instruments, release_table, meanwhile=meanwhile)
+        """Bring all outputs to their safe values; ``meanwhile`` is called during the waits. None raises.
+
+        A chamber that an interlock shows not to control its air is switched off too.
+        """
+        chamber_off = any(trip.name in CHAMBER_OUT_OF_CONTROL for trip in self.trips())
+        actions = make_safe(
+            self.station, self.instruments, release_table, meanwhile=meanwhile, chamber_off=chamber_off
+        )
         self.failed_safe_actions = {}
         self._made_safe(actions)
         return actions
@@ -309,13 +316,13 @@ class LiveBench:
     def repeat_safe_actions(self, meanwhile: Callable[[], object]) -> list[SafeAction]:
         """Repeat the safe actions that failed and whose instrument answers, every few seconds."""
         due = [
-            what
-            for what, action in self.failed_safe_actions.items()
+            action
+            for action in self.failed_safe_actions.values()
             if action.instrument not in self._failing and self.clock.now() >= self._next_safe_s
         ]
         if not due:
             return []
-        actions = make_safe(self.station, self.instruments, only=due, meanwhile=meanwhile)
+        actions = repeat(self.station, self.instruments, due, meanwhile)
         self._made_safe(actions)
         return actions
 

@@ -171,6 +171,16 @@ class ChamberDeviationInterlock(PassingRule):
     tolerance_c: Positive = Field(5.0, description="allowed difference of the air, K")
 
 
+class ChamberSensorInterlock(InterlockRule):
+    """Whether the unit follows the air that the chamber reads."""
+
+    margin_c: Positive = Field(
+        10.0,
+        description="allowed difference between unit and air, K, while the unit moves away from the air; "
+        "above the air it is added to `unit.thermal.self_heating_c`",
+    )
+
+
 class ChamberCommandInterlock(InterlockRule):
     """Whether the chamber still has the commanded set point and state (on or off)."""
 
@@ -220,6 +230,11 @@ class Interlocks(StrictModel):
     chamber_deviation: ChamberDeviationInterlock = Field(
         ChamberDeviationInterlock(),
         description="the chamber had reached its set point, and its air does not stay there",
+    )
+    chamber_sensor: ChamberSensorInterlock = Field(
+        ChamberSensorInterlock(),
+        description="the unit's temperatures move away from the air that the chamber reads, as with a sensor "
+        "that is stuck; the chamber is then switched off in the safe state",
     )
     table_fault: InterlockRule = Field(
         InterlockRule(), description="the table reports a fault, or an axis is not under servo control"

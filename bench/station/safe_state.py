@@ -34,7 +34,11 @@ class SafePart(StrEnum):
     TABLE_AT_REST = "table at rest"
     TABLE_RELEASED = "table released"
     CHAMBER = "chamber"
+    CHAMBER_OFF = "chamber off"
     UNIT = "unit"
+
+
+_CHAMBER = (SafePart.CHAMBER, SafePart.CHAMBER_OFF)
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,7 @@ def make_safe(
     release_table: bool = True,
     only: Collection[str] | None = None,
     meanwhile: Callable[[], object] = lambda: None,
+    chamber_off: bool = False,
 ) -> list[SafeAction]:
     """Stop the table, bring chamber and unit to their safe state, release the table.
 
@@ -82,11 +87,25 @@ def make_safe(
     before, within its time limit, and a second time if it failed, through a reopened port if the port was
     lost or does not respond. None raises. ``release_table`` opens the servos too, which is not needed before
     the first step. ``only`` has the ``what`` of the actions to take, by default all; ``meanwhile`` is called
-    repeatedly while waiting.
+    repeatedly while waiting. ``chamber_off``: the chamber is switched off too, as one that does not control
+    its air.
     """
-    steps = _steps(station, instruments, release_table)
+    steps = _steps(station, instruments, release_table, chamber_off)
     chosen = (step for step in steps if only is None or step.action.what in only)
     return [_taken(step, instruments, meanwhile) for step in chosen]
+
+
+def repeat(
+    station: Station, instruments: Outputs, failed: Collection[SafeAction], meanwhile: Callable[[], object]
+) -> list[SafeAction]:
+    """Take actions again that failed, as :func:`make_safe`."""
+    return make_safe(
+        station,
+        instruments,
+        only=[action.what for action in failed],
+        meanwhile=meanwhile,
+        chamber_off=any(action.part is SafePart.CHAMBER_OFF for action in failed),
+    )
 
 
 def finish_ramp(
@@ -105,9 +124,9 @@ def finish_ramp(
     if not instruments.is_ramping:
         return
     clock, safe_c = instruments.clock, station.file.safe_state.chamber_c
-    failed = [action.what for action in actions if action.problem and action.part is not SafePart.CHAMBER]
     steps = _steps(station, instruments, release_table=False)
-    (chamber,) = (step for step in steps if step.action.part is SafePart.CHAMBER)
+    (chamber,) = (step for step in steps if step.action.part in _CHAMBER)
+    failed = [action for action in actions if action.problem and action.part is not chamber.action.part]
 
     def check_end() -> None:
         held_c = instruments.chamber.set_point_c()
@@ -122,8 +141,8 @@ def finish_ramp(
         if not moved.problem:
             answered_s = clock.now()
         if failed and clock.now() - repeated_s >= _REPEAT_PERIOD_S:
-            repeated = make_safe(station, instruments, only=failed, meanwhile=meanwhile)
-            failed = [action.what for action in repeated if action.problem]
+            repeated = repeat(station, instruments, failed, meanwhile)
+            failed = [action for action in repeated if action.problem]
             repeated_s = clock.now()
     if not moved.problem:
         ended = _taken(replace(chamber, apply=check_end), instruments, meanwhile)
@@ -132,7 +151,9 @@ def finish_ramp(
     yield [moved, *repeated]
 
 
-def _steps(station: Station, instruments: Outputs, release_table: bool) -> list[_Step]:
+def _steps(
+    station: Station, instruments: Outputs, release_table: bool, chamber_off: bool = False
+) -> list[_Step]:
     safe = station.file.safe_state
     steps: list[_Step] = []
 
@@ -140,16 +161,16 @@ def _steps(station: Station, instruments: Outputs, release_table: bool) -> list[
         steps.append(_Step(SafeAction(what, part), limit_s, apply))
 
     add(SafePart.TABLE_AT_REST, "rate table stopped", lambda: instruments.table.stop())
-    if safe.chamber_c is None:
-        add(SafePart.CHAMBER, "chamber switched off", lambda: instruments.chamber.switch(False))
-    else:
-        safe_c = safe.chamber_c
+    safe_c = safe.chamber_c
+    if safe_c is not None:
         ramp = station.file.chamber.limits.ramp_c_per_min
         add(
             SafePart.CHAMBER,
             f"chamber's set point at {safe_c:g} degC",
             lambda: _set_or_off(instruments.chamber, safe_c, ramp),
         )
+    if chamber_off or safe_c is None:
+        add(SafePart.CHAMBER_OFF, "chamber switched off", lambda: instruments.chamber.switch(False))
     if safe.unit == "off":
         what = "INS switched off" if len(station.units) == 1 else "all INS switched off"
         add(SafePart.UNIT, what, lambda: instruments.power_unit(False))

@@ -103,7 +103,7 @@ class Thermotron8800Emulator(TextInstrument):
             "RESM": lambda number, value: self._without(number, value, lambda: Code.NOT_NOW),
         }
         self._queries: dict[str, Callable[[str], str | None]] = {
-            "PVAR": lambda channel: self._of_air(channel, f"{self.air.air_c:.3f}"),
+            "PVAR": lambda channel: self._of_air(channel, f"{self.air.read_c:.3f}"),
             "SETP": lambda channel: self._of_air(channel, f"{self._set_point_c:.3f}"),
             "MRMP": lambda channel: self._of_air(channel, f"{self._ramp_c_per_min:.3f}"),
             "DEVN": lambda channel: self._of_air(channel, f"{self._deviation_c:.3f}"),

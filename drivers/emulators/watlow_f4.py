@@ -147,7 +147,7 @@ class WatlowF4Emulator:
     def _registers(self) -> dict[int, HoldingRegister]:
         read_only = {
             0: lambda: _MODEL_NUMBER,
-            100: lambda: self._temperature(self.air.air_c),
+            100: lambda: self._temperature(self.air.read_c),
             101: lambda: self.sensor_error,
             102: lambda: self.alarm_1,
             103: lambda: _hundredths_of_percent(self.air.power),
@@ -278,9 +278,9 @@ class WatlowF4Emulator:
     def _watch_air(self) -> None:
         self.alarm_1 = self._alarm_conditions[1] or self.alarm_1
         self.alarm_2 = self._alarm_conditions[2] or self.alarm_2
-        if self.air.air_c < self._limits_c[_ALARM_1_LOW]:
+        if self.air.read_c < self._limits_c[_ALARM_1_LOW]:
             self.alarm_1 = _LOW_ALARM
-        elif self.air.air_c > self._limits_c[_ALARM_1_HIGH]:
+        elif self.air.read_c > self._limits_c[_ALARM_1_HIGH]:
             self.alarm_1 = _HIGH_ALARM
 
 

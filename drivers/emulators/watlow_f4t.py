@@ -57,7 +57,7 @@ class WatlowF4TEmulator(TextInstrument):
         }
         self._queries: dict[str, Callable[[], str]] = {
             "*IDN": lambda: "WATLOW ELECTRIC MANUFACTURING COMPANY,F4T,00000,gyrobench emulator",
-            _LOOP + "PVALUE": lambda: self._shown(self.air.air_c),
+            _LOOP + "PVALUE": lambda: self._shown(self.air.read_c),
             _LOOP + "SPOINT": lambda: self._shown(self._loop.set_point_c),
             _LOOP + "ERROR": lambda: "ERROR" if self._error else "NONE",
             _LOOP + "RACTION": lambda: self._action,

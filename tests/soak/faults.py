@@ -95,6 +95,7 @@ LISTED: Mapping[str, Sequence[Mapping[str, Any]]] = {
     "temperature_not_reached": [{"for_s": 600, "by_c": 5}],
     "temperature_overshoots": [{"for_s": 600, "by_c": 6}],
     "chamber_sensor_error": [{"for_s": 30}],
+    "chamber_sensor_stuck": [{"for_s": 600}],
     "chamber_alarm": [{"for_s": 30, "alarm": 2}, {"for_s": 30, "alarm": 1, "state": "low"}],
     "door_opened": [{"for_s": 60}, {"for_s": 300}],
     "switched_off_at_panel": [{"for_s": 120}],

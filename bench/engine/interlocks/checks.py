@@ -27,6 +27,12 @@ _COOL_DOWN = f"{_CHECK_SENSOR}; let the unit return to room temperature."
 _MIN_SPAN_S = 0.4
 #: A table at rest turns no faster, with the noise of its reading.
 _REST_DPS = 0.05
+#: Time over which the unit's change of temperature is taken.
+_UNIT_WINDOW_S = 120.0
+#: A unit that changes by less stays where it is.
+_MOVES_C_PER_MIN = 0.1
+#: Interlocks that show that the chamber does not control its air: a set point does not make it safe.
+CHAMBER_OUT_OF_CONTROL = frozenset({"chamber_air", "chamber_sensor"})
 #: A rate needs two periods between readings, and a margin for late ones.
 _MIN_PERIODS = 2.5
 
@@ -228,12 +234,22 @@ class ChamberChecks:
         self._tolerance_c = rules.chamber_command.tolerance_c
         self._deviation_c = rules.chamber_deviation.tolerance_c
         self._silence_s = rules.chamber_silence.limit_or_default_s(station.file.instruments_period_s)
+        self._margin_c = rules.chamber_sensor.margin_c
+        self._self_heating_c = max(0.0, station.file.unit.thermal.self_heating_c)
+        self._unit_temperatures = [each.read for each in ins_temperatures(station)]
+        self._unit_range_c: tuple[float, ...] = ()  #: lowest and highest; empty where one is unknown
+        self._unit_rate = RateWindow.for_readings(_UNIT_WINDOW_S, station.file.instruments_period_s)
         self._commanded: tuple[float | None, bool | None] = (None, None)
         self._commanded_s = -math.inf
 
-    def observe(self, readings: Readings, now_s: float) -> None:  # noqa: ARG002 - as the others
+    def observe(self, readings: Readings, now_s: float) -> None:
         """Take a reading; an old one changes nothing."""
         self._rate.add(readings.chamber_s, readings.chamber.temperature_c)
+        unit_c = [read(readings.ins) for read in self._unit_temperatures]
+        is_known = bool(unit_c) and all(map(math.isfinite, unit_c))
+        self._unit_range_c = (min(unit_c), max(unit_c)) if is_known else ()
+        if is_known:
+            self._unit_rate.add(now_s, sum(unit_c) / len(unit_c))
 
     def findings(
         self, readings: Readings, expected: ExpectedState, now_s: float
@@ -255,6 +271,10 @@ class ChamberChecks:
                 f"the chamber reports {alarm}",
                 "Find the cause and clear the alarm at its panel.",
             )
+        if problem := self._unit_leaves_air(air_c):
+            yield InterlockFinding(
+                "chamber_sensor", problem, "Check the chamber's sensor, heater and compressor."
+            )
         if readings.chamber_s > self._commanded_s:
             yield from self._deviations_from_command(readings)
         if expected.chamber_reached and expected.chamber_set_c is not None:
@@ -270,6 +290,25 @@ class ChamberChecks:
     def good_until_s(self, readings: Readings) -> float:
         """Return until when nothing goes wrong by the passage of time alone."""
         return readings.chamber_s + self._silence_s
+
+    def _unit_leaves_air(self, air_c: float) -> str:
+        """Describe that the unit moves away from the air as the chamber reads it; empty where it does not."""
+        rate_per_s = self._unit_rate.per_s()
+        if not self._unit_range_c or rate_per_s is None:
+            return ""
+        coldest_c, hottest_c = self._unit_range_c
+        rate_c_per_min = 60.0 * rate_per_s
+        for unit_c, off_c, limit_c in (
+            (coldest_c, coldest_c - air_c, self._margin_c + self._self_heating_c),
+            (hottest_c, air_c - hottest_c, self._margin_c),
+        ):
+            away_c_per_min = rate_c_per_min if unit_c > air_c else -rate_c_per_min
+            if off_c > limit_c and away_c_per_min > _MOVES_C_PER_MIN:
+                return (
+                    f"the unit is at {unit_c:.1f} degC and changes by {rate_c_per_min:+.1f} degC/min, away "
+                    f"from the chamber's air, which reads {air_c:.1f} degC; the limit is {limit_c:g} K"
+                )
+        return ""
 
     def _deviations_from_command(self, readings: Readings) -> Iterator[InterlockFinding]:
         chamber, (set_c, on) = readings.chamber, self._commanded

@@ -67,6 +67,17 @@ class ChamberSensorError(Fault):
         return chamber.repair_sensor
 
 
+class ChamberSensorStuck(Fault):
+    """The controller's sensor keeps its last, plausible value: the chamber heats or cools at full power."""
+
+    fault: Literal["chamber_sensor_stuck"]
+
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+        air = bench.world.air
+        air.faults.stuck_c = air.air_c
+        return partial(setattr, air.faults, "stuck_c", None)
+
+
 class ChamberAlarm(Fault):
     """An alarm of the controller; its condition lasts ``for_s``, the alarm until it is cleared after that."""
 

@@ -21,6 +21,8 @@ from gyrobench.drivers.emulators.world.world_file import GyroThermal, Thermal
 _MIN_STEADY_COOLING = 0.3
 #: Time constant of the air while the door is open.
 _DOOR_TIME_CONSTANT_S = 300.0
+#: Error of the controlled air beyond what any chamber reaches: it heats or cools at full power.
+_FULL_POWER_C = 1000.0
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,7 @@ class AirFaults:
     blind: bool = False
     error_c: float = 0.0  #: Offset of the controlled air from its set point.
     door_open: bool = False  #: The room's air comes in.
+    stuck_c: float | None = None  #: The sensor keeps this reading.
 
 
 class ChamberAir:
@@ -68,6 +71,11 @@ class ChamberAir:
         self.faults = AirFaults()  #: Active faults.
 
     @property
+    def read_c(self) -> float:
+        """Temperature that the controller's sensor reads."""
+        return self.air_c if self.faults.stuck_c is None else self.faults.stuck_c
+
+    @property
     def compressor_duty(self) -> float:
         """Share of the time that the compressor runs: it cycles where little cooling is needed."""
         return _within(-self.power / _MIN_STEADY_COOLING, 0.0, 1.0)
@@ -83,11 +91,14 @@ class ChamberAir:
             [limits.heating_limit_c_per_min, limits.cooling_limit_c_per_min, limits.ambient_c,
              limits.ambient_time_constant_s, limits.low_c, limits.high_c]
         )  # fmt: skip
+        error_c = faults.error_c
+        if faults.stuck_c is not None:
+            error_c = math.copysign(_FULL_POWER_C, self.set_point_c - faults.stuck_c)
         course = np.empty((2, count))
         self.air_c, self.working_set_point_c, self.power = _air_steps(
             course, dt_s, is_controlled, -math.expm1(-dt_s / constant_s), bounds, self.air_c,
             self.working_set_point_c, self.set_point_c,
-            math.inf if self.ramp_rate_c_per_min is None else self.ramp_rate_c_per_min, faults.error_c,
+            math.inf if self.ramp_rate_c_per_min is None else self.ramp_rate_c_per_min, error_c,
         )  # fmt: skip
         return course
 

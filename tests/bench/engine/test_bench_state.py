@@ -7,6 +7,9 @@ from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.safe_state import SafeAction, SafePart
 from gyrobench.bench.station.station import Station
 
+#: Those of a chamber that controls its air.
+SAFE_PARTS = [part for part in SafePart if part is not SafePart.CHAMBER_OFF]
+
 
 @pytest.fixture
 def state():
@@ -67,7 +70,7 @@ def test_the_safe_state_has_the_stations_set_point_open_servos_and_the_ins_as_it
     state.chamber_commanded(60.0)
     state.table_prepared()
     unit.powered()
-    actions = [SafeAction(part.value, part) for part in SafePart]
+    actions = [SafeAction(part.value, part) for part in SAFE_PARTS]
     for each in (state, unit):
         each.made_safe(actions)
     assert state.expected == ExpectedState(chamber_set_c=23.0, chamber_on=True, table_stopped=True)
@@ -77,8 +80,14 @@ def test_the_safe_state_has_the_stations_set_point_open_servos_and_the_ins_as_it
 def test_a_safe_command_that_failed_leaves_the_state_unknown(state):
     state.chamber_commanded(60.0)
     state.table_prepared()
-    state.made_safe(SafeAction(part.value, part, "no reply") for part in SafePart)
+    state.made_safe(SafeAction(part.value, part, "no reply") for part in SAFE_PARTS)
     assert state.expected == ExpectedState(chamber_set_c=None, chamber_on=True)
+
+
+def test_a_chamber_that_was_switched_off_has_no_set_point(state):
+    state.chamber_commanded(60.0)
+    state.made_safe([SafeAction("set point", SafePart.CHAMBER), SafeAction("off", SafePart.CHAMBER_OFF)])
+    assert state.expected == ExpectedState(chamber_set_c=None, chamber_on=False)
 
 
 def test_a_chamber_that_refused_its_safe_set_point_at_first_may_be_off(state):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.engine.job import prepare_job
+from gyrobench.bench.engine.observers import RunObserver
 from gyrobench.bench.engine.preflight.bench_check import check_bench
 from gyrobench.bench.engine.preflight.instruments import chamber_checks
 from gyrobench.bench.engine.run import run_job
@@ -209,3 +210,44 @@ def test_after_a_change_of_its_numbers_the_chamber_is_off_and_the_bench_not_repo
     (failed,) = (action for action in outcome.safe_state if action.problem)
     assert problem in failed.problem
     assert "the chamber was switched off" in failed.problem
+
+
+HEAT_THE_UNIT = """procedure: heat_the_unit
+steps:
+  - power_on: {settle_s: 20}
+  - chamber: {temperature_c: 60, ramp_c_per_min: 5}
+  - soak: {for_s: 60}
+"""
+
+
+class AbsentForAnHour(RefusingOperator, RunObserver):
+    """Aborts an hour after the first question; keeps the temperature of the unit's case at each tick."""
+
+    def __init__(self):
+        super().__init__()
+        self.case_c, self._asked_s = [], np.inf
+
+    def ask(self, question, answers):
+        self._asked_s = min(self._asked_s, self.bench.clock.now())
+        super().ask(question, answers)
+
+    def answer(self):
+        return super().answer() if self.bench.clock.now() > self._asked_s + 3600.0 else None
+
+    def beat(self, bench):
+        self.bench = bench
+        self.case_c.append(bench.readings.ins.case_c)
+
+
+def test_a_chamber_whose_sensor_is_stuck_is_switched_off_before_it_damages_the_unit(prepared, tmp_path):
+    job = prepared("fault: chamber_sensor_stuck, during: ramp, after_s: 30", procedure=HEAT_THE_UNIT)
+    operator = AbsentForAnHour()
+    folder, outcome = run_job(job, tmp_path / "run", operator, operator)
+    trip = of(list(read_journal(folder.journal)), "tripped")[0]
+    assert trip["interlocks"] == ["chamber_sensor"]
+    assert "away from the chamber's air, which reads 2" in trip["why"]
+    assert np.nanmax(operator.case_c) < 80.0  # full power leads to 100
+    assert 23.0 < operator.case_c[-1] < 60.0  # and to -60 with the safe set point below the reading
+    assert outcome.ended == "stopped"
+    assert outcome.is_safe
+    assert not operator.bench.state.expected.chamber_on

@@ -29,7 +29,7 @@ def test_what_may_pass_goes_on_by_itself_and_the_rest_needs_a_person(tmp_path):
         "chamber_air_rate", "case_rate", "gyro_rate", "table_silence", "chamber_silence", "ins_silence",
         "chamber_deviation",
     }  # fmt: skip
-    assert len(rules) == 18
+    assert len(rules) == 19
     assert loaded(tmp_path).interlocks.max_hold_s == 24 * 3600.0
 
 

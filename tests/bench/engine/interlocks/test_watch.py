@@ -327,3 +327,30 @@ def test_ticks_between_readings_find_what_a_whole_evaluation_finds(watched, seed
             assert found == evaluated.trips()
             seen |= found.keys()
     assert {"table_silence", "chamber_silence", "ins_silence", "chamber_air_rate"} <= seen
+
+
+@pytest.mark.parametrize(("air_c", "first_c", "c_per_min", "is_tripped"), [
+    (20.0, 44.0, 1.0, True),  # of which 15 K may be the heat of the unit
+    (20.0, 44.0, -1.0, False),  # the unit cools, as after a ramp
+    (20.0, 36.0, 1.0, False),
+    (20.0, 11.0, -1.0, True),
+    (20.0, 9.0, 1.0, False),
+    (20.0, 44.0, 0.02, False),
+])  # fmt: skip
+def test_a_unit_that_moves_away_from_the_air_that_the_chamber_reads_trips(
+    watched, air_c, first_c, c_per_min, is_tripped
+):
+    bench = watched()
+    bench.chamber = ChamberReading(air_c, 20.0, True)
+    for minutes in np.arange(0.0, 4.0, 1.0 / 6.0):
+        unit_c = first_c + c_per_min * minutes
+        set_values(bench.ins, case_c=unit_c, optics_c=np.full(3, unit_c), electronics_c=np.full(3, unit_c))
+        trips = bench.poll()
+    assert set(trips) == ({"chamber_sensor"} if is_tripped else set())
+
+
+def test_a_unit_whose_temperatures_are_unknown_does_not_contradict_the_chamber(watched):
+    bench = watched()
+    bench.expected = replace(bench.expected, ins_on=False)
+    set_values(bench.ins, case_c=math.nan, optics_c=np.full(3, math.nan), electronics_c=np.full(3, math.nan))
+    assert bench.poll_for(300.0) == {}
