@@ -115,6 +115,7 @@ def _sending(unit: MeasuredUnit, bench: LiveBench) -> Ticks:
     reopened_s = bench.clock.now()
     while not unit.live.has_started():
         if bench.clock.now() - reopened_s > _REOPEN_AFTER_S:
+            unit.live.check_identifiers()
             reopened_s = bench.clock.now()
             bench.reopen(unit.live.name)
         yield

@@ -138,6 +138,12 @@ class LiveUnit:
         status = self.status()
         return status.age_s < _FRESH_S and status.mode is not InsMode.BOOT
 
+    def check_identifiers(self) -> None:
+        """Raise SignalMapError where the INS sends identifiers of the DBC with another number of bits."""
+        if self.ins.has_other_format:
+            found = self.ins.other_frames()
+            raise SignalMapError(f"{self.name}: {found}. Correct the DBC file, or the INS's output")
+
     def write_waiting(self, now_s: float) -> None:
         """Write frames to the log that no others have followed for some seconds."""
         if self._can_log:
@@ -219,7 +225,9 @@ class LiveUnit:
     def _notice_silent_bus(self, readings: Readings) -> None:
         """Treat a bus on which the INS has fallen silent as one that may have to be reopened."""
         if self.state.expected.ins_on and readings.ins.age_s > BUS_SILENCE_S:
-            self._bench.failed(NoReplyError(self.name, f"has sent nothing for {readings.ins.age_s:.0f} s"))
+            others = f"; {found}" if (found := self.ins.other_frames()) else ""
+            silence = f"has sent nothing for {readings.ins.age_s:.0f} s{others}"
+            self._bench.failed(NoReplyError(self.name, silence))
 
     def begin_capture(self) -> None:
         """Start to keep the frames of a dwell; the raw log starts a new part."""

@@ -18,7 +18,7 @@ from gyrobench.bench.foundations.errors import (
     RefusedError,
     ReplyError,
 )
-from gyrobench.drivers.frames import FrameBlock
+from gyrobench.drivers.frames import EXTENDED_ID, FrameBlock
 from gyrobench.drivers.ins.attitude import EulerSequence
 from gyrobench.drivers.ins.can_bus import INSTRUMENT, block_receiver, close_bus
 from gyrobench.drivers.ins.command_map import Command, CommandMap, check_commands
@@ -31,6 +31,8 @@ from gyrobench.drivers.ins.signal_map import SignalMap, bind_signals
 #: The status is sent about once a second, and the INS needs time for a command.
 _REPLY_TIMEOUT_S = 5.0
 _SEND_TIMEOUT_S = 1.0
+#: Identifiers of other nodes that are kept for messages.
+_MAX_OTHERS = 100
 #: Period at which a confirmation is looked for.
 POLL_PERIOD_S = 0.05
 
@@ -56,7 +58,9 @@ class CanIns:
     ) -> None:
         self.name = name
         self.codec = DbcCodec(database)
-        self._own: NDArray[np.uint32] | None = self.codec.arbitration_ids() if is_shared else None
+        self._own: NDArray[np.uint32] = self.codec.arbitration_ids()
+        self._is_shared = is_shared
+        self._others: set[int] = set()  # identifiers of other nodes
         self.signal_map = signal_map
         self._signals = bind_signals(signal_map, self.codec)
         self._commands = commands or CommandMap()
@@ -69,7 +73,7 @@ class CanIns:
         self._clock = clock
         self.on_frames: Callable[[FrameBlock], None] | None = None
         self._newest = NewestFrames(self.codec)
-        self.frames = 0  #: Number of data frames since the first bus was opened.
+        self.frames = 0  #: Number of data frames of the DBC since the first bus was opened.
 
     def close(self) -> None:
         """Close the bus; a second call does nothing."""
@@ -92,19 +96,46 @@ class CanIns:
             raise ReplyError(self.name, f"{self._bus}: received bytes are no CAN frame: {error}") from error
         except (can.CanError, OSError) as error:
             raise self._gone(error) from error
-        if self._own is not None:
-            block = block.take(np.isin(block.arbitration_id, self._own))
-        if len(block):
-            self._take(block)
+        if not len(block):
+            return block
+        is_own = np.isin(block.arbitration_id, self._own)
+        own = block
+        if not is_own.all():  # other nodes say nothing about the INS
+            own = block.take(is_own)
+            if len(self._others) < _MAX_OTHERS:
+                self._others.update(block.data_frames().arbitration_id.tolist())
+                self._others.difference_update(self._own.tolist())
+        self._take(own)
+        block = own if self._is_shared else block
+        if self.on_frames is not None and len(block):
+            self.on_frames(block)
         return block
 
-    def _take(self, block: FrameBlock) -> None:
-        data_frames = block.data_frames()
+    def _take(self, own: FrameBlock) -> None:
+        data_frames = own.data_frames()
         self.frames += len(data_frames)
         if len(data_frames):
             self._newest.take(data_frames, self._clock.now())
-        if self.on_frames is not None:
-            self.on_frames(block)
+
+    def other_frames(self) -> str:
+        """Describe the frames that are received of other nodes, none of the DBC; empty without any."""
+        if not self._others:
+            return ""
+        first = min(self._in_other_format or self._others)
+        name = f"0x{first & ~EXTENDED_ID:03x}"
+        if not self._in_other_format:
+            return f"frames arrive, such as {name}, but none that is in the DBC file"
+        sent, declared = (29, 11) if first & EXTENDED_ID else (11, 29)
+        return f"{name} arrives as an identifier of {sent} bits, and has {declared} bits in the DBC file"
+
+    @property
+    def has_other_format(self) -> bool:
+        """Whether identifiers of the DBC arrive, but with 11 in place of 29 bits or the reverse."""
+        return bool(self._in_other_format)
+
+    @property
+    def _in_other_format(self) -> set[int]:
+        return self._others.intersection((self._own ^ np.uint32(EXTENDED_ID)).tolist())
 
     def sends_frames(self, timeout_s: float) -> bool:
         """Poll until a data frame arrives; False if none does in this time. Raises as :meth:`poll`."""
@@ -129,6 +160,7 @@ class CanIns:
     def forget(self) -> None:
         """Drop the newest frames: the state is unknown until others arrive."""
         self._newest = NewestFrames(self.codec)
+        self._others.clear()
 
     def identity(self, timeout_s: float = _REPLY_TIMEOUT_S) -> dict[str, int]:
         """Wait for the numbers that identify the INS, none if the map has none; raises NoReplyError."""

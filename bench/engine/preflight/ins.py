@@ -124,8 +124,9 @@ def _await_start(station: Station, ins: CanIns, clock: Clock) -> None:
     deadline = Deadline(clock, _START_S if station.file.unit.power == "chamber_event" else 0.0)
     while not ins.sends_frames(_FIRST_FRAME_S):
         if deadline.expired():
+            others = f", but {found}" if (found := ins.other_frames()) else ""
             raise NoReplyError(
-                _SUBJECT, "sends nothing. Check its power, the bus, its bit rate and the cable."
+                _SUBJECT, f"sends nothing{others}. Check its power, the bus, its bit rate and the cable."
             )
     while ins.status().mode is InsMode.BOOT and not deadline.expired():
         clock.sleep(1.0)

@@ -20,8 +20,10 @@ from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.runs.provenance import read_provenance
 from gyrobench.bench.station.instruments import Emulation
+from gyrobench.bench.station.station import Station
 from gyrobench.drivers.emulators import can_interface
 from gyrobench.drivers.emulators.acl_axis import SoftwareFault
+from gyrobench.drivers.frames import EXTENDED_ID
 from tests.bench.engine.intervention import Intervention, RefusingOperator, run_with
 
 #: Dwells without a turn, as short as they can be.
@@ -210,6 +212,25 @@ def test_a_run_ends_at_power_on_where_station_and_ins_use_other_latitudes(tmp_pa
     assert "location.latitude_deg is 63.4000 deg. Correct the one that is wrong" in outcome.reason
     finished = [each["name"] for each in read_journal(folder.journal) if each["event"] == "step_finished"]
     assert finished == []
+
+
+def test_a_run_ends_at_power_on_where_the_ins_sends_other_identifiers_than_the_dbc_file_has(
+    tmp_path, run_procedure
+):
+    text = find_document("stations", "quick").read_text()
+    (tmp_path / "station.yaml").write_text(text.replace("dbc: gyrobench_ins", "dbc: extended"))
+    dbc = Station(find_document("stations", "quick")).dbc_path.read_text()
+    identifier = re.compile(r"^((?:BO_|VAL_|SIG_VALTYPE_|CM_ \w+_|BA_ \S+ \w+_) )(\d+)", re.MULTILINE)
+    extended = identifier.sub(lambda found: f"{found[1]}{int(found[2]) | EXTENDED_ID}", dbc)
+    (tmp_path / "extended.dbc").write_text(extended)
+    folder, outcome, _ = run_procedure(
+        "ten_minute_check", tmp_path / "run", "quick", station=str(tmp_path / "station.yaml")
+    )
+    assert outcome.ended == "failed"
+    assert outcome.is_station_wrong
+    assert "0x001 arrives as an identifier of 11 bits, and has 29 bits in the DBC file" in outcome.reason
+    assert outcome.is_safe
+    assert "step_finished" not in [entry["event"] for entry in read_journal(folder.journal)]
 
 
 @pytest.mark.parametrize(("contradicting", "ended"), [({2}, "finished"), ({2, 3}, "failed")])

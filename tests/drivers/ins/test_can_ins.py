@@ -238,7 +238,7 @@ def test_error_frames_and_foreign_identifiers_change_no_value(driver, buses, fra
         buses[1].send(message)
     driver.poll()
     assert driver.status().mode is InsMode.NAVIGATE
-    assert driver.frames == 2
+    assert driver.frames == 1
 
 
 def test_an_ins_that_sends_nothing_is_waited_for(driver, buses, clock, frames_of, to_messages):

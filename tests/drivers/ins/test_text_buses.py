@@ -301,3 +301,45 @@ def test_frames_that_find_the_queue_full_are_counted_and_reported(adapter, monke
     assert count + bus.lost == sent
     assert 0 < bus.largest_queue <= 5000
     driver.close()
+
+
+def test_frames_of_other_nodes_are_no_sign_of_life_of_the_ins(signal_map, codec):
+    adapter = Slcan("pty")
+    driver = CanIns(adapter.open(), signal_map, codec.database, clock := WallClock())
+    blocks = []
+    driver.on_frames = blocks.append
+
+    def sent(line):
+        adapter.send(line)
+        count = sum(map(len, blocks))
+        while sum(map(len, blocks)) == count:
+            driver.poll()
+
+    sent(b"t30080102030405060708\r")
+    assert driver.status().age_s == float("inf")
+    assert driver.other_frames() == "frames arrive, such as 0x300, but none that is in the DBC file"
+    sent(b"t00480102030405060708\r")
+    heard_s = clock.now()
+    sent(b"t30080102030405060708\rT0000000480102030405060708\r")
+    now_s = clock.now()
+    assert driver.status().age_s >= now_s - heard_s
+    assert driver.frames == 1
+    assert sum(map(len, blocks)) >= 3  # all are in the log
+    driver.close()
+    adapter.close()
+
+
+@pytest.mark.parametrize("length", [8, 0])
+def test_an_identifier_of_another_length_is_named(signal_map, codec, length):
+    adapter = Slcan("pty")
+    driver = CanIns(adapter.open(), signal_map, codec.database, WallClock())
+    adapter.send(b"T00000004%d" % length + b"00" * length + b"\r")
+    while not driver.has_other_format:
+        driver.poll()
+    assert driver.other_frames() == (
+        "0x004 arrives as an identifier of 29 bits, and has 11 bits in the DBC file"
+    )
+    driver.forget()
+    assert driver.other_frames() == ""
+    driver.close()
+    adapter.close()
