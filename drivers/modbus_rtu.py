@@ -5,8 +5,9 @@ over Serial Line V1.02.
 
 The reply to a read does not name its register: a late reply could pass for the reply to the next
 request. So after a failed exchange nothing is sent until the line has been silent for the reply
-time-out. The protocol can't detect a reply later than twice the reply time-out, or a second copy of a
-reply after the next request.
+time-out, and the next reply counts only if no further one follows it: replies come in the order of the
+requests. The protocol can't detect a late reply whose successor is lost, or a second copy of a reply after
+the next request.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ from enum import IntEnum
 from functools import lru_cache
 
 from gyrobench.bench.foundations.clock import Deadline
-from gyrobench.bench.foundations.errors import RefusedError, ReplyError
-from gyrobench.drivers.serial_line import SerialLine
+from gyrobench.bench.foundations.errors import NoReplyError, RefusedError, ReplyError
+from gyrobench.drivers.serial_line import NEXT_REPLY_S, SerialLine
 
 #: A frame ends with a silence of 3.5 characters, 4 ms at 9600 baud.
 PAUSE_AFTER_READ_S = 0.005
@@ -98,7 +99,8 @@ class ModbusRtu:
         """Send a request; return its reply, ``size`` bytes beginning with ``start``, or an exception."""
         clock = self._line.clock
         clock.sleep_until(self._next_request_s)
-        if self._out_of_step:
+        may_be_late = self._out_of_step
+        if may_be_late:
             self._line.await_silence(self._reply_timeout_s)
         self._out_of_step = True
         self._next_request_s = clock.now() + self._reply_timeout_s
@@ -109,6 +111,8 @@ class ModbusRtu:
             raise self._unexpected(request, reply, "the CRC is wrong; check cable, baud rate and parity")
         if not reply.startswith(start) and reply[:2] != bytes((self._address, request[1] | _EXCEPTION_BIT)):
             raise self._unexpected(request, reply, "another device or function replied; check the address")
+        if may_be_late and self._is_followed():
+            raise self._unexpected(request, reply, "it is the late reply to an earlier request")
         self._out_of_step = False
         self._next_request_s = clock.now() + pause_s
         return reply
@@ -120,6 +124,14 @@ class ModbusRtu:
         if not reply[1] & _EXCEPTION_BIT:
             reply += self._line.read(size - _EXCEPTION_FRAME_BYTES, deadline, settings)
         return reply
+
+    def _is_followed(self) -> bool:
+        """Whether further bytes arrive."""
+        try:
+            self._line.read(1, Deadline(self._line.clock, NEXT_REPLY_S))
+        except NoReplyError:
+            return False
+        return True
 
     def _unexpected(self, request: bytes, reply: bytes, problem: str) -> ReplyError:
         return ReplyError(

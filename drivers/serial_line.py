@@ -22,6 +22,8 @@ from gyrobench.drivers.recording.recording_file import RecordingFile, new_line_r
 _WRITE_TIMEOUT_S = 5.0
 #: A line that is not silent within this many times the silence required never will be.
 _MAX_SILENCES = 5
+#: After a late reply, that to the present request begins within this time.
+NEXT_REPLY_S = 0.5
 #: Bytes recorded of the unread input that is discarded.
 _MAX_DISCARDED = 65536
 

@@ -1,8 +1,8 @@
 """Lines of text to and from an instrument, one reply after each request.
 
 A reply does not name its request. So after a failed exchange nothing is sent until the line has been
-silent for the reply time-out, and the next reply counts only if no further one follows it: an instrument
-answers in the order of the requests.
+silent for the reply time-out, and of the next replies the last one counts: an instrument answers in the
+order of the requests.
 """
 
 from __future__ import annotations
@@ -12,12 +12,10 @@ import re
 
 from gyrobench.bench.foundations.clock import Deadline
 from gyrobench.bench.foundations.errors import NoReplyError, ReplyError
-from gyrobench.drivers.serial_line import SerialLine
+from gyrobench.drivers.serial_line import NEXT_REPLY_S, SerialLine
 
 _MAX_REPLY_BYTES = 256
 _SHOWN_BYTES = 60
-#: After a late reply, that to the present request begins within this time.
-_NEXT_REPLY_S = 0.5
 _NUMBER = re.compile(rb"[-+]?(?:[0-9]{1,15}(?:\.[0-9]{0,15})?|\.[0-9]{1,15})(?:[eE][-+]?[0-9]{1,3})?")
 
 LINE_ENDINGS = {"cr": b"\r", "crlf": b"\r\n", "lf": b"\n"}
@@ -83,7 +81,9 @@ class TextLine:
         may_be_late, self._awaits_late_reply = self._awaits_late_reply, False
         self.send(request)
         reply = self.receive(request)
-        return (may_be_late and self.more(request, _NEXT_REPLY_S)) or reply
+        while may_be_late and (following := self.more(request, NEXT_REPLY_S)):
+            reply = following
+        return reply
 
     def more(self, request: str, within_s: float, *, may_be_empty: bool = False) -> bytes | None:
         """Wait for a further reply that begins within a time, else None; raises as :meth:`receive`."""

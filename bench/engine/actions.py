@@ -95,8 +95,7 @@ def _power_on(step: PowerOn, context: StepContext) -> Ticks:
         yield from _lasting(bench, _POWER_CYCLE_S)
     for unit in context.units.running:
         unit.live.forget()
-    excluded = context.units.dropped_events
-    yield from _tried(context, lambda: bench.instruments.power_unit(True, excluded))
+    yield from _tried(context, lambda: bench.instruments.power_unit(True, context.units.dropped_events))
     switched_s = bench.clock.now()
     yield
     yield from context.units.each(lambda unit: _sending(unit, bench))

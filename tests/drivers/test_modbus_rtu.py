@@ -7,7 +7,7 @@ from pymodbus.framer.rtu import FramerRTU
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.errors import NoReplyError, ReplyError
 from gyrobench.drivers.modbus_rtu import PAUSE_AFTER_READ_S, ModbusRtu, crc16, framed
-from gyrobench.drivers.serial_line import SerialLine
+from gyrobench.drivers.serial_line import NEXT_REPLY_S, SerialLine
 
 TIMEOUT_S = 1.0
 
@@ -139,7 +139,7 @@ def test_a_reply_that_came_too_late_passes_before_the_next_question(port, modbus
     with pytest.raises(NoReplyError):
         modbus.read(7)
     assert modbus.read(8) == (8,)
-    assert port.clock.now() == pytest.approx(1.9 + TIMEOUT_S + 0.01)
+    assert port.clock.now() == pytest.approx(1.9 + TIMEOUT_S + 0.01 + NEXT_REPLY_S)
 
 
 def test_a_good_reply_costs_no_wait_for_silence(port, modbus):

@@ -5,6 +5,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -15,7 +16,9 @@ import serial
 
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import ConnectionFailedError, InstrumentError
+from gyrobench.drivers.chamber.thermotron_8800 import Thermotron8800
 from gyrobench.drivers.chamber.watlow_f4 import WatlowF4
+from gyrobench.drivers.chamber.watlow_f4t import WatlowF4T
 from gyrobench.drivers.emulators.serve import main
 from gyrobench.drivers.rate_table.acutrol3000 import Acutrol3000
 from gyrobench.drivers.serial_line import SerialLine
@@ -272,3 +275,78 @@ def test_it_ends_with_the_program_that_started_it(tmp_path):
 @pytest.mark.parametrize("speed", ["0.5", "1000", "fast"])
 def test_a_speed_that_is_not_possible_is_refused(capsys, speed):
     assert "--speed" in ended_at_once(capsys, "--speed", speed)
+
+
+class StallingConnection:
+    """A device server between an instrument and one client, whose replies stall until a number has come."""
+
+    def __init__(self, url):
+        self._near = socket.create_server(("127.0.0.1", 0))
+        self.url = f"socket://127.0.0.1:{self._near.getsockname()[1]}"
+        self._far = socket.create_connection(("127.0.0.1", urlsplit(url).port))
+        self._wanted = self._requests = 0
+        threading.Thread(target=self._serve, daemon=True).start()
+
+    def stall(self, count):
+        """Hold the replies until the one to this request, from now on, has come."""
+        self._wanted = self._requests + count
+
+    def _serve(self):
+        self._client, _ = self._near.accept()
+        threading.Thread(target=self._reply, daemon=True).start()
+        with contextlib.suppress(OSError):
+            while data := self._client.recv(1000):
+                self._requests += 1
+                self._far.sendall(data)
+
+    def _reply(self):
+        held = b""
+        with contextlib.suppress(OSError):
+            while data := self._far.recv(1000):
+                held += data
+                if self._requests >= self._wanted:
+                    self._client.sendall(held)
+                    held = b""
+
+    def close(self):
+        for each in (self._near, self._far, self._client):
+            each.close()
+
+
+DRIVERS = {"watlow_f4": WatlowF4, "watlow_f4t": WatlowF4T, "thermotron_8800": Thermotron8800}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("dialect", DRIVERS)
+def test_no_reply_that_stalled_for_many_time_outs_is_taken_for_another(serve, dialect):
+    _, urls = serve("--tcp", "--chamber-dialect", dialect)
+    connection = StallingConnection(urls["chamber"])
+    chamber = DRIVERS[dialect](SerialLine("chamber", connection.url, WallClock()), reply_timeout_s=0.3)
+    chamber.set_temperature(23.0, None)
+    right = {
+        chamber.read: chamber.read(),
+        chamber.alarms: [],
+        chamber.set_point_c: 23.0,
+        lambda: chamber.is_event_on(1): False,
+    }
+    read, alarms, set_point_c, is_event_on = right
+    stalled = 0
+    for asked in (
+        [alarms, read],
+        [read, alarms],
+        [read, read, read, alarms],
+        [is_event_on, set_point_c],
+        3 * [is_event_on] + [set_point_c],
+        4 * [set_point_c] + [read],
+    ):
+        connection.stall(len(asked))
+        for ask in [*asked, *right]:
+            try:
+                answer = ask()
+            except InstrumentError:
+                stalled += 1
+            else:
+                assert answer == right[ask]
+    assert stalled >= 10
+    chamber.close()
+    connection.close()
