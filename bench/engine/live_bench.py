@@ -20,7 +20,9 @@ from gyrobench.bench.navigation.table_axes import Angles
 from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE, Instruments
 from gyrobench.bench.station.safe_state import SafeAction, make_safe, repeat
 from gyrobench.bench.station.station import Station
+from gyrobench.drivers.chamber import ChamberReading
 from gyrobench.drivers.ins.can_bus import INSTRUMENT
+from gyrobench.drivers.rate_table import TableReading
 
 if TYPE_CHECKING:
     from gyrobench.bench.runs.can_log import CanLog
@@ -266,14 +268,16 @@ class LiveBench:
         self._next_reading_s = self.clock.now() + self.station.file.instruments_period_s
         statuses = [unit.status() for unit in self.units]
         changes: dict[str, Any] = {"ins": statuses[0], "asked_s": (asked_s := self.clock.now())}
-        table, chamber = self.instruments.table, self.instruments.chamber
-        if (faults := self.asked(RATE_TABLE, table.faults)) is not None:
-            changes["table_faults"] = tuple(faults)
-        if (of_table := self.asked(RATE_TABLE, table.read)) is not None:
+        table, chamber, before = self.instruments.table, self.instruments.chamber, self.readings
+        is_new = before.table_faults.__ne__
+        if (faults := self._twice_if(is_new, RATE_TABLE, lambda: tuple(table.faults()))) is not None:
+            changes["table_faults"] = faults
+        if (of_table := self._twice_if(self._is_doubtful, RATE_TABLE, table.read)) is not None:
             changes |= {"table": of_table, "table_s": self.clock.now()}
-        if (alarms := self.asked(CHAMBER, chamber.alarms)) is not None:
-            changes["chamber_alarms"] = tuple(alarms)
-        if (of_chamber := self.asked(CHAMBER, chamber.read)) is not None:
+        is_new = before.chamber_alarms.__ne__
+        if (alarms := self._twice_if(is_new, CHAMBER, lambda: tuple(chamber.alarms()))) is not None:
+            changes["chamber_alarms"] = alarms
+        if (of_chamber := self._twice_if(self._is_doubtful, CHAMBER, chamber.read)) is not None:
             changes |= {"chamber": of_chamber, "chamber_s": self.clock.now()}
         self.readings = readings = replace(self.readings, **changes)
         self._watch.observe(readings)
@@ -282,6 +286,20 @@ class LiveBench:
             self._telemetry.add(telemetry_row(row, None))
         for unit, ins in zip(self.units, statuses, strict=True):
             unit.observe(readings if ins is readings.ins else replace(readings, ins=ins), row)
+
+    def _twice_if(
+        self, is_doubtful: Callable[[_T], bool], instrument: str, ask: Callable[[], _T]
+    ) -> _T | None:
+        """Return an instrument's answer, but a second one where the first is doubtful; None where that fails.
+
+        Lines of text have no checksum: a damaged byte is a fault or a wrong number, and a trip may need the
+        operator.
+        """
+        answer = self.asked(instrument, ask)
+        return self.asked(instrument, ask) if answer is not None and is_doubtful(answer) else answer
+
+    def _is_doubtful(self, reading: TableReading | ChamberReading) -> bool:
+        return self._watch.is_doubtful(reading, self.state.expected)
 
     def read_table(self) -> None:
         """Read the table alone, between the regular readings."""

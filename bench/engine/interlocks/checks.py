@@ -9,14 +9,16 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 from gyrobench.bench.engine.bench_state import ExpectedState, Readings
 from gyrobench.bench.station.interlocks import TemperatureInterlock, TemperatureRateInterlock
 from gyrobench.bench.station.station import Station
+from gyrobench.drivers.chamber import ChamberReading
 from gyrobench.drivers.ins.ins_status import InsStatus
 from gyrobench.drivers.ins.readout import InsMode
-from gyrobench.drivers.rate_table import MAX_STOP_S
+from gyrobench.drivers.rate_table import MAX_STOP_S, TableReading
 
 _CHECK_LINE = "Check its power, cable and port."
 _CHECK_SERVO = "Check the controller's limits and its servo."
@@ -25,6 +27,8 @@ _CHECK_SENSOR = "Check the sensor and the signal map"
 _COOL_DOWN = f"{_CHECK_SENSOR}; let the unit return to room temperature."
 #: The acceleration is not computed from readings closer than this: their times are too uncertain.
 _MIN_SPAN_S = 0.4
+#: The air changes by less between two readings, unless a door is opened.
+_JUMP_C = 2.0
 #: A table at rest turns no faster, with the noise of its reading.
 _REST_DPS = 0.05
 #: Time over which the unit's change of temperature is taken.
@@ -174,6 +178,17 @@ class TableChecks:
             if readings.table.is_servoed and is_rest_due:
                 yield from problems
 
+    def is_doubtful(self, found: TableReading, before: Readings, expected: ExpectedState) -> bool:
+        """Whether a reading would trip an interlock by itself."""
+        readings = replace(before, table=found)
+        steps_dps = map(lambda new, old: abs(new - old), found.rate_dps, before.table.rate_dps)
+        return (
+            (expected.table_prepared and not found.is_servoed)
+            or any(self._motion(readings))
+            or (expected.table_stopped and any(self._motion_although_stopped(readings)))
+            or not all(step_dps <= self._acceleration_dps2 * _MIN_SPAN_S for step_dps in steps_dps)
+        )
+
     def good_until_s(self, readings: Readings) -> float:
         """Return until when nothing goes wrong by the passage of time alone."""
         return readings.table_s + self._silence_s
@@ -276,7 +291,7 @@ class ChamberChecks:
                 "chamber_sensor", problem, "Check the chamber's sensor, heater and compressor."
             )
         if readings.chamber_s > self._commanded_s:
-            yield from self._deviations_from_command(readings)
+            yield from self._deviations_from_command(readings.chamber, *self._commanded)
         if expected.chamber_reached and expected.chamber_set_c is not None:
             off_c = air_c - expected.chamber_set_c
             if not abs(off_c) <= self._deviation_c:
@@ -286,6 +301,16 @@ class ChamberChecks:
                     f"had reached; the limit is {self._deviation_c:g} K",
                     "Check the chamber's machinery and door.",
                 )
+
+    def is_doubtful(self, found: ChamberReading, before: Readings, expected: ExpectedState) -> bool:
+        """Whether a reading would trip an interlock by itself."""
+        low_c, high_c = self._range_c
+        air_c, set_c = found.temperature_c, expected.chamber_set_c
+        if not low_c <= air_c <= high_c or not abs(air_c - before.chamber.temperature_c) <= _JUMP_C:
+            return True
+        if expected.chamber_reached and set_c is not None and abs(air_c - set_c) > self._deviation_c:
+            return True
+        return any(self._deviations_from_command(found, set_c, expected.chamber_on))
 
     def good_until_s(self, readings: Readings) -> float:
         """Return until when nothing goes wrong by the passage of time alone."""
@@ -310,8 +335,9 @@ class ChamberChecks:
                 )
         return ""
 
-    def _deviations_from_command(self, readings: Readings) -> Iterator[InterlockFinding]:
-        chamber, (set_c, on) = readings.chamber, self._commanded
+    def _deviations_from_command(
+        self, chamber: ChamberReading, set_c: float | None, on: bool | None
+    ) -> Iterator[InterlockFinding]:
         if on is not None and chamber.is_on is not None and chamber.is_on != on:
             yield InterlockFinding(
                 "chamber_command",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from gyrobench.bench.engine.bench_state import ExpectedState, Readings
 from gyrobench.bench.engine.interlocks.checks import (
@@ -26,7 +27,9 @@ from gyrobench.bench.procedure.steps import PowerOn, Step
 from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE
 from gyrobench.bench.station.interlocks import InterlockRule
 from gyrobench.bench.station.station import Station
+from gyrobench.drivers.chamber import ChamberReading
 from gyrobench.drivers.ins.can_bus import INSTRUMENT
+from gyrobench.drivers.rate_table import TableReading
 
 _CHECKS: Mapping[str, type[TableChecks | ChamberChecks | InsChecks]] = {
     RATE_TABLE: TableChecks,
@@ -90,11 +93,17 @@ class InterlockWatch:
     def __init__(self, station: Station, clock: Clock, absent: Collection[str] = ()) -> None:
         self._clock = clock
         self._rules = station.file.interlocks.rules()
-        self._checks = [checks(station) for name, checks in _CHECKS.items() if name not in absent]
+        self._by_instrument = {name: make(station) for name, make in _CHECKS.items() if name not in absent}
+        self._checks = list(self._by_instrument.values())
         self._readings: Readings | None = None
         self._good_since_s: dict[str, float] = {}
         #: Nothing was found wrong with these readings and this command, nor will be until that time.
         self._good: tuple[ExpectedState | None, float] = (None, -math.inf)
+
+    def is_doubtful(self, reading: TableReading | ChamberReading, expected: ExpectedState) -> bool:
+        """Whether a new reading alone would trip an interlock, so that it should be taken again."""
+        checks: Any = self._by_instrument.get(RATE_TABLE if isinstance(reading, TableReading) else CHAMBER)
+        return bool(checks and checks.is_doubtful(reading, self._readings, expected))
 
     def observe(self, readings: Readings) -> None:
         """Take the readings; to be called after every poll, whether the instruments answered or not."""

@@ -251,3 +251,21 @@ def test_a_chamber_whose_sensor_is_stuck_is_switched_off_before_it_damages_the_u
     assert outcome.ended == "stopped"
     assert outcome.is_safe
     assert not operator.bench.state.expected.chamber_on
+
+
+WAIT = """procedure: wait
+steps:
+  - chamber: {temperature_c: 30, ramp_c_per_min: 5, retries: 5}
+  - go_to: {position: z_up, rate_dps: 30, retries: 5}
+  - wait: {duration_s: 3000}
+"""
+
+
+@pytest.mark.parametrize("target", ["table", "chamber"])
+def test_a_damaged_byte_of_text_trips_nothing(prepared, tmp_path, target):
+    thermotron = {"dialect: watlow_f4\n": "dialect: thermotron_8800\n", "  address: 1\n": ""}
+    fault = f"fault: damaged_reply, target: {target}, every_s: 60"
+    _, outcome, entries = run(prepared(fault, procedure=WAIT, replaced=thermotron), tmp_path)
+    assert outcome.ended == "finished", outcome.reason
+    assert of(entries, "tripped") == []
+    assert len(of(entries, "retry")) > 20  # others are damaged so that they still can be read
