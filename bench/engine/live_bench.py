@@ -138,6 +138,7 @@ class LiveBench:
         faults = self._first(self.instruments.table.faults)
         chamber = self._first(self.instruments.chamber.read)
         alarms = self._first(self.instruments.chamber.alarms)
+        self.instruments.note_identities()
         found, now_s = [unit.status() for unit in self.units], self.clock.now()
         self.readings = Readings(table, now_s, tuple(faults), chamber, now_s, tuple(alarms), found[0], now_s)
         self._next_reading_s = now_s + self.station.file.instruments_period_s

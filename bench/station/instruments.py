@@ -21,7 +21,9 @@ from gyrobench.bench.foundations.errors import (
     FaultError,
     GyrobenchError,
     InstrumentError,
+    NoReplyError,
     RefusedError,
+    ReplyError,
 )
 from gyrobench.bench.foundations.packages import CHAMBERS, RATE_TABLES, load
 from gyrobench.bench.foundations.shipped import DEFAULT_WORLD, find_document, world_for
@@ -125,6 +127,7 @@ class Outputs:
         self._station = station
         self._emulation = emulation or Emulation()
         self._drivers: dict[str, Any] = {}  # those opened so far
+        self._identities: dict[str, str] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -171,10 +174,19 @@ class Outputs:
             if event not in excluded:
                 self.chamber.switch_event(event, on)
 
+    def note_identities(self) -> None:
+        """Note which table and chamber these are, for :meth:`reopen`; one that is silent is not noted."""
+        for instrument in (RATE_TABLE, CHAMBER):
+            with contextlib.suppress(InstrumentError):
+                driver = self._driver(instrument)
+                if getattr(driver, "is_identified", True):
+                    self._identities[instrument] = driver.identify()
+
     def reopen(self, instrument: str) -> None:
         """Close and reopen the port of one instrument, named as in errors; after a failure it stays closed.
 
-        Raises ConnectionFailedError if it can't be opened, or does not answer.
+        Raises ConnectionFailedError if it can't be opened, does not answer, or is not the one whose identity
+        was noted: adapters that come back may have exchanged their names.
         """
         if instrument not in (RATE_TABLE, CHAMBER):
             raise ValueError(f"no instrument is called {instrument!r}")
@@ -183,7 +195,9 @@ class Outputs:
         def reopened() -> RateTable | Chamber:
             if before is not None:
                 before.close()
-            return self._newly_opened(instrument)
+            driver = self._newly_opened(instrument)
+            self._require_same(instrument, driver)
+            return driver
 
         try:
             self._drivers[instrument] = driver = self._in_time(instrument, reopened)
@@ -193,6 +207,21 @@ class Outputs:
             raise ConnectionFailedError(instrument, f"its port is open, but {error.message}") from error
         if isinstance(before, SoftwareRamp) and isinstance(driver, SoftwareRamp):
             driver.continue_from(before)
+
+    def _require_same(self, instrument: str, driver: RateTable | Chamber) -> None:
+        """Close a driver and raise ConnectionFailedError if another instrument answers.
+
+        One that does not answer may be the right one, and is to be stopped all the same.
+        """
+        known = self._identities.get(instrument)
+        with contextlib.suppress(NoReplyError, ReplyError, RefusedError):
+            if known is not None and (found := driver.identify()) != known:
+                driver.close()
+                raise ConnectionFailedError(
+                    instrument,
+                    f"another instrument answers on its port: {found} in place of {known}. Check the cables, "
+                    "and whether adapters exchanged their names: /dev/serial/by-id has names that stay.",
+                )
 
     def close(self) -> None:
         """Close the ports; table and chamber keep their state."""

@@ -40,7 +40,10 @@ class Chamber(RunsProfiles, Protocol):
     can_ramp: bool  #: Whether the controller ramps its set point; assumed where a driver lacks it.
 
     def identify(self) -> str:
-        """Name of the controller, for the run's provenance."""
+        """Name of the controller, for the run's provenance.
+
+        The same text at each call, unless the driver has ``is_identified = False``.
+        """
 
     def read(self) -> ChamberReading:
         """Measure the air; read set point and on or off back from the controller.

@@ -51,7 +51,10 @@ class RateTable(Protocol):
     """
 
     def identify(self) -> str:
-        """Maker, model, serial number and firmware, as the controller reports them."""
+        """Maker, model, serial number and firmware, as the controller reports them.
+
+        The same text at each call, unless the driver has ``is_identified = False``.
+        """
 
     def prepare(self) -> None:
         """Clear latched faults, close the servos and set the limits given before, if any.

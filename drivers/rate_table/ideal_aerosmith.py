@@ -45,6 +45,8 @@ class IdealAerosmith:
     ``axis`` is the bench's number of the axis; the controller has none.
     """
 
+    is_identified = False  #: Nothing distinguishes one controller from another.
+
     def __init__(self, line: SerialLine, axis: int = 1, reply_timeout_s: float = 1.0) -> None:
         self._line = line
         self._axis = axis

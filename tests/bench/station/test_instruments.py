@@ -13,7 +13,10 @@ from gyrobench.bench.foundations.errors import ConnectionFailedError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE, Emulation, Instruments, Outputs, open_ins
 from gyrobench.bench.station.station import Station
+from gyrobench.drivers.chamber.watlow_f4 import WatlowF4
 from gyrobench.drivers.ins.can_bus import INSTRUMENT as INS
+from gyrobench.drivers.serial_line import SerialLine
+from tests.drivers.emulators.forked import served
 
 
 @pytest.fixture
@@ -119,3 +122,32 @@ def test_a_socketcand_server_that_says_nothing_is_given_up(changed, monkeypatch)
         if thread.name == "limited: INS":
             thread.join(20)
     gc.collect()
+
+
+@pytest.mark.long
+def test_another_chamber_under_the_name_of_the_first_is_not_commanded(changed, tmp_path):
+    """Two adapters that came back with exchanged names."""
+    benches = [served("--chamber-option", f"model={model}", "--for-s", "600") for model in ("F4P", "F4S")]
+    ours, theirs = (urls["chamber"] for _, urls in benches)
+    port = tmp_path / "port"
+    port.symlink_to(ours)
+    path = changed(("port: emulator://chamber", f"port: {port}"), ("clock: virtual", "clock: wall"))
+    with Outputs(Station(path), WallClock()) as outputs:
+        outputs.note_identities()
+        outputs.chamber.set_temperature(30.0, None)
+        port.unlink()
+        port.symlink_to(theirs)
+        with pytest.raises(
+            ConnectionFailedError, match=r"another instrument answers.*ramps by profiles only"
+        ):
+            outputs.reopen(CHAMBER)
+        with pytest.raises(ConnectionFailedError):
+            outputs.chamber.set_temperature(60.0, None)
+        with closing(WatlowF4(SerialLine(CHAMBER, theirs, WallClock()))) as chamber:
+            assert chamber.set_point_c() == 23.0
+        port.unlink()
+        port.symlink_to(ours)
+        outputs.reopen(CHAMBER)
+        assert outputs.chamber.set_point_c() == 30.0
+    for process, _ in benches:
+        process.close()
