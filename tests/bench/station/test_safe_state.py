@@ -8,7 +8,14 @@ from gyrobench.bench.foundations.clock import VirtualClock, WallClock
 from gyrobench.bench.foundations.errors import NoReplyError, RefusedError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.instruments import Emulation, Instruments, Outputs
-from gyrobench.bench.station.safe_state import RAMP_PERIOD_S, SafeAction, SafePart, finish_ramp, make_safe
+from gyrobench.bench.station.safe_state import (
+    RAMP_PERIOD_S,
+    SafeAction,
+    SafePart,
+    finish_ramp,
+    make_safe,
+    repeat,
+)
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
 from gyrobench.drivers.serial_line import SerialLine
@@ -108,6 +115,21 @@ def test_what_failed_can_be_tried_alone(opened):
     station, instruments, _ = opened
     (action,) = make_safe(station, instruments, only=["rate table stopped"])
     assert action == SafeAction("rate table stopped", SafePart.TABLE_AT_REST)
+
+
+def test_a_chamber_that_does_not_control_its_air_is_switched_off_with_its_safe_set_point(opened):
+    station, instruments, bench = opened
+    for act in (
+        lambda: make_safe(station, instruments, chamber_off=True),
+        lambda: repeat(station, instruments, [SafeAction("chamber switched off", SafePart.CHAMBER_OFF)], str),
+    ):
+        instruments.chamber.set_temperature(60.0, None)
+        instruments.chamber.switch(True)
+        actions = act()
+        assert set(problems(actions).values()) == {""}
+        assert not bench.world.air.running
+        is_repeat = len(actions) == 1
+        assert bench.world.air.set_point_c == (60.0 if is_repeat else 23.0)
 
 
 def test_a_table_that_hangs_does_not_keep_the_chamber_waiting_for_ever(changed, monkeypatch):
