@@ -58,7 +58,7 @@ class CanIns:
     ) -> None:
         self.name = name
         self.codec = DbcCodec(database)
-        self._own: NDArray[np.uint32] = self.codec.arbitration_ids()
+        self._own: NDArray[np.uint32] = np.sort(self.codec.arbitration_ids())
         self._is_shared = is_shared
         self._others: set[int] = set()  # identifiers of other nodes
         self.signal_map = signal_map
@@ -98,7 +98,8 @@ class CanIns:
             raise self._gone(error) from error
         if not len(block):
             return block
-        is_own = np.isin(block.arbitration_id, self._own)
+        sent = block.arbitration_id
+        is_own = self._own.take(self._own.searchsorted(sent), mode="clip") == sent
         own = block
         if not is_own.all():  # other nodes say nothing about the INS
             own = block.take(is_own)

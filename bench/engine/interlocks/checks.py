@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
 from typing import NamedTuple
 
 from gyrobench.bench.engine.bench_state import ExpectedState, Readings
@@ -31,8 +30,8 @@ _MIN_SPAN_S = 0.4
 _JUMP_C = 2.0
 #: A table at rest turns no faster, with the noise of its reading.
 _REST_DPS = 0.05
-#: Time over which the unit's change of temperature is taken.
-_UNIT_WINDOW_S = 120.0
+#: Time over which the unit's change of temperature is taken, and between its temperatures.
+_UNIT_WINDOW_S, _UNIT_PERIOD_S = 120.0, 30.0
 #: A unit that changes by less stays where it is.
 _MOVES_C_PER_MIN = 0.1
 #: Interlocks that show that the chamber does not control its air: a set point does not make it safe.
@@ -180,13 +179,22 @@ class TableChecks:
 
     def is_doubtful(self, found: TableReading, before: Readings, expected: ExpectedState) -> bool:
         """Whether a reading would trip an interlock by itself."""
-        readings = replace(before, table=found)
-        steps_dps = map(lambda new, old: abs(new - old), found.rate_dps, before.table.rate_dps)
-        return (
-            (expected.table_prepared and not found.is_servoed)
-            or any(self._motion(readings))
-            or (expected.table_stopped and any(self._motion_although_stopped(readings)))
-            or not all(step_dps <= self._acceleration_dps2 * _MIN_SPAN_S for step_dps in steps_dps)
+        if expected.table_prepared and not found.is_servoed:
+            return True
+        in_table_axes = self._station.table_axes_of
+        limit_dps = _REST_DPS if expected.table_stopped else self._rate_dps
+        step_dps = self._acceleration_dps2 * _MIN_SPAN_S
+        return not all(
+            low_deg <= angle_deg <= high_deg
+            and abs(rate_dps) <= limit_dps
+            and abs(rate_dps - before_dps) <= step_dps
+            for (low_deg, high_deg), angle_deg, rate_dps, before_dps in zip(
+                self._angles_deg.values(),
+                in_table_axes(found.position_deg),
+                in_table_axes(found.rate_dps),
+                in_table_axes(before.table.rate_dps),
+                strict=True,
+            )
         )
 
     def good_until_s(self, readings: Readings) -> float:
@@ -253,13 +261,18 @@ class ChamberChecks:
         self._self_heating_c = max(0.0, station.file.unit.thermal.self_heating_c)
         self._unit_temperatures = [each.read for each in ins_temperatures(station)]
         self._unit_range_c: tuple[float, ...] = ()  #: lowest and highest; empty where one is unknown
-        self._unit_rate = RateWindow.for_readings(_UNIT_WINDOW_S, station.file.instruments_period_s)
+        unit_period_s = max(_UNIT_PERIOD_S, station.file.instruments_period_s)
+        self._unit_rate = RateWindow.for_readings(_UNIT_WINDOW_S, unit_period_s)
+        self._unit_s = -math.inf
         self._commanded: tuple[float | None, bool | None] = (None, None)
         self._commanded_s = -math.inf
 
     def observe(self, readings: Readings, now_s: float) -> None:
         """Take a reading; an old one changes nothing."""
         self._rate.add(readings.chamber_s, readings.chamber.temperature_c)
+        if now_s - self._unit_s < _UNIT_PERIOD_S:  # it changes slowly
+            return
+        self._unit_s = now_s
         unit_c = [read(readings.ins) for read in self._unit_temperatures]
         is_known = bool(unit_c) and all(map(math.isfinite, unit_c))
         self._unit_range_c = (min(unit_c), max(unit_c)) if is_known else ()
