@@ -22,6 +22,10 @@ from gyrobench.drivers.rate_table import MAX_STOP_S, TableReading
 _CHECK_LINE = "Check its power, cable and port."
 _CHECK_SERVO = "Check the controller's limits and its servo."
 _CHECK_PANEL = "Check whether it was changed at its panel or its controller was restarted."
+_CHECK_CONTROL = (
+    "Check the chamber's sensor, heater and compressor, and whether the unit heats itself by more than "
+    "unit.thermal.self_heating_c of the station."
+)
 _CHECK_SENSOR = "Check the sensor and the signal map"
 _COOL_DOWN = f"{_CHECK_SENSOR}; let the unit return to room temperature."
 #: The acceleration is not computed from readings closer than this: their times are too uncertain.
@@ -30,8 +34,9 @@ _MIN_SPAN_S = 0.4
 _JUMP_C = 2.0
 #: A table at rest turns no faster, with the noise of its reading.
 _REST_DPS = 0.05
-#: Time over which the unit's change of temperature is taken, and between its temperatures.
-_UNIT_WINDOW_S, _UNIT_PERIOD_S = 120.0, 30.0
+#: Share of its time constant for which a unit's inside may go on as before a ramp; time for which its case
+#: may, and between its temperatures.
+_LAG, _CASE_LAG_S, _UNIT_PERIOD_S = 0.25, 60.0, 15.0
 #: A unit that changes by less stays where it is.
 _MOVES_C_PER_MIN = 0.1
 #: Interlocks that show that the chamber does not control its air: a set point does not make it safe.
@@ -244,6 +249,47 @@ class TableChecks:
             )
 
 
+class _UnitInAir:
+    """Whether the unit follows the air that the chamber reads: it may not go away from it far and long."""
+
+    def __init__(self, station: Station) -> None:
+        thermal = station.file.unit.thermal
+        self._margin_c = station.file.interlocks.chamber_sensor.margin_c
+        self._self_heating_c = max(0.0, thermal.self_heating_c)
+        sent = list(ins_temperatures(station))
+        has_case = bool(sent) and sent[0].interlock == "case"
+        self._temperatures = [each.read for each in (sent[:1] if has_case else sent)]
+        self._lag_s = _CASE_LAG_S if has_case else max(_CASE_LAG_S, _LAG * thermal.time_constant_s)
+        self._rate = RateWindow.for_readings(self._lag_s, station.file.instruments_period_s)
+        self._observed_s, self._far_since_s = -math.inf, math.inf
+        self.problem = ""  #: Empty where it follows.
+
+    def observe(self, readings: Readings, now_s: float) -> None:
+        """Take the unit's temperatures where they are due."""
+        if now_s - self._observed_s < _UNIT_PERIOD_S:
+            return
+        self._observed_s, self.problem, air_c = now_s, "", readings.chamber.temperature_c
+        unit_c = [read(readings.ins) for read in self._temperatures]
+        if not (unit_c and all(map(math.isfinite, unit_c))):
+            self._far_since_s = math.inf
+            return
+        self._rate.add(now_s, sum(unit_c) / len(unit_c))
+        is_above = min(unit_c) > air_c
+        nearest_c = min(unit_c) if is_above else max(unit_c)
+        limit_c = self._margin_c + self._self_heating_c * is_above
+        is_far = abs(nearest_c - air_c) > limit_c and (is_above or nearest_c < air_c)
+        self._far_since_s = min(self._far_since_s, now_s) if is_far else math.inf
+        rate_per_s = self._rate.per_s()
+        if rate_per_s is None or now_s - self._far_since_s < self._lag_s:
+            return
+        rate_c_per_min = 60.0 * rate_per_s
+        if (rate_c_per_min if is_above else -rate_c_per_min) > _MOVES_C_PER_MIN:
+            self.problem = (
+                f"the unit is at {nearest_c:.1f} degC and changes by {rate_c_per_min:+.1f} degC/min, away "
+                f"from the chamber's air, which reads {air_c:.1f} degC; the limit is {limit_c:g} K"
+            )
+
+
 class ChamberChecks:
     """Air, alarms and silence of the chamber, and whether it does what was commanded."""
 
@@ -257,27 +303,14 @@ class ChamberChecks:
         self._tolerance_c = rules.chamber_command.tolerance_c
         self._deviation_c = rules.chamber_deviation.tolerance_c
         self._silence_s = rules.chamber_silence.limit_or_default_s(station.file.instruments_period_s)
-        self._margin_c = rules.chamber_sensor.margin_c
-        self._self_heating_c = max(0.0, station.file.unit.thermal.self_heating_c)
-        self._unit_temperatures = [each.read for each in ins_temperatures(station)]
-        self._unit_range_c: tuple[float, ...] = ()  #: lowest and highest; empty where one is unknown
-        unit_period_s = max(_UNIT_PERIOD_S, station.file.instruments_period_s)
-        self._unit_rate = RateWindow.for_readings(_UNIT_WINDOW_S, unit_period_s)
-        self._unit_s = -math.inf
+        self._unit = _UnitInAir(station)
         self._commanded: tuple[float | None, bool | None] = (None, None)
         self._commanded_s = -math.inf
 
     def observe(self, readings: Readings, now_s: float) -> None:
         """Take a reading; an old one changes nothing."""
         self._rate.add(readings.chamber_s, readings.chamber.temperature_c)
-        if now_s - self._unit_s < _UNIT_PERIOD_S:  # it changes slowly
-            return
-        self._unit_s = now_s
-        unit_c = [read(readings.ins) for read in self._unit_temperatures]
-        is_known = bool(unit_c) and all(map(math.isfinite, unit_c))
-        self._unit_range_c = (min(unit_c), max(unit_c)) if is_known else ()
-        if is_known:
-            self._unit_rate.add(now_s, sum(unit_c) / len(unit_c))
+        self._unit.observe(readings, now_s)
 
     def findings(
         self, readings: Readings, expected: ExpectedState, now_s: float
@@ -299,10 +332,8 @@ class ChamberChecks:
                 f"the chamber reports {alarm}",
                 "Find the cause and clear the alarm at its panel.",
             )
-        if problem := self._unit_leaves_air(air_c):
-            yield InterlockFinding(
-                "chamber_sensor", problem, "Check the chamber's sensor, heater and compressor."
-            )
+        if self._unit.problem:
+            yield InterlockFinding("chamber_sensor", self._unit.problem, _CHECK_CONTROL)
         if readings.chamber_s > self._commanded_s:
             yield from self._deviations_from_command(readings.chamber, *self._commanded)
         if expected.chamber_reached and expected.chamber_set_c is not None:
@@ -328,25 +359,6 @@ class ChamberChecks:
     def good_until_s(self, readings: Readings) -> float:
         """Return until when nothing goes wrong by the passage of time alone."""
         return readings.chamber_s + self._silence_s
-
-    def _unit_leaves_air(self, air_c: float) -> str:
-        """Describe that the unit moves away from the air as the chamber reads it; empty where it does not."""
-        rate_per_s = self._unit_rate.per_s()
-        if not self._unit_range_c or rate_per_s is None:
-            return ""
-        coldest_c, hottest_c = self._unit_range_c
-        rate_c_per_min = 60.0 * rate_per_s
-        for unit_c, off_c, limit_c in (
-            (coldest_c, coldest_c - air_c, self._margin_c + self._self_heating_c),
-            (hottest_c, air_c - hottest_c, self._margin_c),
-        ):
-            away_c_per_min = rate_c_per_min if unit_c > air_c else -rate_c_per_min
-            if off_c > limit_c and away_c_per_min > _MOVES_C_PER_MIN:
-                return (
-                    f"the unit is at {unit_c:.1f} degC and changes by {rate_c_per_min:+.1f} degC/min, away "
-                    f"from the chamber's air, which reads {air_c:.1f} degC; the limit is {limit_c:g} K"
-                )
-        return ""
 
     def _deviations_from_command(
         self, chamber: ChamberReading, set_c: float | None, on: bool | None

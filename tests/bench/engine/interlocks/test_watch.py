@@ -329,22 +329,33 @@ def test_ticks_between_readings_find_what_a_whole_evaluation_finds(watched, seed
     assert {"table_silence", "chamber_silence", "ins_silence", "chamber_air_rate"} <= seen
 
 
-@pytest.mark.parametrize(("air_c", "first_c", "c_per_min", "is_tripped"), [
-    (20.0, 44.0, 1.0, True),  # of which 15 K may be the heat of the unit
-    (20.0, 44.0, -1.0, False),  # the unit cools, as after a ramp
-    (20.0, 36.0, 1.0, False),
-    (20.0, 11.0, -1.0, True),
-    (20.0, 9.0, 1.0, False),
-    (20.0, 44.0, 0.02, False),
+@pytest.mark.parametrize(("first_c", "c_per_min", "is_tripped"), [
+    (46.0, 1.0, True),  # 15 K of which may be the heat of the unit
+    (52.0, -1.0, False),  # it cools, as after a ramp
+    (36.0, 1.0, False),
+    (9.0, -1.0, True),
+    (5.0, 1.0, False),
+    (46.0, 0.02, False),
 ])  # fmt: skip
-def test_a_unit_that_moves_away_from_the_air_that_the_chamber_reads_trips(
-    watched, air_c, first_c, c_per_min, is_tripped
+def test_a_case_that_moves_away_from_the_air_that_the_chamber_reads_trips(
+    watched, first_c, c_per_min, is_tripped
 ):
     bench = watched()
-    bench.chamber = ChamberReading(air_c, 20.0, True)
-    for minutes in np.arange(0.0, 4.0, 1.0 / 6.0):
-        unit_c = first_c + c_per_min * minutes
-        set_values(bench.ins, case_c=unit_c, optics_c=np.full(3, unit_c), electronics_c=np.full(3, unit_c))
+    bench.chamber = ChamberReading(20.0, 20.0, True)
+    for minutes in np.arange(0.0, 3.0, 1.0 / 6.0):
+        set_values(bench.ins, case_c=first_c + c_per_min * minutes)
+        trips = bench.poll()
+    assert set(trips) == ({"chamber_sensor"} if is_tripped else set())
+
+
+@pytest.mark.parametrize(("for_min", "is_tripped"), [(9.0, False), (13.0, True)])
+def test_gyros_without_a_case_temperature_may_go_on_as_before_a_ramp_for_a_quarter_of_their_time_constant(
+    watched, for_min, is_tripped
+):
+    bench = watched(name="emulated_canaerospace")
+    bench.chamber = ChamberReading(20.0, 20.0, True)
+    for minutes in np.arange(0.0, for_min, 1.0 / 6.0):
+        set_values(bench.ins, optics_c=np.full(3, 46.0 + 0.5 * minutes))
         trips = bench.poll()
     assert set(trips) == ({"chamber_sensor"} if is_tripped else set())
 
