@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
+from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.observers import RunObserver
 from gyrobench.bench.engine.operator import RunCommand
 from gyrobench.bench.engine.resume import ResumeState
 from gyrobench.bench.engine.run_outcome import RunOutcome
+from gyrobench.bench.foundations.text import flag_text
 from gyrobench.bench.messages.delivery import Event, Message, Remaining
 from gyrobench.bench.messages.messenger import Messenger
 from gyrobench.bench.procedure.plan import Plan, PlannedStep
@@ -18,6 +21,8 @@ from gyrobench.bench.runs.folder import RunFolder
 
 #: A question that is answered within this time needs no message: the operator is at the bench.
 UNANSWERED_S = 30.0
+#: So many flagged dwells of a unit in a row are no disturbance: the run may measure nothing.
+_FLAGGED_IN_A_ROW = 3
 
 
 class RunNotifier(RunObserver):
@@ -36,6 +41,7 @@ class RunNotifier(RunObserver):
         self._question: tuple[str, tuple[str, ...]] = ("", ())
         self._send_after_s = math.inf
         self._continued_after = ""
+        self._flagged: Counter[str] = Counter()  # dwells in a row, by unit
         self._bench: LiveBench
         self._folder: RunFolder
 
@@ -66,6 +72,15 @@ class RunNotifier(RunObserver):
         question, answers = self._question
         self._is_hold_sent = self._is_hold_sent or bool(self._why)
         self._send("needs_person", self._why, about=question, question=question, answers=answers)
+
+    def dwell_measured(self, row: DwellRow) -> None:
+        """Send that several dwells in a row are flagged, once until one is not."""
+        self._flagged[row.unit] = self._flagged[row.unit] + 1 if row.flags else 0
+        if self._flagged[row.unit] == _FLAGGED_IN_A_ROW:
+            why = (
+                f"The last {_FLAGGED_IN_A_ROW} dwells are flagged, number {row.dwell}: {flag_text(row.flags)}"
+            )
+            self._send("dwells_flagged", why, about=row.unit)
 
     def dropped(self, unit: str, why: str) -> None:
         """Send that a unit is left out."""

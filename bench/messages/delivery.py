@@ -51,6 +51,7 @@ _HAPPENED = MappingProxyType(
         "resumes": "the run has resumed",
         "needs_person": "an operator is needed",
         "unit_dropped": "a unit was dropped, the run continues with the others",
+        "dwells_flagged": "dwell after dwell is flagged, the run continues",
         "guard_acted": "the run died, the guard brought the bench to its safe state",
         "test": "test message",
     }

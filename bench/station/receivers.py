@@ -17,11 +17,11 @@ from pydantic import AfterValidator, Field, model_validator
 from gyrobench.bench.foundations.documents import StrictModel
 
 #: Events that a receiver can choose; all receivers get those of the guard.
-EventName = Literal["ends", "holds", "resumes", "needs_person", "unit_dropped"]
+EventName = Literal["ends", "holds", "resumes", "needs_person", "unit_dropped", "dwells_flagged"]
 #: Place of the secret in an address.
 SECRET = "{secret}"  # noqa: S105 - the place of one
 
-_ALL: list[EventName] = ["ends", "holds", "resumes", "needs_person", "unit_dropped"]
+_ALL: list[EventName] = ["ends", "holds", "resumes", "needs_person", "unit_dropped", "dwells_flagged"]
 _LOOPBACK = {"127.0.0.1", "localhost", "::1"}
 _SECRET_KEY = re.compile(r"passw|secret|token|credential|key|auth|sig", re.IGNORECASE)
 #: A random sequence of letters and digits, longer than words are.
@@ -80,8 +80,8 @@ class _Receiver(StrictModel):
         min_length=1,
         description="events that cause a message. ends: of the run; holds: until all values are good again; "
         "resumes: after a hold; needs_person: holds until an operator confirms or answers a question; "
-        "unit_dropped: one of several units is left out of the rest. A message is sent in any case when the "
-        "guard brought the bench to its safe state",
+        "unit_dropped: one of several units is left out of the rest; dwells_flagged: three dwells of a unit "
+        "in a row. A message is sent in any case when the guard brought the bench to its safe state",
     )
     max_per_hour: int = Field(6, ge=1, le=60, description="messages per hour about the same event")
     secret_env: str | None = Field(

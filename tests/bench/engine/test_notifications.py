@@ -123,3 +123,42 @@ def test_a_hold_that_waits_for_the_operator_is_sent_with_its_reason(run_with_rec
     assert [each["event"] for each in received] == ["needs_person", "needs_person", "goes_on", "ends"]
     assert hold["question"] == f"The run holds: {hold['why']}"
     assert hold["answers"] == ["continue", "abort"]
+
+
+DWELLS = """
+procedure: dwells
+bin_width_c: 5
+disturbed_dwell: flag
+steps:
+  - power_on: {settle_s: 10}
+  - repeat:
+      over: {cycle: [1, 2, 3, 4]}
+      steps:
+        - go_to: {position: z_up, rate_dps: 30}
+        - align: {duration_s: 16}
+        - navigate: {duration_s: 60}
+        - turn: {angle_deg: 180, rate_dps: 30, settle_s: 1}
+        - navigate: {duration_s: 60}
+  - power_off
+"""
+
+
+@pytest.mark.parametrize(
+    ("fault", "expected"),
+    [
+        ("", ["ends"]),
+        ("faults:\n  - {fault: frames_lost, at_s: 0, for_s: 5000, share: 0.4}\n", ["dwells_flagged", "ends"]),
+    ],
+)
+def test_dwells_that_are_flagged_one_after_the_other_are_sent_once(tmp_path, server, fault, expected):
+    station, procedure, faults = (tmp_path / f"{name}.yaml" for name in ("station", "dwells", "faults"))
+    text = find_document("stations", "quick").read_text()
+    station.write_text(f"{text}\nmessages:\n  - {{kind: webhook, address: {server.url}}}\n")
+    procedure.write_text(DWELLS)
+    faults.write_text(fault)
+    job = prepare_job(str(procedure), str(station), Emulation("quick", 0, str(faults) if fault else ""))
+    run_job(job, tmp_path / "run", RunObserver(), ConsentingOperator())
+    received = [json.loads(body) for _, _, body in server.received]
+    assert [each["event"] for each in received] == expected
+    if fault:
+        assert received[0]["why"].startswith("The last 3 dwells are flagged, number 3: ")

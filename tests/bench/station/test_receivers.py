@@ -19,7 +19,7 @@ def test_all_kinds_are_read_with_what_they_leave_out():
         "{kind: ntfy, address: https://ntfy.example.org/bench-2, on: [ends, needs_person], max_per_hour: 2}",
         "{kind: email, address: a@example.org, sender: b@example.org, server: mail.example.org}",
     )
-    assert webhook.on == ["ends", "holds", "resumes", "needs_person", "unit_dropped"]
+    assert webhook.on == ["ends", "holds", "resumes", "needs_person", "unit_dropped", "dwells_flagged"]
     assert webhook.max_per_hour == 6
     assert ntfy.on == ["ends", "needs_person"]
     assert (mail.port, mail.security, mail.user) == (587, "starttls", None)
