@@ -280,14 +280,14 @@ class Certificate:
 def certificate_of(folder: RunFolder, order: Order, *, simulated: bool = False) -> Certificate:
     """Read what a certificate of a run states.
 
-    ``simulated``: whether one of an emulated run is wanted. Raises RunFolderError if the run is emulated and
-    that is not stated, has no result, is not sealed, or has changed since. Raises DocumentError if the
+    ``simulated``: whether one of an emulated run is wanted. Raises RunFolderError if the run has no result,
+    is not sealed, or has changed since. Raises DocumentError if it is emulated and that is not stated, the
     station file lacks the laboratory, or no name of who authorises the certificate is given.
     """
     run = read_run(folder)
     _, station = load_station_file(folder.station)
     if run.is_simulated and not simulated:
-        raise RunFolderError(
+        raise DocumentError(
             f"{folder.path}: its instruments were emulated. Add --simulated for a certificate that says so"
         )
     check = verify_seals(folder.path)

@@ -49,7 +49,7 @@ def texts(document, path):
 
 
 def test_a_certificate_of_an_emulated_run_is_refused_unless_it_may_say_so(emulated_run):
-    with pytest.raises(RunFolderError, match="Add --simulated"):
+    with pytest.raises(DocumentError, match="Add --simulated"):
         certificate_of(emulated_run, SIGNED_BY)
     assert certificate_of(emulated_run, SIGNED_BY, simulated=True).run.is_simulated
 
