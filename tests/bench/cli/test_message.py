@@ -55,7 +55,7 @@ def test_check_shows_receivers_and_misses_a_secret(station, server, tmp_path, mo
     missing = gyrobench("check", "mine.yaml", cwd=tmp_path)
     assert missing.returncode == 1
     printed = " ".join(missing.stdout.split())
-    assert "receives: ends, holds, resumes, needs person and unit dropped" in printed
+    assert "receives: ends, holds, resumes, needs person, unit dropped and dwells flagged" in printed
     assert "the environment variable HOOK" in printed
     monkeypatch.setenv("HOOK", "abc")
     assert gyrobench("check", "mine.yaml", cwd=tmp_path).returncode == 0
