@@ -6,6 +6,8 @@ import contextlib
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from functools import partial
+from operator import ne
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -270,13 +272,15 @@ class LiveBench:
         statuses = [unit.status() for unit in self.units]
         changes: dict[str, Any] = {"ins": statuses[0], "asked_s": (asked_s := self.clock.now())}
         table, chamber, before = self.instruments.table, self.instruments.chamber, self.readings
-        is_new = before.table_faults.__ne__
-        if (faults := self._twice_if(is_new, RATE_TABLE, lambda: tuple(table.faults()))) is not None:
+        has_other_faults = partial(ne, before.table_faults)
+        faults = self._twice_if(has_other_faults, RATE_TABLE, lambda: tuple(table.faults()))
+        if faults is not None:
             changes["table_faults"] = faults
         if (of_table := self._twice_if(self._is_doubtful, RATE_TABLE, table.read)) is not None:
             changes |= {"table": of_table, "table_s": self.clock.now()}
-        is_new = before.chamber_alarms.__ne__
-        if (alarms := self._twice_if(is_new, CHAMBER, lambda: tuple(chamber.alarms()))) is not None:
+        has_other_alarms = partial(ne, before.chamber_alarms)
+        alarms = self._twice_if(has_other_alarms, CHAMBER, lambda: tuple(chamber.alarms()))
+        if alarms is not None:
             changes["chamber_alarms"] = alarms
         if (of_chamber := self._twice_if(self._is_doubtful, CHAMBER, chamber.read)) is not None:
             changes |= {"chamber": of_chamber, "chamber_s": self.clock.now()}
