@@ -10,7 +10,7 @@ import numpy as np
 
 from gyrobench.bench.bias.allan import RANDOM_WALK, WHITE_ANGLE, allan_variance, fit_rate_noise
 from gyrobench.bench.calibration.turns import net_turn
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray, true_spans
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import rotation_vectors
 from gyrobench.bench.navigation.positions import AXES
@@ -149,16 +149,16 @@ def find_rests(recording: IncrementRecording) -> list[Rest]:
         away = np.abs(rate - level).max(axis=1)
         # The Earth's rate turns with the unit: at most twice 15 deg/h.
         quiet &= away < 2.0 * _RATE_TOLERANCE + _SIGMAS * noise.max()
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], quiet, [False]]).astype(np.int8)))
+    stretches = true_spans(quiet)
     least = round(_MIN_REST_S / recording.interval_s)
     # The blocks at the ends may hold a part of the motion.
     spans = [
         ((first + 1 + _settling(rate[first + 1 : last - 1], noise)) * size, (last - 1) * size)
-        for first, last in edges.reshape(-1, 2)
+        for first, last in stretches
     ]
-    if edges.size and edges[0] == 0:
+    if stretches.size and stretches[0, 0] == 0:
         spans[0] = (0, spans[0][1])
-    if edges.size and edges[-1] == count:
+    if stretches.size and stretches[-1, 1] == count:
         spans[-1] = (spans[-1][0], count * size)
     rests = [Rest(int(begin), int(end)) for begin, end in spans if end - begin >= least]
     total_s = sum(rest.end - rest.begin for rest in rests) * recording.interval_s

@@ -164,14 +164,13 @@ def expected_uncertainties(rotations: RotationList, setup: RotationSetup) -> Exp
         STEP_S, angle, velocity, len(angle), IncrementEpochs(ends, at_rest[ends], turns, setup.has_vertical)
     )
     gravity_sigma, latitude_sigma = setup.site_sigmas
-    spun = [angle[first:last].sum(axis=0) for first, last in spins]
+    paths = [angle[first:last].sum(axis=0) for first, last in spins]
+    axes = [int(np.argmax(np.abs(path))) for path in paths]
     options = CalibrationOptions(
         whole_turns=whole_turns,
         gravity_sigma=gravity_sigma,
         latitude_sigma=latitude_sigma,
-        asymmetries=spun_both_ways(
-            (int(np.argmax(np.abs(each))), float(each[np.argmax(np.abs(each))])) for each in spun
-        ),
+        asymmetries=spun_both_ways((axis, path[axis]) for axis, path in zip(axes, paths, strict=True)),
     )
     common = np.zeros(PARAMETER_COUNT)
     trajectories = integrated_sections([section], [attitude[0]], common, site, options)

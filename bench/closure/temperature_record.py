@@ -9,7 +9,7 @@ from functools import cache
 
 import numpy as np
 
-from gyrobench.bench.foundations.arrays import S_PER_H, BoolArray, FloatArray, IntArray
+from gyrobench.bench.foundations.arrays import S_PER_H, BoolArray, FloatArray, IntArray, true_spans
 
 _STEPS_A_DWELL = 6
 _MAX_STEPS = 20_000
@@ -281,8 +281,7 @@ def set_point_path(
 
 def _ramps(holds: BoolArray) -> list[tuple[int, int]]:
     """First and last dwell of each interval without a hold."""
-    edges = np.diff(np.concatenate([[1], holds.astype(int), [1]]))
-    return list(zip(np.flatnonzero(edges == -1), np.flatnonzero(edges == 1) - 1, strict=True))
+    return [(begin, end - 1) for begin, end in true_spans(~holds)]
 
 
 def _rate(start_s: FloatArray, end_s: FloatArray, set_c: FloatArray, first: int, last: int) -> float:

@@ -21,6 +21,7 @@ from gyrobench.bench.foundations.arrays import (
     BoolArray,
     FloatArray,
     IntArray,
+    true_spans,
 )
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.earth import gravity_uncertainty
@@ -188,8 +189,7 @@ def _pieces(time_s: FloatArray, values: FloatArray) -> list[IntArray]:
     is_gap = (np.abs(jump) > 0.5 * usual) & (np.abs(np.diff(time_s[kept]) - usual) > _MIN_STEP_ERROR * usual)
     valid: BoolArray = np.asarray(np.isfinite(values[kept]).all(axis=1))
     joined = valid[1:] & valid[:-1] & ~is_gap
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], joined, [False]]).astype(np.int8)))
-    return [kept[begin : end + 1] for begin, end in edges.reshape(-1, 2)]
+    return [kept[begin : end + 1] for begin, end in true_spans(joined)]
 
 
 def _saturated(time_s: FloatArray, values: FloatArray, limit: float) -> int | None:
@@ -205,8 +205,7 @@ def _saturated(time_s: FloatArray, values: FloatArray, limit: float) -> int | No
         free = ~is_at[1:] & ~is_at[:-1]
         if not free.any() or np.mean(values[1:][free] == values[:-1][free]) > _MAX_REPEATED:
             continue
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], is_at, [False]]).astype(np.int8)))
-        for begin, end in edges.reshape(-1, 2):
+        for begin, end in true_spans(is_at):
             if end - begin >= _SATURATED and time_s[end - 1] - time_s[begin] >= _SATURATED_S:
                 return int(begin)
     return None

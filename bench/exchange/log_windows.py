@@ -24,6 +24,7 @@ from gyrobench.bench.foundations.arrays import (
     STANDARD_GRAVITY,
     BoolArray,
     FloatArray,
+    true_spans,
 )
 from gyrobench.bench.foundations.csv_tables import COLDEST_C, HOTTEST_C
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
@@ -342,8 +343,7 @@ def cut_windows(batches: Iterable[Samples], window_s: float, skip_s: float) -> I
 
 def max_consecutive(same: BoolArray) -> int:
     """Longest series of true values."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
-    return int((edges[1::2] - edges[::2]).max(initial=0))
+    return int(np.diff(true_spans(same)).max(initial=0))
 
 
 def _window_index(time_s: FloatArray, window_s: float, skip_s: float) -> NDArray[np.intp]:

@@ -52,6 +52,12 @@ def rms_of_known(values: ArrayLike) -> float:
     return rms(values[~np.isnan(values)])
 
 
+def true_spans(flags: BoolArray) -> IntArray:
+    """Begin and end (n, 2) of each unbroken series of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return np.asarray(edges, np.int64).reshape(-1, 2)
+
+
 def block_diagonal(*blocks: FloatArray) -> FloatArray:
     """Matrix with these along its diagonal and zeros elsewhere; a block may have no rows or columns."""
     ends = np.cumsum([(0, 0), *(each.shape for each in blocks)], axis=0)

@@ -34,7 +34,7 @@ _MIN_SPAN_S = 0.4
 _JUMP_C = 2.0
 #: A table at rest turns no faster, with the noise of its reading.
 _REST_DPS = 0.05
-#: Share of its time constant for which a unit's inside may go on as before a ramp; time for which its case
+#: Share of its time constant for which a unit's inside may continue as before a ramp; time for which its case
 #: may, and between its temperatures.
 _LAG, _CASE_LAG_S, _UNIT_PERIOD_S = 0.25, 60.0, 15.0
 #: A unit that changes by less stays where it is.

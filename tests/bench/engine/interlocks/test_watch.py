@@ -349,7 +349,7 @@ def test_a_case_that_moves_away_from_the_air_that_the_chamber_reads_trips(
 
 
 @pytest.mark.parametrize(("for_min", "is_tripped"), [(9.0, False), (13.0, True)])
-def test_gyros_without_a_case_temperature_may_go_on_as_before_a_ramp_for_a_quarter_of_their_time_constant(
+def test_gyros_without_a_case_temperature_may_continue_as_before_a_ramp_for_a_quarter_of_their_time_constant(
     watched, for_min, is_tripped
 ):
     bench = watched(name="emulated_canaerospace")
