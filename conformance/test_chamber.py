@@ -178,7 +178,7 @@ def test_an_event_output_that_does_not_exist_is_refused(chamber: ChamberUnderTes
 def test_it_has_no_alarm_to_begin_with_and_clearing_does_not_stop_it(chamber: ChamberUnderTest) -> None:
     driver = chamber.open()
     driver.switch(True)
-    assert driver.alarms() == []
+    assert driver.read().alarms == ()
     driver.clear_alarms()
     assert chamber.air.running
 
@@ -187,12 +187,12 @@ def test_an_alarm_is_named_while_its_cause_is_present(chamber: ChamberUnderTest)
     alarm = chamber.capable(WithAlarms)
     driver = chamber.open()
     alarm.raise_alarm(1, True)
-    assert any(text.strip() for text in driver.alarms()), "alarms() has to name it in words"
+    assert any(text.strip() for text in driver.read().alarms), "a reading has to name it in words"
     driver.clear_alarms()
-    assert driver.alarms(), "an alarm with a present cause stays"
+    assert driver.read().alarms, "an alarm with a present cause stays"
     alarm.end_alarm(1)
     driver.clear_alarms()
-    assert driver.alarms() == []
+    assert driver.read().alarms == ()
 
 
 def test_a_broken_sensor_is_a_fault_until_it_is_repaired(chamber: ChamberUnderTest) -> None:
@@ -280,8 +280,9 @@ def test_disturbed_replies_give_values_or_errors_of_the_bench(
             with suppress(InstrumentError):
                 action()
         with suppress(InstrumentError):
-            assert math.isfinite(driver.read().temperature_c), "a reading is a number or an error"
-            assert all(isinstance(text, str) for text in driver.alarms())
+            reading = driver.read()
+            assert math.isfinite(reading.temperature_c), "a reading is a number or an error"
+            assert all(isinstance(text, str) for text in reading.alarms)
 
 
 def test_another_device_on_the_line_is_an_error(chamber: ChamberUnderTest) -> None:

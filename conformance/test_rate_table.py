@@ -183,7 +183,7 @@ def test_limits_are_those_of_the_controller_or_refused(table: TableUnderTest) ->
 
 
 def test_it_has_no_fault_to_begin_with(table: TableUnderTest) -> None:
-    assert list(table.prepared().faults()) == []
+    assert table.prepared().read().faults == ()
 
 
 def test_after_a_loss_of_power_it_can_be_prepared_again(table: TableUnderTest) -> None:
@@ -274,7 +274,6 @@ def _requests(table: TableUnderTest, driver: RateTable) -> list[Callable[[], obj
     return [
         driver.read,
         driver.in_position,
-        driver.faults,
         driver.stop,
         lambda: driver.move_to(_angles(table, 10.0), _RATE_DPS),
         lambda: driver.turn_at(table.axes[-1], 5.0),

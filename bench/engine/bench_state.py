@@ -20,10 +20,8 @@ class Readings:
 
     table: TableReading
     table_s: float  #: when, on the run's clock; the INS status has its own age
-    table_faults: tuple[str, ...]  #: faults that the table reports
     chamber: ChamberReading
     chamber_s: float  #: on the run's clock
-    chamber_alarms: tuple[str, ...]  #: alarms that the chamber reports
     ins: InsStatus  #: of the first unit that is measured
     asked_s: float  #: when they were last asked, whether they answered or not
 

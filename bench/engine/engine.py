@@ -82,7 +82,7 @@ class Engine:
     def _begin(self) -> None:
         """Read all instruments, then bring every output to its safe value."""
         self._bench.start()
-        self._unseen_faults = self._bench.readings.table_faults
+        self._unseen_faults = self._bench.readings.table.faults
         self._make_safe(release_table=False)
 
     def _execute_plan(self) -> None:

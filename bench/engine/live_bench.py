@@ -6,8 +6,6 @@ import contextlib
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from functools import partial
-from operator import ne
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -44,6 +42,7 @@ _REACHED_C = 2.0
 _LOWEST_S, _DECADES, _PER_DECADE = 1e-5, 8, 50
 
 _T = TypeVar("_T")
+_ReadingT = TypeVar("_ReadingT", TableReading, ChamberReading)
 
 
 class TickLateness:
@@ -137,12 +136,10 @@ class LiveBench:
         Raises InstrumentError if one does not answer, although it was asked several times.
         """
         table = self._first(self.instruments.table.read)
-        faults = self._first(self.instruments.table.faults)
         chamber = self._first(self.instruments.chamber.read)
-        alarms = self._first(self.instruments.chamber.alarms)
         self.instruments.note_identities()
         found, now_s = [unit.status() for unit in self.units], self.clock.now()
-        self.readings = Readings(table, now_s, tuple(faults), chamber, now_s, tuple(alarms), found[0], now_s)
+        self.readings = Readings(table, now_s, chamber, now_s, found[0], now_s)
         self._next_reading_s = now_s + self.station.file.instruments_period_s
         self._watch.observe(self.readings)
         for unit, ins in zip(self.units, found, strict=True):
@@ -271,19 +268,10 @@ class LiveBench:
         self._next_reading_s = self.clock.now() + self.station.file.instruments_period_s
         statuses = [unit.status() for unit in self.units]
         changes: dict[str, Any] = {"ins": statuses[0], "asked_s": (asked_s := self.clock.now())}
-        table, chamber, before = self.instruments.table, self.instruments.chamber, self.readings
-        has_other_faults = partial(ne, before.table_faults)
-        faults = self._twice_if(has_other_faults, RATE_TABLE, lambda: tuple(table.faults()))
-        if faults is not None:
-            changes["table_faults"] = faults
-        if (of_table := self._twice_if(self._is_doubtful, RATE_TABLE, table.read)) is not None:
-            changes |= {"table": of_table, "table_s": self.clock.now()}
-        has_other_alarms = partial(ne, before.chamber_alarms)
-        alarms = self._twice_if(has_other_alarms, CHAMBER, lambda: tuple(chamber.alarms()))
-        if alarms is not None:
-            changes["chamber_alarms"] = alarms
-        if (of_chamber := self._twice_if(self._is_doubtful, CHAMBER, chamber.read)) is not None:
-            changes |= {"chamber": of_chamber, "chamber_s": self.clock.now()}
+        if (of_table := self._asked_twice(RATE_TABLE, self._table_reading)) is not None:
+            changes["table"], changes["table_s"] = of_table
+        if (of_chamber := self._asked_twice(CHAMBER, self._chamber_reading)) is not None:
+            changes["chamber"], changes["chamber_s"] = of_chamber
         self.readings = readings = replace(self.readings, **changes)
         self._watch.observe(readings)
         row = self._telemetry_row(readings, asked_s)
@@ -292,16 +280,26 @@ class LiveBench:
         for unit, ins in zip(self.units, statuses, strict=True):
             unit.observe(readings if ins is readings.ins else replace(readings, ins=ins), row)
 
-    def _twice_if(
-        self, is_doubtful: Callable[[_T], bool], instrument: str, ask: Callable[[], _T]
-    ) -> _T | None:
-        """Return an instrument's answer, but a second one where the first is doubtful; None where that fails.
+    def _table_reading(self) -> tuple[TableReading, float]:
+        return self.instruments.table.read(), self.clock.now()
+
+    def _chamber_reading(self) -> tuple[ChamberReading, float]:
+        """Return a reading and its time; where the sensor is faulty, the last one with this alarm."""
+        try:
+            return self.instruments.chamber.read(), self.clock.now()
+        except FaultError as error:
+            return replace(self.readings.chamber, alarms=(error.message,)), self.readings.chamber_s
+
+    def _asked_twice(
+        self, instrument: str, ask: Callable[[], tuple[_ReadingT, float]]
+    ) -> tuple[_ReadingT, float] | None:
+        """Return a reading, but a second one where the first is doubtful; None where that fails.
 
         Lines of text have no checksum: a damaged byte is a fault or a wrong number, and a trip may need the
         operator.
         """
         answer = self.asked(instrument, ask)
-        return self.asked(instrument, ask) if answer is not None and is_doubtful(answer) else answer
+        return self.asked(instrument, ask) if answer is not None and self._is_doubtful(answer[0]) else answer
 
     def _is_doubtful(self, reading: TableReading | ChamberReading) -> bool:
         # A damaged one would not come twice.

@@ -341,8 +341,8 @@ class _Shell:
     def _faults(self, words: list[str]) -> None:
         _without_arguments(words, self._control.bench.read_instruments)
         now = self._control.bench.readings
-        lines = [f"rate table: {each}" for each in now.table_faults]
-        lines += [f"chamber: {each}" for each in now.chamber_alarms]
+        lines = [f"rate table: {each}" for each in now.table.faults]
+        lines += [f"chamber: {each}" for each in now.chamber.alarms]
         lines += [f"interlock tripped: {each}" for each in self._control.tripped]
         self._print(lines or ["none"])
 

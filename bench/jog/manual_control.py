@@ -237,7 +237,7 @@ class ManualControl:
         """Clear the chamber's latched alarms; `servo on` clears those of the table."""
         self._retry(lambda: self.bench.instruments.chamber.clear_alarms())
         self.bench.read_instruments()
-        left = ", ".join(self.bench.readings.chamber_alarms)
+        left = ", ".join(self.bench.readings.chamber.alarms)
         self._display.print(
             f"chamber alarms cleared; still active: {left or 'none'}. `servo on` clears table faults."
         )
@@ -376,7 +376,7 @@ def readings(bench: LiveBench, tripped: Sequence[str]) -> list[str]:
     known = f"air {air} degC, set point {set_point}{_switched(chamber.is_on)}"
     lines.append(f"Chamber    {'left out' if CHAMBER in absent else known}")
     lines += ["INS        left out"] if INSTRUMENT in absent else _ins_lines(now.ins)
-    lines.append(f"Faults     {'; '.join([*now.table_faults, *now.chamber_alarms]) or 'none'}")
+    lines.append(f"Faults     {'; '.join([*now.table.faults, *now.chamber.alarms]) or 'none'}")
     lines.append(f"Interlocks {', '.join(tripped) or 'none tripped'}")
     return lines
 

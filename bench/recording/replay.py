@@ -23,8 +23,8 @@ from gyrobench.drivers.recording.recording_file import Call, Recording, read_rec
 from gyrobench.drivers.serial_line import SerialLine
 
 #: Calls that neither move nor heat anything.
-TABLE_QUERIES = tuple(Call(ask=name) for name in ("identify", "faults", "limits", "read", "identify"))
-CHAMBER_QUERIES = tuple(Call(ask=name) for name in ("identify", "alarms", "read", "limits_c", "set_point_c"))
+TABLE_QUERIES = tuple(Call(ask=name) for name in ("identify", "limits", "read", "identify"))
+CHAMBER_QUERIES = tuple(Call(ask=name) for name in ("identify", "read", "limits_c", "set_point_c"))
 
 _DEFAULT_AXES = (1, 2)
 _DEFAULT_BAUDRATE, _DEFAULT_PARITY = 9600, "N"

@@ -267,8 +267,8 @@ class Instruments(Outputs):
         with contextlib.ExitStack() as opened:
             opened.callback(super().close)
             unknown = (math.nan,) * len(station.file.rate_table.axis_numbers)
-            self._open(RATE_TABLE, may_be_absent, TableReading(unknown, unknown, is_servoed=False))
-            self._open(CHAMBER, may_be_absent, ChamberReading(math.nan))
+            self._open(RATE_TABLE, may_be_absent, TableReading(unknown, unknown, is_servoed=False, faults=()))
+            self._open(CHAMBER, may_be_absent, ChamberReading(math.nan, alarms=()))
             for name, unit in self._stations.items():
                 try:
                     self.units[name] = self._in_time(name, partial(open_ins, unit, clock, emulation, station))
@@ -360,12 +360,6 @@ class _Absent:
     def read(self) -> TableReading | ChamberReading:
         """Read nothing."""
         return self._nothing
-
-    def faults(self) -> tuple[str, ...]:
-        """Report none."""
-        return ()
-
-    alarms = faults
 
     def close(self) -> None:
         """Do nothing: it has no port."""

@@ -22,6 +22,7 @@ class ChamberReading:
     temperature_c: float  #: Air temperature.
     set_point_c: float | None = None  #: The controller's set point; None if it can't be read.
     is_on: bool | None = None  #: Whether the temperature is controlled; None if it can't be read.
+    alarms: tuple[str, ...] = field(kw_only=True)  #: Active alarms, in words.
 
 
 class RunsProfiles(Protocol):
@@ -46,13 +47,10 @@ class Chamber(RunsProfiles, Protocol):
         """
 
     def read(self) -> ChamberReading:
-        """Measure the air; read set point and on or off back from the controller.
+        """Measure the air; read alarms, set point, and on or off back from the controller.
 
-        Raises FaultError if the controller's temperature sensor is faulty.
+        Raises FaultError if the controller's temperature sensor is faulty, with all alarms in its message.
         """
-
-    def alarms(self) -> list[str]:
-        """Active alarms and sensor errors, in words."""
 
     def clear_alarms(self) -> None:
         """Clear latched alarms and sensor errors, if there are any; those with a present cause stay."""

@@ -69,26 +69,21 @@ class Thermotron8800(TextChamber):
         return f"Thermotron {model}, version {version}, channel {self._channel}"
 
     def read(self) -> ChamberReading:
-        """Measure the air (``PVAR``); read set point and operating mode back.
+        """Measure the air (``PVAR``); read alarms (``ALRM``, ``SCOD``), set point and operating mode back.
 
         Raises FaultError: the controller stopped because a temperature input is open.
         """
-        if self._mask("SCOD?") == _OPEN_INPUT:
-            raise FaultError(
-                self._line.instrument, "stopped by an open temperature input; check the temperature sensor"
-            )
-        air_c = self._number(f"PVAR{self._channel}?")
-        return ChamberReading(air_c, self.set_point_c(), self._is_running())
-
-    def alarms(self) -> list[str]:
-        """Alarms of the channel (``ALRM``), and the fault that stopped the chamber last (``SCOD``)."""
         mask, code = self._mask(f"ALRM{self._channel}?"), self._mask("SCOD?")
-        active = [
+        alarms = [
             f"{_ALARMS.get(bit, 'unknown')} alarm (bit {bit} of ALRM{self._channel}?)"
             for bit in range(mask.bit_length())
             if mask >> bit & 1
         ]
-        return active + ([f"stopped by {_FAULT_STOPS[code]} (SCOD? {code})"] if code in _FAULT_STOPS else [])
+        alarms += [f"stopped by {_FAULT_STOPS[code]} (SCOD? {code})"] if code in _FAULT_STOPS else []
+        if code == _OPEN_INPUT:
+            raise FaultError(self._line.instrument, f"{', '.join(alarms)}; check the temperature sensor")
+        air_c = self._number(f"PVAR{self._channel}?")
+        return ChamberReading(air_c, self.set_point_c(), self._is_running(), alarms=tuple(alarms))
 
     def clear_alarms(self) -> None:
         """Acknowledge the fault that stopped the chamber by ``STOP``; alarms clear with their cause."""

@@ -113,25 +113,22 @@ class WatlowF4:
         return f"Watlow F4, model number {model}, Modbus address {self._address}, {ramps}"
 
     def read(self) -> ChamberReading:
-        """Measure the air (registers 100, 101); read set point (300) and the chamber's event output back.
+        """Measure the air (registers 100, 101); read alarms (102, 106), set point (300) and event output.
 
         Raises FaultError: the temperature sensor is faulty.
         """
-        value, error = self._modbus.read(_Register.PROCESS_VALUE_1, 2)
-        if error:
-            raise FaultError(self._line.instrument, f"{_sensor_error(error)}; check the temperature sensor")
-        is_on = self.is_event_on(self._chamber_event)
-        return ChamberReading(from_register(value, self._decimals), self.set_point_c(), is_on)
-
-    def alarms(self) -> list[str]:
-        """Active alarms and sensor errors (registers 101, 102, 106)."""
-        error, alarm_1 = self._modbus.read(_Register.INPUT_1_ERROR, 2)
+        value, error, alarm_1 = self._modbus.read(_Register.PROCESS_VALUE_1, 3)
         (alarm_2,) = self._modbus.read(_Register.ALARM_2)
-        active = [_sensor_error(error)] if error else []
-        for register, status in ((_Register.ALARM_1, alarm_1), (_Register.ALARM_2, alarm_2)):
-            if status:
-                active.append(f"alarm {register.name[-1]} (register {int(register)} reads {status})")
-        return active
+        alarms = tuple(
+            f"alarm {register.name[-1]} (register {int(register)} reads {status})"
+            for register, status in ((_Register.ALARM_1, alarm_1), (_Register.ALARM_2, alarm_2))
+            if status
+        )
+        if error:
+            found = ", ".join((f"error {error} of input 1 (register 101)", *alarms))
+            raise FaultError(self._line.instrument, f"{found}; check the temperature sensor")
+        is_on = self.is_event_on(self._chamber_event)
+        return ChamberReading(from_register(value, self._decimals), self.set_point_c(), is_on, alarms=alarms)
 
     def clear_alarms(self) -> None:
         """Clear latched sensor errors and alarms (registers 311, 312)."""
@@ -264,10 +261,6 @@ class WatlowF4:
 
     def _refused(self, message: str) -> RefusedError:
         return RefusedError(self._line.instrument, message)
-
-
-def _sensor_error(code: int) -> str:
-    return f"error {code} of input 1 (register 101)"
 
 
 class WatlowF4Options(ChamberOptions):

@@ -61,11 +61,8 @@ class WatlowF4T(TextChamber):
         if self._has_error():
             raise FaultError(self._line.instrument, f"{self._error_text()}; check the temperature sensor")
         air_c = self._number(self.prefix + "PVALUE?")
-        return ChamberReading(air_c, self.set_point_c(), self.is_event_on(self._chamber_output))
-
-    def alarms(self) -> list[str]:
-        """Error of the control loop (``ERROR``), the only alarm that the interface reports."""
-        return [self._error_text()] if self._has_error() else []
+        is_on = self.is_event_on(self._chamber_output)
+        return ChamberReading(air_c, self.set_point_c(), is_on, alarms=())  # it reports no other
 
     def clear_alarms(self) -> None:
         """Do nothing: the error clears with its cause."""

@@ -29,6 +29,7 @@ class TableReading:
     position_deg: tuple[float, ...]
     rate_dps: tuple[float, ...]
     is_servoed: bool = True  #: Whether all axes are under servo control.
+    faults: tuple[str, ...] = field(kw_only=True)  #: Latched faults, in words.
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,10 +89,7 @@ class RateTable(Protocol):
         """Turn one axis at a constant rate until the next command."""
 
     def read(self) -> TableReading:
-        """Position and rate of all axes at one moment."""
-
-    def faults(self) -> list[str]:
-        """Latched faults, in words."""
+        """Position and rate of all axes at one moment, and the latched faults."""
 
     def stop(self) -> None:
         """Begin a controlled stop of all axes."""

@@ -103,9 +103,8 @@ class Acutrol3000:
         self._limits: tuple[float, float, float] | None = None
         self._moved = self._axes
         positions_and_rates = ":Read:" + ";".join(f"Position? {n};Rate? {n}" for n in self._axes)
-        self._read_query = f"{positions_and_rates};{self._status_query('STATE')}"
+        self._read_query = f"{positions_and_rates};{self._status_query('STATE', 'SWFLT', 'INTLK')}"
         self._done_query = self._status_query("STATE", "DYN")
-        self._fault_query = self._status_query("STATE", "SWFLT", "INTLK")
 
     def identify(self) -> str:
         """Reply to ``*IDN?``."""
@@ -162,21 +161,8 @@ class Acutrol3000:
         self._command(f":Demand:Rate {axis},{_number(rate_dps)};:Mode:Rate {axis}")
 
     def read(self) -> TableReading:
-        """Position, rate and servo state of all axes in one servo frame."""
-        values = self._numbers(self._read_query, 3)
-        motion, states = values[: 2 * len(self._axes)], values[2 * len(self._axes) :]
-        is_servoed = all(int(state) & _STATE_SERVOED for state in states)
-        return TableReading(motion[0::2], motion[1::2], is_servoed)
-
-    def faults(self) -> list[str]:
-        """Latched faults and open interlocks of every axis."""
-        words = []
-        for axis, (state, software, interlock) in self._registers(self._fault_query, 3).items():
-            found = set_bits(software, SOFTWARE_FAULTS, "software fault")
-            found += set_bits(interlock, _INTERLOCKS, "interlock")
-            found = found or [name for bit, name in _ABORTS.items() if state >> bit & 1]
-            words += [f"axis {axis}: {fault}" for fault in found]
-        return words
+        """Position, rate, servo state, latched faults and open interlocks of all axes in one servo frame."""
+        return self._exchange(self._read_query, self._reading)
 
     def stop(self) -> None:
         """Begin a controlled stop of all axes; the servos stay closed."""
@@ -210,6 +196,16 @@ class Acutrol3000:
     def _status_query(self, *registers: str) -> str:
         return ":Status:" + ";".join(f"CSR? A{n}{register}" for n in self._axes for register in registers)
 
+    def _reading(self, text: str) -> TableReading:
+        values, count = text.split(";"), 2 * len(self._axes)
+        motion = _finite_numbers(";".join(values[:count]), count)
+        status = self._by_axis(";".join(values[count:]), 3)
+        faults = [
+            f"axis {axis}: {fault}" for axis, registers in status.items() for fault in _faults(*registers)
+        ]
+        is_servoed = all(state & _STATE_SERVOED for state, *_ in status.values())
+        return TableReading(motion[0::2], motion[1::2], is_servoed, faults=tuple(faults))
+
     def _await_servo(self) -> None:
         clock = self._line.clock
         deadline = Deadline(clock, _MAX_SERVO_CLOSE_S)
@@ -219,7 +215,7 @@ class Acutrol3000:
             clock.sleep(_POLL_S)
 
     def _no_servo(self) -> FaultError:
-        causes = "; ".join(self.faults()) or "the controller reports no fault"
+        causes = "; ".join(self.read().faults) or "the controller reports no fault"
         return FaultError(
             self._line.instrument,
             f"an axis is not under servo control ({causes}). Clear the cause and prepare the table again.",
@@ -231,7 +227,10 @@ class Acutrol3000:
 
     def _registers(self, query: str, count: int) -> dict[int, tuple[int, ...]]:
         """Status registers of each axis, ``count`` of each."""
-        numbers = self._exchange(query, lambda text: _whole_numbers(text, count * len(self._axes)))
+        return self._exchange(query, lambda text: self._by_axis(text, count))
+
+    def _by_axis(self, text: str, count: int) -> dict[int, tuple[int, ...]]:
+        numbers = _whole_numbers(text, count * len(self._axes))
         return {n: numbers[i * count : (i + 1) * count] for i, n in enumerate(self._axes)}
 
     def _command(self, message: str) -> None:
@@ -311,6 +310,13 @@ class Acutrol3000:
 
 def _number(value: float) -> str:
     return f"{value:.6f}"
+
+
+def _faults(state: int, software: int, interlock: int) -> list[str]:
+    """Return faults and open interlocks in the registers of an axis; an abort where these give no cause."""
+    found = set_bits(software, SOFTWARE_FAULTS, "software fault")
+    found += set_bits(interlock, _INTERLOCKS, "interlock")
+    return found or [name for bit, name in _ABORTS.items() if state >> bit & 1]
 
 
 def _acknowledgement(text: str) -> None:

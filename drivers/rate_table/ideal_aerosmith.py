@@ -123,13 +123,8 @@ class IdealAerosmith:
             raise self._refused(command, prompt)
 
     def read(self) -> TableReading:
-        """Position and velocity, one after the other; the servo state can't be read."""
-        return TableReading((self._value("PPO"),), (self._value("PVE"),))
-
-    def faults(self) -> list[str]:
-        """Return none, since the meaning of the status is unknown; raises if there is no reply."""
-        self._value("STA")
-        return []
+        """Position and velocity, one after the other; servo state and faults can't be read."""
+        return TableReading((self._value("PPO"),), (self._value("PVE"),), faults=())
 
     def stop(self) -> None:
         """Begin a controlled stop."""

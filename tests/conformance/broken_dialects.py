@@ -1,6 +1,7 @@
 """Dialects with one mistake each, named after the test of the conformance suite that has to find it."""
 
 import math
+from dataclasses import replace
 
 from gyrobench.bench.foundations.errors import InstrumentError, RefusedError
 from gyrobench.drivers.chamber import ChamberDialect, ChamberReading
@@ -61,13 +62,13 @@ class ChamberWithRememberedSetPoint(Chamber):
 @mistake("chamber", "a_reading_is_that_of_the_air")
 class ChamberThatReadsItsSetPoint(Chamber):
     def read(self):
-        return ChamberReading(self.set_point_c())
+        return ChamberReading(self.set_point_c(), alarms=())
 
 
 @mistake("chamber", "a_reading_that_includes_set_point_and_state_reads_them_from_the_controller")
 class ChamberAlwaysOn(Chamber):
     def read(self):
-        return ChamberReading(super().read().temperature_c, None, True)
+        return ChamberReading(super().read().temperature_c, None, True, alarms=())
 
 
 @mistake("chamber", "switched_on_the_air_reaches_the_set_point")
@@ -147,8 +148,8 @@ class ChamberStoppedByClearing(Chamber):
 
 @mistake("chamber", "an_alarm_is_named_while_its_cause_is_present")
 class ChamberWithoutAlarms(Chamber):
-    def alarms(self):
-        return []
+    def read(self):
+        return replace(super().read(), alarms=())
 
 
 @mistake("chamber", "a_broken_sensor_is_a_fault_until_it_is_repaired")
@@ -157,7 +158,7 @@ class ChamberWithLastGoodReading(Chamber):
         try:
             return super().read()
         except InstrumentError:
-            return ChamberReading(23.0)
+            return ChamberReading(23.0, alarms=())
 
 
 @mistake("chamber", "a_profile_of_its_own_is_reported_and_set_points_are_refused_meanwhile")
@@ -175,7 +176,7 @@ class ChamberWithRememberedState(Chamber):
         self._is_on = on
 
     def read(self):
-        return ChamberReading(super().read().temperature_c, None, self._is_on)
+        return ChamberReading(super().read().temperature_c, None, self._is_on, alarms=())
 
 
 @mistake("chamber", "silence_ends_in_no_reply_within_a_bounded_time")
@@ -212,7 +213,7 @@ class ChamberThatTakesAnyReply(Chamber):
 @mistake("chamber", "disturbed_replies_give_values_or_errors_of_the_bench")
 class ChamberThatTrustsReplies(Chamber):
     def read(self):
-        return ChamberReading(float(self._ask("PVAR1?").decode()))
+        return ChamberReading(float(self._ask("PVAR1?").decode()), alarms=())
 
 
 @mistake("chamber", "another_device_on_the_line_is_an_error")
@@ -224,7 +225,7 @@ class ChamberWithDefaultReading(Chamber):
             self._line = line
 
     def read(self):
-        return ChamberReading(23.0)
+        return ChamberReading(23.0, alarms=())
 
 
 @mistake("chamber", "the_emulator_accepts_any_bytes")
@@ -252,7 +253,7 @@ class TableStoppedByOpening(Table):
 class TableWithSwappedAxes(Table):
     def read(self):
         reading = super().read()
-        return TableReading(reading.position_deg[::-1], reading.rate_dps[::-1])
+        return TableReading(reading.position_deg[::-1], reading.rate_dps[::-1], faults=())
 
 
 @mistake("table", "it_moves_to_absolute_angles_of_either_sign_and_through_full_turns")
@@ -354,8 +355,8 @@ class TableWithTheLimitsOfOneAxis(Table):
 
 @mistake("table", "it_has_no_fault_to_begin_with")
 class TableWithAFault(Table):
-    def faults(self):
-        return ["none"]
+    def read(self):
+        return replace(super().read(), faults=("none",))
 
 
 @mistake("table", "after_a_loss_of_power_it_can_be_prepared_again")
@@ -374,7 +375,7 @@ class TableThatHidesSilence(Table):
         try:
             return super().read()
         except InstrumentError:
-            return TableReading((0.0, 0.0), (0.0, 0.0))
+            return TableReading((0.0, 0.0), (0.0, 0.0), faults=())
 
 
 @mistake("table", "a_late_reply_is_not_taken_for_that_of_another_request")
@@ -398,7 +399,7 @@ class TableWithDefaultReading(Table):
         self._line = line
 
     def read(self):
-        return TableReading((0.0, 0.0), (0.0, 0.0))
+        return TableReading((0.0, 0.0), (0.0, 0.0), faults=())
 
 
 @mistake("table", "the_emulator_accepts_any_bytes")

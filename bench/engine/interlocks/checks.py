@@ -184,7 +184,7 @@ class TableChecks:
 
     def is_doubtful(self, found: TableReading, before: Readings, expected: ExpectedState) -> bool:
         """Whether a reading would trip an interlock by itself."""
-        if expected.table_prepared and not found.is_servoed:
+        if found.faults != before.table.faults or (expected.table_prepared and not found.is_servoed):
             return True
         in_table_axes = self._station.table_axes_of
         limit_dps = _REST_DPS if expected.table_stopped else self._rate_dps
@@ -235,13 +235,13 @@ class TableChecks:
                 yield InterlockFinding("table_fault", problem, "Use its emergency stop, and find the cause.")
 
     def _faults(self, readings: Readings) -> Iterator[InterlockFinding]:
-        for fault in readings.table_faults:
+        for fault in readings.table.faults:
             yield InterlockFinding(
                 "table_fault",
                 f"the rate table reports {fault}",
                 "Find the cause before the table moves again.",
             )
-        if not readings.table.is_servoed and not readings.table_faults:
+        if not readings.table.is_servoed and not readings.table.faults:
             yield InterlockFinding(
                 "table_fault",
                 "an axis of the rate table is not under servo control although its servos were switched on",
@@ -326,7 +326,7 @@ class ChamberChecks:
             yield InterlockFinding("chamber_air", problem, "Check controller, sensor and door.")
         if problem := _too_fast("the chamber's air", self._rate.per_s(), self._rate_c_per_min):
             yield InterlockFinding("chamber_air_rate", problem, "Check whether its door is open.")
-        for alarm in readings.chamber_alarms:
+        for alarm in readings.chamber.alarms:
             yield InterlockFinding(
                 "chamber_alarm",
                 f"the chamber reports {alarm}",
@@ -350,7 +350,9 @@ class ChamberChecks:
         """Whether a reading would trip an interlock by itself."""
         low_c, high_c = self._range_c
         air_c, set_c = found.temperature_c, expected.chamber_set_c
-        if not low_c <= air_c <= high_c or not abs(air_c - before.chamber.temperature_c) <= _JUMP_C:
+        if found.alarms != before.chamber.alarms or not low_c <= air_c <= high_c:
+            return True
+        if not abs(air_c - before.chamber.temperature_c) <= _JUMP_C:
             return True
         if expected.chamber_reached and set_c is not None and abs(air_c - set_c) > self._deviation_c:
             return True

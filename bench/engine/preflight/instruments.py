@@ -95,7 +95,7 @@ class _NotReportedError(InstrumentError):
 
 
 def _table_faults(station: Station, table: RateTable) -> tuple[bool, str, str]:  # noqa: ARG001
-    faults = table.faults()
+    faults = table.read().faults
     return not faults, f"reports {', '.join(faults) or 'none'}", _FIND_CAUSE
 
 
@@ -138,7 +138,10 @@ def _exceeded(station: Station, axis: str, allowed: AxisLimits) -> Iterator[str]
 
 
 def _chamber_alarms(station: Station, chamber: Chamber) -> tuple[bool, str, str]:  # noqa: ARG001
-    alarms = chamber.alarms()
+    try:
+        alarms = chamber.read().alarms
+    except FaultError as error:
+        return False, f"reports {error.message}", _FIND_CAUSE
     return not alarms, f"reports {', '.join(alarms) or 'none'}", _FIND_CAUSE
 
 

@@ -9,6 +9,7 @@ from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.can_log import CanLog, read_can_log
 from gyrobench.bench.station.instruments import Emulation, Instruments
 from gyrobench.bench.station.station import Station
+from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
 
 
 @contextmanager
@@ -83,3 +84,23 @@ def test_a_bus_that_gives_nothing_but_invalid_bytes_is_reopened(monkeypatch):
         bench.tick()
         assert bench.silent == ()
         assert reported[-1] == ("INS", None)
+
+
+def test_a_faulty_sensor_of_the_chamber_is_an_alarm_and_its_last_temperature_grows_old():
+    with live_bench() as (bench, _):
+        before = bench.readings
+        chamber = bench_at(BenchAddress(bench.clock.name, "quick")).chamber
+        chamber.break_sensor(1)
+        bench.clock.sleep(10.0)
+        bench.read_instruments()
+        after = bench.readings
+        assert after.chamber.alarms == ("error 1 of input 1 (register 101); check the temperature sensor",)
+        assert (after.chamber.temperature_c, after.chamber_s) == (
+            before.chamber.temperature_c, before.chamber_s,
+        )  # fmt: skip
+        assert bench.silent == ()
+        chamber.repair_sensor()
+        bench.instruments.chamber.clear_alarms()
+        bench.read_instruments()
+        assert bench.readings.chamber.alarms == ()
+        assert bench.readings.chamber_s > before.chamber_s

@@ -19,8 +19,8 @@ def written(tmp_path, text):
     ("text", "message"),
     [
         (
-            "instrument: chamber\ncalls:\n- ask: read\n- ask: alarmz\n---\n",
-            r":4:3: call 2 of 2: .* mean 'alarms'",
+            "instrument: chamber\ncalls:\n- ask: read\n- ask: limitsc\n---\n",
+            r":4:3: call 2 of 2: .* mean 'limits_c'",
         ),
         ("instrument: chamber\ncalls:\n- ask: close\n---\n", r":3:3: call 1 of 1: a Chamber has no method"),
         ("instrument: table\ncalls:\n- ask: set_point_c\n---\n", r":3:3: .* RateTable has no method"),

@@ -106,9 +106,8 @@ def test_the_driver_talks_to_pymodbus_server(crossed_ports):
     with Server(far, REGISTERS) as server, SerialLine("chamber", near, WallClock()) as line:
         chamber = WatlowF4(line, reply_timeout_s=120.0)
         assert chamber.identify().startswith("Watlow F4, model number 5270")
-        assert chamber.read() == ChamberReading(-12.3, set_point_c=23.0, is_on=False)
+        assert chamber.read() == ChamberReading(-12.3, set_point_c=23.0, is_on=False, alarms=())
         assert chamber.limits_c() == (-70.0, 120.0)
-        assert chamber.alarms() == []
         chamber.set_temperature(-40.0, 0.25)
         assert chamber.set_point_c() == -40.0
         assert [server.register(address) for address in (300, 1100, 1101, 1102)] == [0x10000 - 400, 2, 150, 1]

@@ -17,8 +17,8 @@ from gyrobench.drivers.chamber import Chamber, ChamberReading
 from gyrobench.drivers.chamber.watlow_f4 import from_register, to_register
 from gyrobench.drivers.modbus_rtu import framed
 
-MANUAL_FRAMES = {
-    "read PV and error": "01 03 00 64 00 02 85 D4",
+FRAMES = {
+    "read PV, error and alarm 1": "01 03 00 64 00 03 44 14",
     "set point 85.0": "01 06 01 2C 03 52 C8 F2",
     "set point -40.0": "01 06 01 2C FE 70 08 7B",
     "ramp mode 2": "01 06 04 4C 00 02 C8 EC",
@@ -41,7 +41,7 @@ def writes_of(bench, action) -> list[str]:
 def test_the_air_and_the_state_of_the_sensor_are_read_in_one_exchange(bench):
     chamber: Chamber = bench.driver()
     bench.air.air_c = -40.04
-    assert requests_of(bench, lambda: chamber.read())[0] == MANUAL_FRAMES["read PV and error"]
+    assert requests_of(bench, lambda: chamber.read())[0] == FRAMES["read PV, error and alarm 1"]
     assert chamber.read().temperature_c == -40.0
 
 
@@ -49,7 +49,7 @@ def test_a_reading_has_changes_at_the_panel(bench):
     chamber = bench.driver()
     chamber.set_temperature(60.0, 1.0)
     chamber.switch(True)
-    assert chamber.read() == ChamberReading(23.0, set_point_c=60.0, is_on=True)
+    assert chamber.read() == ChamberReading(23.0, set_point_c=60.0, is_on=True, alarms=())
     bench.air.set_point_c = 25.0
     assert chamber.read().set_point_c == 25.0
     chamber.switch(False)
@@ -59,10 +59,10 @@ def test_a_reading_has_changes_at_the_panel(bench):
 def test_a_ramp_to_a_temperature_is_sent_as_in_the_manual(bench):
     chamber = bench.driver()
     assert writes_of(bench, lambda: chamber.set_temperature(85.0, 5.0)) == [
-        MANUAL_FRAMES["ramp rate 5.0"],
-        MANUAL_FRAMES["ramp per minute"],
-        MANUAL_FRAMES["ramp mode 2"],
-        MANUAL_FRAMES["set point 85.0"],
+        FRAMES["ramp rate 5.0"],
+        FRAMES["ramp per minute"],
+        FRAMES["ramp mode 2"],
+        FRAMES["set point 85.0"],
     ]
     assert (bench.air.set_point_c, bench.air.ramp_rate_c_per_min) == (85.0, 5.0)
     assert chamber.set_point_c() == 85.0
@@ -71,9 +71,7 @@ def test_a_ramp_to_a_temperature_is_sent_as_in_the_manual(bench):
 def test_without_a_rate_the_ramp_is_switched_off(bench):
     chamber = bench.driver()
     chamber.set_temperature(60.0, 1.0)
-    assert (
-        writes_of(bench, lambda: chamber.set_temperature(-40.0, None))[-1] == MANUAL_FRAMES["set point -40.0"]
-    )
+    assert writes_of(bench, lambda: chamber.set_temperature(-40.0, None))[-1] == FRAMES["set point -40.0"]
     assert (bench.air.set_point_c, bench.air.ramp_rate_c_per_min) == (-40.0, None)
 
 
@@ -85,7 +83,7 @@ def test_slow_ramps_use_the_scale_that_fits_better(bench, rate_c_per_min):
 
 def test_the_chamber_and_its_events_are_switched(bench):
     chamber = bench.driver()
-    assert writes_of(bench, lambda: chamber.switch(True)) == [MANUAL_FRAMES["event 1 on"]]
+    assert writes_of(bench, lambda: chamber.switch(True)) == [FRAMES["event 1 on"]]
     chamber.switch_event(2, True)
     chamber.switch(False)
     assert bench.events == [(1, True), (2, True), (1, False)]
@@ -123,18 +121,20 @@ def test_two_decimals_give_hundredths(make_bench):
 def test_a_broken_sensor_is_a_fault(bench):
     chamber = bench.driver()
     bench.chamber.sensor_error = 2
-    with pytest.raises(FaultError, match="error 2 of input 1"):
+    with pytest.raises(FaultError, match=r"error 2 of input 1 \(register 101\); check"):
         chamber.read()
-    assert chamber.alarms() == ["error 2 of input 1 (register 101)"]
+    bench.chamber.alarm_2 = 1
+    with pytest.raises(FaultError, match=r"register 101\), alarm 2 \(register 106 reads 1\); check"):
+        chamber.read()
 
 
 def test_alarms_are_listed_and_cleared(bench):
     chamber = bench.driver()
-    assert chamber.alarms() == []
+    assert chamber.read().alarms == ()
     bench.chamber.alarm_1, bench.chamber.alarm_2 = 2, 1
-    assert chamber.alarms() == ["alarm 1 (register 102 reads 2)", "alarm 2 (register 106 reads 1)"]
+    assert chamber.read().alarms == ("alarm 1 (register 102 reads 2)", "alarm 2 (register 106 reads 1)")
     chamber.clear_alarms()
-    assert chamber.alarms() == []
+    assert chamber.read().alarms == ()
 
 
 @pytest.mark.parametrize("temperature_c", [math.nan, math.inf, -math.inf, 3276.8, -3276.9, 1e308])
@@ -200,10 +200,10 @@ def test_a_value_that_is_not_kept_is_noticed(bench):
 @pytest.mark.parametrize(
     ("reply", "problem"),
     [
-        (bytes.fromhex("01 03 04 00 FA 00 00 00 00"), "CRC"),
-        (framed(bytes.fromhex("02 03 04 00 FA 00 00")), "another device"),
-        (framed(bytes.fromhex("01 04 04 00 FA 00 00")), "another device"),
-        (framed(bytes.fromhex("01 03 02 00 FA 00 00")), "another device"),
+        (bytes.fromhex("01 03 06 00 FA 00 00 00 00 00 00"), "CRC"),
+        (framed(bytes.fromhex("02 03 06 00 FA 00 00 00 00")), "another device"),
+        (framed(bytes.fromhex("01 04 06 00 FA 00 00 00 00")), "another device"),
+        (framed(bytes.fromhex("01 03 04 00 FA 00 00 00 00")), "another device"),
         (framed(bytes.fromhex("01 86 02")), "another device"),
     ],
     ids=["CRC", "address", "function", "length", "exception of another function"],
@@ -295,12 +295,7 @@ def test_no_reply_raises_anything_but_an_instrument_error(bench, reply):
     chamber = bench.drivers[0] if bench.drivers else bench.driver()
     chamber._modbus._reply_timeout_s = 0.02
     bench.respond = lambda _: reply
-    for action in (
-        chamber.read,
-        chamber.alarms,
-        chamber.limits_c,
-        lambda: chamber.set_temperature(40.0, 1.0),
-    ):
+    for action in (chamber.read, chamber.limits_c, lambda: chamber.set_temperature(40.0, 1.0)):
         with contextlib.suppress(InstrumentError):
             action()
     bench.respond = replying

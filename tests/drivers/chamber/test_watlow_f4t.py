@@ -94,7 +94,7 @@ def test_a_reading_has_air_set_point_and_running_state(make_bench):
     chamber = bench.driver()
     bench.air.air_c = -12.25
     assert bench.requests_of(chamber.read) == [
-        LOOP + b"ERROR?\n", LOOP + b"PVALUE?\n", LOOP + b"SPOINT?\n", b":OUTPUT1:STATE?\n",
+        LOOP + b"ERROR?\n", LOOP + b"PVALUE?\n", b":OUTPUT1:STATE?\n", LOOP + b"SPOINT?\n",
     ]  # fmt: skip
     chamber.set_temperature(60.0, 1.0)
     assert bench.requests_of(lambda: chamber.switch(True))[1] == b":OUTPUT1:STATE ON\n"
@@ -116,16 +116,15 @@ def test_outputs_are_switched(bench):
         chamber.switch_event(9, True)
 
 
-def test_an_error_of_the_loop_is_a_fault_and_an_alarm(bench):
+def test_an_error_of_the_loop_is_a_fault(bench):
     chamber = bench.driver()
-    assert chamber.alarms() == []
+    assert chamber.read().alarms == ()
     bench.chamber.break_sensor(1)
-    assert chamber.alarms() == ["control loop 1 reports an error"]
     with pytest.raises(FaultError, match="control loop 1 reports an error; check the temperature sensor"):
         chamber.read()
     bench.chamber.repair_sensor()
     chamber.clear_alarms()
-    assert chamber.alarms() == []
+    assert chamber.read().alarms == ()
 
 
 def test_outputs_drop_with_its_power(bench):
@@ -184,12 +183,7 @@ def test_an_unexpected_reply_is_an_error(rig, reply, error, message):
 def test_any_reply_gives_a_value_or_an_instrument_error(replies):
     line, _ = any_rig().line("chamber", Scripted(*OPENED, *replies))
     chamber = WatlowF4T(line)
-    for action in (
-        chamber.read,
-        chamber.alarms,
-        lambda: chamber.set_temperature(20.0, 1.0),
-        lambda: chamber.switch(True),
-    ):
+    for action in (chamber.read, lambda: chamber.set_temperature(20.0, 1.0), lambda: chamber.switch(True)):
         with contextlib.suppress(InstrumentError):
             result = action()
             if isinstance(result, ChamberReading):

@@ -71,7 +71,7 @@ def test_the_byte_order_of_the_prefix_is_detected(serve, word_order):
     with serve(emulator(word_order=word_order)) as line:
         table = Acutrol3000(line)
         table.prepare()
-        assert table.read() == TableReading((0.0, 0.0), (0.0, 0.0), True)
+        assert table.read() == TableReading((0.0, 0.0), (0.0, 0.0), True, faults=())
 
 
 def test_preparing_closes_the_servos_and_locks_the_panel_out(table, controller):
@@ -146,7 +146,7 @@ def test_releasing_stops_the_table_before_it_opens_the_servos(table, controller)
     table.release()
     assert not controller.axes[1].closed
     assert not controller.axes[1].physics.is_moving(1e6)
-    assert table.faults() == []
+    assert table.read().faults == ()
     assert controller.feed(b":utility:lockout?\n", 1e6)[8:] == b"OFF"
 
 
@@ -166,18 +166,18 @@ def test_an_axis_that_does_not_come_to_rest_is_a_fault_after_the_servos_are_open
 
 def test_a_table_that_was_never_prepared_can_be_released(table):
     table.release()
-    assert table.faults() == []
+    assert table.read().faults == ()
 
 
 def test_a_trip_is_reported_in_words_and_ends_the_wait_for_the_position(table, controller):
     table.prepare()
     table.move_to({1: 300.0, 2: 0.0}, rate_dps=100.0)
     controller.trip(2, SoftwareFault.FINE_FEEDBACK_LOSS, table._line.clock.now())
-    assert table.faults() == ["axis 2: fine feedback lost"]
+    assert table.read().faults == ("axis 2: fine feedback lost",)
     with pytest.raises(FaultError, match="axis 2: fine feedback lost"):
         table.in_position()
     table.prepare()
-    assert table.faults() == []
+    assert table.read().faults == ()
 
 
 def test_an_open_interlock_keeps_the_table_from_being_prepared(table, controller):
@@ -186,7 +186,7 @@ def test_an_open_interlock_keeps_the_table_from_being_prepared(table, controller
         table.prepare()
     controller.close_interlock(1, bit=9)
     table.prepare()
-    assert table.faults() == []
+    assert table.read().faults == ()
 
 
 def test_what_the_controller_refuses_is_refused_by_name_and_the_line_stays_in_step(table):
@@ -235,7 +235,7 @@ def test_moving_without_servo_is_refused(table):
 
 def test_a_single_axis_table_reads_one_axis(serve):
     with serve(Acutrol3000Emulator({1: TableAxis(FAST, position_deg=10.0001)})) as line:
-        assert Acutrol3000(line, axes=[1]).read() == TableReading((10.0001,), (0.0,), False)
+        assert Acutrol3000(line, axes=[1]).read() == TableReading((10.0001,), (0.0,), False, faults=())
 
 
 # on replies that are wrong
@@ -293,8 +293,8 @@ def test_a_reading_that_is_not_two_numbers_an_axis_is_a_wrong_reply(serve, scrip
 
 
 def test_numbers_without_a_decimal_point_are_a_reading(serve, scripted):
-    with serve(scripted(reply("A table"), reply("0;1E-05;90;0;16;16"))) as line:
-        assert met(line).read() == TableReading((0.0, 90.0), (1e-5, 0.0), True)
+    with serve(scripted(reply("A table"), reply("0;1E-05;90;0;16;0;0;16;0;0"))) as line:
+        assert met(line).read() == TableReading((0.0, 90.0), (1e-5, 0.0), True, faults=())
 
 
 @pytest.mark.parametrize("text", ["", "OK", "16", "16;x", "16;256;16;-1", "16;256;16;" + "9" * 5000])
@@ -357,10 +357,10 @@ def test_replies_that_come_far_too_late_end_in_no_reply_and_never_in_wrong_readi
             emulator.latency_s = late_s
             for number in range(late + 6):
                 emulator.latency_s = late_s if number < late else 0.005
-                for ask in (table.faults, table.in_position, table.read):
+                for ask in (table.in_position, table.read):
                     with suppress(NoReplyError):
                         answer = ask()
-                        assert answer in ([], True, False) or answer.is_servoed
+                        assert answer in (True, False) or (answer.is_servoed and not answer.faults)
             assert table.read().is_servoed
 
 
@@ -434,7 +434,6 @@ requests = {
     "move": lambda table: table.move_to({1: 1.0, 2: 2.0}, 5.0),
     "done": lambda table: table.in_position(),
     "read": lambda table: table.read(),
-    "faults": lambda table: table.faults(),
     "stop": lambda table: table.stop(),
 }
 

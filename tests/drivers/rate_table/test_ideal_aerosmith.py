@@ -73,7 +73,7 @@ def test_it_moves_to_an_angle_and_says_when_it_is_there(bench):
     assert table.read().rate_dps == (-10.0,)
     assert bench.until_in_position(table)
     assert bench.requests_of(table.in_position) == [b"PPO\r", b"PVE\r"]
-    assert table.read() == TableReading((-90.5,), (pytest.approx(0.0, abs=1e-3),))
+    assert table.read() == TableReading((-90.5,), (pytest.approx(0.0, abs=1e-3),), faults=())
 
 
 @pytest.mark.parametrize("done", [0, 1])
@@ -99,7 +99,7 @@ def test_it_jogs_until_it_is_stopped(bench):
     assert bench.requests_of(lambda: table.turn_at(2, 10.5)) == [b"JOG10.5\r"]
     bench.rig.wait(5.0)
     assert table.read().rate_dps == (10.5,)
-    assert table.faults() == []
+    assert table.read().faults == ()
     assert bench.requests_of(table.stop) == [b"STO\r"]
     bench.rig.wait(5.0)
     assert table.read().rate_dps == (pytest.approx(0.0, abs=1e-3),)

@@ -34,10 +34,8 @@ class Frost:
         return f"Acme Frost, shelf {self._shelf}"
 
     def read(self) -> ChamberReading:
-        return ChamberReading(self._number("T?"), self.set_point_c(), bool(self._number("C?")))
-
-    def alarms(self) -> list[str]:
-        return []  # it has no query for them
+        is_on = bool(self._number("C?"))
+        return ChamberReading(self._number("T?"), self.set_point_c(), is_on, alarms=())  # it has no alarms
 
     def clear_alarms(self) -> None:
         """Do nothing: it latches no alarms."""

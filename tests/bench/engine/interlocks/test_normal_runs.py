@@ -7,10 +7,8 @@ import numpy as np
 
 from gyrobench.bench.engine.bench_state import ExpectedState
 from gyrobench.bench.runs.telemetry import read_telemetry
-from gyrobench.drivers.chamber import ChamberReading
 from gyrobench.drivers.ins.readout import InsMode
-from gyrobench.drivers.rate_table import TableReading
-from tests.bench.engine.interlocks.watched_bench import FakeStatus
+from tests.bench.engine.interlocks.watched_bench import FakeStatus, air, at
 
 
 def trips_of(folder, bench):
@@ -21,10 +19,8 @@ def trips_of(folder, bench):
         row = {name: float(values[index]) for name, values in telemetry.items()}
         is_on = row["ins_mode"] != InsMode.UNKNOWN
         set_c = None if math.isnan(row["chamber_set_c"]) else row["chamber_set_c"]
-        bench.table = TableReading(
-            (row["outer_deg"], row["inner_deg"]), (row["outer_rate_dps"], row["inner_rate_dps"])
-        )
-        bench.chamber = ChamberReading(row["chamber_c"], set_c, set_c is not None)
+        bench.table = at((row["outer_deg"], row["inner_deg"]), (row["outer_rate_dps"], row["inner_rate_dps"]))
+        bench.chamber = air(row["chamber_c"], set_c, set_c is not None)
         bench.ins = FakeStatus(
             age_s=0.5 if is_on else math.inf,
             mode=InsMode(int(row["ins_mode"])),

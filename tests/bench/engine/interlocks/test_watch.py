@@ -7,10 +7,8 @@ import pytest
 from gyrobench.bench.engine.bench_state import ExpectedState
 from gyrobench.bench.engine.interlocks.watch import text_of_trips
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.chamber import ChamberReading
 from gyrobench.drivers.ins.readout import InsMode
-from gyrobench.drivers.rate_table import TableReading
-from tests.bench.engine.interlocks.watched_bench import ALL_WELL, WatchedBench
+from tests.bench.engine.interlocks.watched_bench import ALL_WELL, WatchedBench, air, at
 
 
 def set_values(thing, **values):
@@ -28,12 +26,12 @@ def _bench(**values):
     return lambda bench: set_values(bench, **values)
 
 
-def _chamber(*values):
-    return _bench(chamber=ChamberReading(*values))
+def _chamber(*values, **alarms):
+    return _bench(chamber=air(*values, **alarms))
 
 
-def _table(*values):
-    return _bench(table=TableReading(*values))
+def _table(*values, **faults):
+    return _bench(table=at(*values, **faults))
 
 
 def _ins(**values):
@@ -51,9 +49,9 @@ WRONG = {
     "inner angle": (_table((0.0, -390.0), (0.0, 0.0)), "inner_angle", ["-390.0", "-381 deg"]),
     "angle not a number": (_table((math.nan, 0.0), (0.0, 0.0)), "outer_angle", ["unknown", "201"]),
     "rate": (_table((0.0, 0.0), (0.0, -34.0)), "table_rate", ["-34.0", "-33.5"]),
-    "fault": (_bench(table_faults=("axis 1: rate trip",)), "table_fault", ["axis 1: rate trip"]),
+    "fault": (_table((0.0, 0.0), (0.0, 0.0), faults=("axis 1: rate trip",)), "table_fault", ["rate trip"]),
     "servos open": (_table((0.0, 0.0), (0.0, 0.0), False), "table_fault", ["servo control"]),
-    "alarm": (_bench(chamber_alarms=("alarm 1",)), "chamber_alarm", ["alarm 1"]),
+    "alarm": (_chamber(20.0, 20.0, True, alarms=("alarm 1",)), "chamber_alarm", ["alarm 1"]),
     "switched off": (_chamber(20.0, 20.0, False), "chamber_command", ["is off", "switched it on"]),
     "other set point": (_chamber(20.0, 25.0, True), "chamber_command", ["25 degC", "20 degC", "0.6 K"]),
     "fault of the INS": (_ins(mode=InsMode.FAULT), "ins_fault", ["reports a fault"]),
@@ -68,7 +66,7 @@ def test_each_interlock_trips_alone_and_names_value_and_limit_until_it_is_good_a
 ):
     bench = watched()
     assert bench.poll() == {}
-    good = {key: getattr(bench, key) for key in ("table", "chamber", "table_faults", "chamber_alarms")}
+    good = {key: getattr(bench, key) for key in ("table", "chamber")}
     good["ins"] = replace(bench.ins)
     make_wrong(bench)
     trips = bench.poll()
@@ -108,8 +106,9 @@ def test_an_ins_that_was_off_may_have_been_silent_until_now(watched):
 def test_what_was_not_commanded_yet_trips_nothing(watched):
     bench = watched()
     bench.expected = ExpectedState()
-    bench.chamber, bench.table = ChamberReading(20.0, -40.0, False), TableReading((0, 0), (0, 0), False)
-    bench.table_faults, bench.ins.age_s = ("axis 1: interlock 1",), math.inf
+    bench.chamber = air(20.0, -40.0, False)
+    bench.table = at((0, 0), (0, 0), False, faults=("axis 1: interlock 1",))
+    bench.ins.age_s = math.inf
     assert bench.poll() == {}
 
 
@@ -121,7 +120,7 @@ def test_an_instrument_is_held_to_a_command_only_by_readings_that_came_after_it(
     bench.clock.sleep(1.0)
     assert bench.trips() == {}
     assert "chamber_command" in bench.poll()
-    bench.chamber = ChamberReading(20.5, 60.0, True)
+    bench.chamber = air(20.5, 60.0, True)
     assert bench.poll() == {}
 
 
@@ -180,7 +179,7 @@ def test_temperatures_that_the_signal_map_has_not_trip_nothing(watched):
 def test_an_opened_door_trips_and_is_good_again_a_window_after_the_air_is_steady(watched):
     bench = watched()
     bench.poll_for(120.0)
-    bench.chamber = ChamberReading(35.0, 20.0, True)
+    bench.chamber = air(35.0, 20.0, True)
     trips = bench.poll()
     assert list(trips) == ["chamber_air_rate"]
     assert "15.0 degC/min; the limit is 8 degC/min" in trips["chamber_air_rate"].text
@@ -205,16 +204,16 @@ def test_resolution_and_noise_of_the_sensors_trip_nothing(watched):
     )
     generator = np.random.default_rng(5)
     for index in range(500):
-        bench.chamber = ChamberReading(20.0 + 0.1 * (index % 2), 20.0, True)
+        bench.chamber = air(20.0 + 0.1 * (index % 2), 20.0, True)
         bench.ins.optics_c = 30.0 + 0.003 * generator.standard_normal(3)
         assert bench.poll(1.0) == {}
 
 
 def test_a_table_that_is_torn_from_its_rate_trips(watched):
     bench = watched()
-    bench.table = TableReading((0.0, 0.0), (30.0, 0.0))
+    bench.table = at((0.0, 0.0), (30.0, 0.0))
     bench.poll(1.0)
-    bench.table = TableReading((0.0, 0.0), (-30.0, 0.0))
+    bench.table = at((0.0, 0.0), (-30.0, 0.0))
     trips = bench.poll(1.0)
     assert list(trips) == ["table_acceleration"]
     assert "-60.0 deg/s2, below the limit of -45 deg/s2" in trips["table_acceleration"].text
@@ -252,7 +251,7 @@ def test_the_axes_are_distinguished_by_the_controllers_numbers(station_of, tmp_p
     (tmp_path / "crossed.yaml").write_text(text)
     for station, tripped in ((straight, ["outer_angle"]), (Station(tmp_path / "crossed.yaml"), [])):
         bench = WatchedBench(station)
-        bench.table = TableReading((300.0, 0.0), (0.0, 0.0))
+        bench.table = at((300.0, 0.0), (0.0, 0.0))
         assert list(bench.poll()) == tripped
 
 
@@ -260,10 +259,10 @@ def test_the_time_since_an_interlock_is_good_is_known(watched):
     bench = watched()
     bench.poll(10.0)
     assert bench.watch.good_since_s("chamber_alarm") == 10.0
-    bench.chamber_alarms = ("alarm 1",)
+    bench.chamber = air(20.0, 20.0, True, alarms=("alarm 1",))
     bench.poll(10.0)
     assert bench.watch.good_since_s("chamber_alarm") is None
-    bench.chamber_alarms = ()
+    bench.chamber = air(20.0, 20.0, True)
     bench.poll(10.0)
     bench.poll(10.0)
     assert bench.watch.good_since_s("chamber_alarm") == 30.0
@@ -274,7 +273,7 @@ def test_the_station_file_sets_the_rules(watched):
         "\ninterlocks:\n  chamber_alarm: {resume: automatic, resume_after_s: 900, max_resumes: 2}\n"
         "  chamber_air: {high_c: 76}\n"
     )
-    bench.chamber, bench.chamber_alarms = ChamberReading(76.5, 20.0, True), ("alarm 1",)
+    bench.chamber = air(76.5, 20.0, True, alarms=("alarm 1",))
     trips = bench.poll()
     rule = trips["chamber_alarm"].rule
     assert (rule.resume, rule.resume_after_s, rule.max_resumes) == ("automatic", 900.0, 2)
@@ -285,7 +284,7 @@ def test_the_station_file_sets_the_rules(watched):
 def test_air_that_leaves_a_set_point_that_it_had_reached_trips(watched):
     bench = watched()
     bench.poll()
-    bench.chamber = ChamberReading(26.0, 20.0, True)
+    bench.chamber = air(26.0, 20.0, True)
     assert "chamber_deviation" not in bench.poll()  # on its way
     bench.expected = replace(bench.expected, chamber_reached=True)
     trip = bench.poll()["chamber_deviation"]
@@ -313,7 +312,7 @@ def test_ticks_between_readings_find_what_a_whole_evaluation_finds(watched, seed
         air_c = float(random.choice([20.0, 20.0, 20.0, 30.0]))
         reads, ticks = random.random() < 0.8, int(random.integers(1, 60))
         for each in (bench, evaluated):
-            each.ins.age_s, each.chamber = age_s, ChamberReading(air_c, 20.0, True)
+            each.ins.age_s, each.chamber = age_s, air(air_c, 20.0, True)
             each.expected = replace(ALL_WELL, ins_on=ins_on)
             if reads:
                 each.poll(1.0, answering)
@@ -341,7 +340,7 @@ def test_a_case_that_moves_away_from_the_air_that_the_chamber_reads_trips(
     watched, first_c, c_per_min, is_tripped
 ):
     bench = watched()
-    bench.chamber = ChamberReading(20.0, 20.0, True)
+    bench.chamber = air(20.0, 20.0, True)
     for minutes in np.arange(0.0, 3.0, 1.0 / 6.0):
         set_values(bench.ins, case_c=first_c + c_per_min * minutes)
         trips = bench.poll()
@@ -353,7 +352,7 @@ def test_gyros_without_a_case_temperature_may_continue_as_before_a_ramp_for_a_qu
     watched, for_min, is_tripped
 ):
     bench = watched(name="emulated_canaerospace")
-    bench.chamber = ChamberReading(20.0, 20.0, True)
+    bench.chamber = air(20.0, 20.0, True)
     for minutes in np.arange(0.0, for_min, 1.0 / 6.0):
         set_values(bench.ins, optics_c=np.full(3, 46.0 + 0.5 * minutes))
         trips = bench.poll()

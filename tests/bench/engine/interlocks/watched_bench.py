@@ -26,6 +26,16 @@ class FakeStatus:
 ALL_WELL = ExpectedState(chamber_set_c=20.0, chamber_on=True, ins_on=True, table_prepared=True)
 
 
+def air(*values, alarms=()):
+    """Reading of a chamber, without alarms unless given."""
+    return ChamberReading(*values, alarms=alarms)
+
+
+def at(*values, faults=()):
+    """Reading of a table, without faults unless given."""
+    return TableReading(*values, faults=faults)
+
+
 class WatchedBench:
     """An interlock watch, the clock that it lives on, and the readings that come next."""
 
@@ -33,10 +43,9 @@ class WatchedBench:
         self.clock = VirtualClock()
         self.watch = InterlockWatch(station, self.clock)
         self.expected = ALL_WELL
-        self.table = TableReading((0.0, 0.0), (0.0, 0.0))
-        self.chamber = ChamberReading(20.0, 20.0, True)
+        self.table = at((0.0, 0.0), (0.0, 0.0))
+        self.chamber = air(20.0, 20.0, True)
         self.ins = FakeStatus()
-        self.table_faults = self.chamber_alarms = ()
         self._table_s = self._chamber_s = 0.0
 
     def poll(self, after_s=10.0, answering=("table", "chamber")):
@@ -46,11 +55,8 @@ class WatchedBench:
         self._table_s = now_s if "table" in answering else self._table_s
         self._chamber_s = now_s if "chamber" in answering else self._chamber_s
         self.watch.observe(
-            Readings(
-                self.table, self._table_s, self.table_faults, self.chamber, self._chamber_s,
-                self.chamber_alarms, replace(self.ins), now_s,
-            )
-        )  # fmt: skip
+            Readings(self.table, self._table_s, self.chamber, self._chamber_s, replace(self.ins), now_s)
+        )
         return self.trips()
 
     def trips(self):
