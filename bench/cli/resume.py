@@ -25,6 +25,12 @@ def resume(
             "--give-up-damaged", help="Set damaged files aside and repeat the dwells that they held."
         ),
     ] = False,
+    other_instruments: Annotated[
+        bool,
+        typer.Option(
+            "--other-instruments", help="Resume with another rate table or chamber than the run began with."
+        ),
+    ] = False,
     fail_on: FailOnOption = None,
     operator: OperatorOption = "",  # noqa: ARG001 - read from the environment
     view: ViewOption = "live",
@@ -75,6 +81,6 @@ def resume(
     job = resumption.job
     gc.freeze()  # what is loaded stays: no collection needs to search it
     with observe_in_terminal(terminal, job, view == "live") as (progress, answers):
-        folder, outcome = resume_run(resumption, progress, answers)
+        folder, outcome = resume_run(resumption, progress, answers, other_instruments=other_instruments)
     del resumption, job, progress, answers  # and with them the instruments: the report needs the memory
     print_end(terminal, folder, outcome, folder.station, as_json, fail_on)

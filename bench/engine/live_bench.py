@@ -137,7 +137,6 @@ class LiveBench:
         """
         table = self._first(self.instruments.table.read)
         chamber = self._first(self.instruments.chamber.read)
-        self.instruments.note_identities()
         found, now_s = [unit.status() for unit in self.units], self.clock.now()
         self.readings = Readings(table, now_s, chamber, now_s, found[0], now_s)
         self._next_reading_s = now_s + self.station.file.instruments_period_s

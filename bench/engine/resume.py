@@ -22,7 +22,7 @@ from gyrobench.bench.procedure.approach import end_of_dwell
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.runs.folder import UNITS_FOLDER, RunFolder, open_run_folder
 from gyrobench.bench.runs.journal import MAX_RUN_S
-from gyrobench.bench.runs.provenance import start_of, started_utc
+from gyrobench.bench.runs.provenance import identities_in, start_of, started_utc
 from gyrobench.bench.runs.seal import require_sealed_inputs
 from gyrobench.bench.runs.telemetry import last_reading_s
 from gyrobench.bench.station.instruments import Outputs
@@ -258,7 +258,10 @@ class Resumption:
         station = self.job.station
         clock = station.new_clock()
         try:
-            with BenchLock(station, self.folder.path, clock), Outputs(station, clock) as outputs:
+            with (
+                BenchLock(station, self.folder.path, clock),
+                Outputs(station, clock, known=identities_in(self.folder)) as outputs,
+            ):
                 for read in (_table_now, _chamber_now):
                     try:
                         lines.append(read(station, outputs))

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
@@ -36,9 +36,9 @@ from gyrobench.bench.runs.can_log import CanLog
 from gyrobench.bench.runs.compensation_file import write_compensation
 from gyrobench.bench.runs.folder import RUNS, RunFolder, create_run_folder
 from gyrobench.bench.runs.journal import Journal, facts_of, read_journal
-from gyrobench.bench.runs.provenance import note_inputs, write_provenance
+from gyrobench.bench.runs.provenance import add_identity, identities_in, note_inputs, write_provenance
 from gyrobench.bench.runs.telemetry import Telemetry
-from gyrobench.bench.station.instruments import Instruments
+from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE, Instruments
 from gyrobench.bench.station.locks import BenchLock, RunLock
 
 #: A guard that has just made the bench safe releases its lock within this time.
@@ -69,8 +69,8 @@ def run_job(
     state = ResumeState(unit=after.unit, power_ons=after.power_ons) if after else ResumeState()
     outcome = RunOutcome()
 
-    def prepare(folder: RunFolder, instruments: Instruments) -> tuple[UnitRun, ...]:
-        _write_inputs(job, clock, folder, instruments)
+    def prepare(folder: RunFolder, identities: Mapping[str, str]) -> tuple[UnitRun, ...]:
+        _write_inputs(job, clock, folder, identities)
         return tuple(
             UnitRun(
                 unit.number,
@@ -87,11 +87,16 @@ def run_job(
 
 
 def resume_run(
-    resumption: Resumption, observer: RunObserver, operator: Operator, clock: Clock | None = None
+    resumption: Resumption,
+    observer: RunObserver,
+    operator: Operator,
+    clock: Clock | None = None,
+    other_instruments: bool = False,
 ) -> tuple[RunFolder, RunOutcome]:
     """Resume an interrupted run; raises what :func:`run_job` does, and RunFolderError for damaged files.
 
-    ``clock``: by default :meth:`Resumption.clock`.
+    ``clock``: by default :meth:`Resumption.clock`. ``other_instruments``: whether rate table and chamber may
+    identify as others than before.
     """
     job, folder = resumption.job, resumption.folder
     if resumption.damage:
@@ -101,13 +106,14 @@ def resume_run(
     clock = clock or resumption.clock()
     outcome, units = _remeasured(resumption)
 
-    def prepare(folder: RunFolder, instruments: Instruments) -> tuple[UnitRun, ...]:  # noqa: ARG001
+    def prepare(folder: RunFolder, identities: Mapping[str, str]) -> tuple[UnitRun, ...]:  # noqa: ARG001
         resumption.check_unchanged()
         for unit in units:  # the journal may have more dwells
             write_dwells(unit.folder.dwells, [dwell.row for dwell in unit.outcome.dwells])
         return units
 
-    return _execute(_Start(job, clock, resumption.state, outcome, folder, prepare), observer, operator)
+    known = {} if other_instruments else identities_in(folder)
+    return _execute(_Start(job, clock, resumption.state, outcome, folder, prepare, known), observer, operator)
 
 
 def _remeasured(resumption: Resumption) -> tuple[RunOutcome, tuple[UnitRun, ...]]:
@@ -169,7 +175,8 @@ class _Start:
     #: Folder of the run that is resumed; of a new one its path, by default a new one under ``runs/``.
     folder: RunFolder | Path | None
     #: Writes into the locked folder before anything moves, and returns the units of the run.
-    prepare: Callable[[RunFolder, Instruments], tuple[UnitRun, ...]]
+    prepare: Callable[[RunFolder, Mapping[str, str]], tuple[UnitRun, ...]]
+    known: Mapping[str, str] = field(default_factory=dict)  #: What table and chamber must identify as.
 
     def open_folder(self) -> RunFolder:
         """The run folder; a new one is made."""
@@ -178,8 +185,7 @@ class _Start:
         return create_run_folder(self.folder, self.job.plan.procedure.procedure)
 
 
-def _write_inputs(job: Job, clock: Clock, folder: RunFolder, instruments: Instruments) -> None:
-    identities = {"rate table": instruments.table.identify(), "chamber": instruments.chamber.identify()}
+def _write_inputs(job: Job, clock: Clock, folder: RunFolder, identities: Mapping[str, str]) -> None:
     units = [(unit, folder.unit(unit.number)) for unit in job.station.units if unit.number]
     for station, inside in (*units, (job.station, folder)):
         make_folder(inside.path)
@@ -232,12 +238,15 @@ def _open(
     commands = opened.enter_context(CommandQueue())
     patience_s = _GUARD_TIME_S if state.last_s else 0.0
     bench_lock = opened.enter_context(BenchLock(job.station, RUNS, clock, patience_s=patience_s))
-    instruments = opened.enter_context(Instruments(job.station, clock, job.emulation, dropped=state.dropped))
+    instruments = opened.enter_context(
+        Instruments(job.station, clock, job.emulation, dropped=state.dropped, known=start.known)
+    )
+    identities = {each: instruments.identify(each) for each in (RATE_TABLE, CHAMBER)}
     instruments.require_no_profile()
     folder = start.open_folder()
     bench_lock.sign(folder.path)
     run_lock = opened.enter_context(RunLock(folder.path, clock))
-    units = start.prepare(folder, instruments)
+    units = start.prepare(folder, identities)
     journal = opened.enter_context(Journal(folder.journal, clock))
     running = [unit for unit in units if unit.number not in state.dropped]
     journals = {
@@ -247,7 +256,8 @@ def _open(
     journal.followers += [each for each in journals.values() if each is not journal]
     outcome.units = {unit.number: unit.outcome for unit in units if unit.number}
     _record_start(journal, folder, start, units[0].setup, observer)
-    for text in (*bench_lock.taken_over, *run_lock.taken_over):
+    replaced = _replaced([folder, *(unit.folder for unit in units)], identities)
+    for text in (*bench_lock.taken_over, *run_lock.taken_over, *replaced):
         journal.record("note", text=text)
         observer.noted(text)
     messenger = opened.enter_context(Messenger(job.station.file.messages, journal.record))
@@ -273,6 +283,14 @@ def _open(
         unit_journals=journals,
     )
     return run, messenger
+
+
+def _replaced(folders: Sequence[RunFolder], identities: Mapping[str, str]) -> Iterator[str]:
+    """Keep what table and chamber are now; texts about those that are others than before."""
+    for name, now in identities.items():
+        before = {add_identity(folder, name, now) for folder in folders} - {"", now}
+        if before:
+            yield f"Another {name} than before: {now} in place of {listed(sorted(before))}."
 
 
 def _record_start(

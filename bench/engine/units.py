@@ -165,10 +165,18 @@ class Units:
         if known not in ("", number):
             raise FaultError(ins.name, f"is unit {number}, but this run measures {known}. Connect {known}.")
         unit.live.state.number, unit.is_identified = number, True
+        if (text := unit.live.station.file.ins.identity) not in identity:
+            raise FaultError(
+                ins.name,
+                f"identifies as {identity}, which lacks {text!r}. Connect the right one, or correct "
+                "`identity` in the station file.",
+            )
         unit.journal.record("ins_identified", unit=number, identity=identity)
         self._run.observers.identified(number)
-        for folder in {self._run.folder, unit.run.folder}:
-            add_identity(folder, ins.name, identity)
+        folders = {self._run.folder, unit.run.folder}
+        before = {add_identity(folder, ins.name, identity) for folder in folders} - {"", identity}
+        for each in before:
+            unit.note(f"{ins.name} identifies as {identity}; before as {each}.")
 
     def settle_compensation(self, after_power_on: bool) -> Iterator[None]:
         """Compare the stored compensation of each unit with that of the run, one after another."""

@@ -17,6 +17,7 @@ from gyrobench.bench.messages.delivery import Message
 from gyrobench.bench.messages.messenger import Messenger
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal, facts_of, read_journal
+from gyrobench.bench.runs.provenance import identities_in
 from gyrobench.bench.station.instruments import Outputs
 from gyrobench.bench.station.locks import GUARD_COMMAND, BenchLock, Holder, bench_holders
 from gyrobench.bench.station.safe_state import RAMP_PERIOD_S, SafeAction, finish_ramp, make_safe
@@ -34,6 +35,8 @@ _ALARM_PATIENCE_S = 900.0
 class Rescue:
     """Makes table and chamber of a bench safe over their ports, with repeated attempts.
 
+    Another instrument than the run's under the name of a port is not commanded.
+
     Raises DocumentError if the station file is wrong.
     """
 
@@ -45,6 +48,7 @@ class Rescue:
         self._clock = clock
         self._log = log
         self._killed = False
+        self._known = identities_in(self._folder)
         self._engine_holders = [
             each for each in bench_holders(self._station) if each.pid == config.engine_pid
         ]
@@ -63,7 +67,7 @@ class Rescue:
         for pause_s in _PAUSES_S:
             self._clock.sleep(pause_s)
             try:
-                with self._lock(), Outputs(self._station, self._clock) as outputs:
+                with self._lock(), Outputs(self._station, self._clock, known=self._known) as outputs:
                     taken: dict[str, SafeAction] = {}
                     for actions in self._made_safe(outputs, left):
                         is_first = left is None

@@ -7,7 +7,7 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import takewhile
@@ -32,7 +32,7 @@ from gyrobench.bench.jog.terminal import (
     TypedLines,
 )
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.bench.station.instruments import Emulation, Instruments
+from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE, Emulation, Instruments
 from gyrobench.bench.station.locks import JOG_COMMAND, BenchLock
 from gyrobench.bench.station.station import Station
 
@@ -69,6 +69,9 @@ def jog_bench(name: str, commands: Sequence[str], emulation: Emulation, leave: b
         interruptions = held.enter_context(Interruptions())
         lock = held.enter_context(BenchLock(station, folder, clock, JOG_COMMAND))
         instruments = held.enter_context(Instruments(station, clock, emulation, may_be_absent=True))
+        for each in (RATE_TABLE, CHAMBER):
+            with suppress(InstrumentError):  # left out, or to be asked again
+                instruments.identify(each)
         for error in instruments.absent.values():
             display.print(f"Left out: {error}")
         for text in lock.taken_over:

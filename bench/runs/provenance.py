@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import platform
@@ -55,11 +56,24 @@ def write_provenance(
     _write(folder, content)
 
 
-def add_identity(folder: RunFolder, instrument: str, identity: str) -> None:
-    """Add the identity of an instrument that was switched on later."""
+def add_identity(folder: RunFolder, instrument: str, identity: str) -> str:
+    """Add the identity of an instrument that was switched on later, or has another one than before.
+
+    Returns the one before; empty if there was none.
+    """
     content = read_provenance(folder)
-    content["instruments"][instrument] = identity
-    _write(folder, content)
+    before = content["instruments"].get(instrument)
+    if identity != before:
+        content["instruments"][instrument] = identity
+        _write(folder, content)
+    return str(before or "")
+
+
+def identities_in(folder: RunFolder) -> dict[str, str]:
+    """Identity of each instrument of a run by its name; empty where provenance.json can't be read."""
+    with contextlib.suppress(RunFolderError):
+        return {name: str(text) for name, text in read_provenance(folder).get("instruments", {}).items()}
+    return {}
 
 
 def note_inputs(folder: RunFolder) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import threading
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from concurrent.futures import Future, InvalidStateError, wait
 from dataclasses import dataclass
 from functools import partial
@@ -119,15 +119,22 @@ class Outputs:
     """Rate table and chamber, whose outputs can do harm; a context manager that closes them.
 
     Each is opened at its first use, independently of the other. If its port can't be opened, that use
-    raises, and the next one tries again.
+    raises, and the next one tries again. So it does where another instrument answers than ``known`` states,
+    by name, or its section of the station file; one that does not answer may be the right one.
     """
 
-    def __init__(self, station: Station, clock: Clock, emulation: Emulation | None = None) -> None:
+    def __init__(
+        self,
+        station: Station,
+        clock: Clock,
+        emulation: Emulation | None = None,
+        known: Mapping[str, str] | None = None,
+    ) -> None:
         self.clock = clock
         self._station = station
         self._emulation = emulation or Emulation()
         self._drivers: dict[str, Any] = {}  # those opened so far
-        self._identities: dict[str, str] = {}
+        self._identities = dict(known or {})
 
     def __enter__(self) -> Self:
         return self
@@ -174,19 +181,19 @@ class Outputs:
             if event not in excluded:
                 self.chamber.switch_event(event, on)
 
-    def note_identities(self) -> None:
-        """Note which table and chamber these are, for :meth:`reopen`; one that is silent is not noted."""
-        for instrument in (RATE_TABLE, CHAMBER):
-            with contextlib.suppress(InstrumentError):
-                driver = self._driver(instrument)
-                if getattr(driver, "is_identified", True):
-                    self._identities[instrument] = driver.identify()
+    def identify(self, instrument: str) -> str:
+        """Identification of the rate table or the chamber, which is noted for :meth:`reopen`.
+
+        Raises ConnectionFailedError if it is another one than known.
+        """
+        found = self._identified(instrument, self._driver(instrument))
+        return self._identities.setdefault(instrument, found)
 
     def reopen(self, instrument: str) -> None:
         """Close and reopen the port of one instrument, named as in errors; after a failure it stays closed.
 
-        Raises ConnectionFailedError if it can't be opened, does not answer, or is not the one whose identity
-        was noted: adapters that come back may have exchanged their names.
+        Raises ConnectionFailedError if it can't be opened, does not answer, or is another one than before:
+        adapters that come back may have exchanged their names.
         """
         if instrument not in (RATE_TABLE, CHAMBER):
             raise ValueError(f"no instrument is called {instrument!r}")
@@ -195,9 +202,7 @@ class Outputs:
         def reopened() -> RateTable | Chamber:
             if before is not None:
                 before.close()
-            driver = self._newly_opened(instrument)
-            self._require_same(instrument, driver)
-            return driver
+            return self._newly_opened(instrument)
 
         try:
             self._drivers[instrument] = driver = self._in_time(instrument, reopened)
@@ -207,21 +212,6 @@ class Outputs:
             raise ConnectionFailedError(instrument, f"its port is open, but {error.message}") from error
         if isinstance(before, SoftwareRamp) and isinstance(driver, SoftwareRamp):
             driver.continue_from(before)
-
-    def _require_same(self, instrument: str, driver: RateTable | Chamber) -> None:
-        """Close a driver and raise ConnectionFailedError if another instrument answers.
-
-        One that does not answer may be the right one, and is to be stopped all the same.
-        """
-        known = self._identities.get(instrument)
-        with contextlib.suppress(NoReplyError, ReplyError, RefusedError):
-            if known is not None and (found := driver.identify()) != known:
-                driver.close()
-                raise ConnectionFailedError(
-                    instrument,
-                    f"another instrument answers on its port: {found} in place of {known}. Check the cables, "
-                    "and whether adapters exchanged their names: /dev/serial/by-id has names that stay.",
-                )
 
     def close(self) -> None:
         """Close the ports; table and chamber keep their state."""
@@ -235,7 +225,42 @@ class Outputs:
 
     def _newly_opened(self, instrument: str) -> RateTable | Chamber:
         open_it = open_table if instrument == RATE_TABLE else open_chamber
-        return open_it(self._station, self.clock, self._emulation)
+        driver: RateTable | Chamber = open_it(self._station, self.clock, self._emulation)
+        if instrument in self._identities or self._identity_text(instrument):
+            try:
+                self._identified(instrument, driver)
+            except (NoReplyError, ReplyError, RefusedError):
+                pass  # may be the right one, and is to be stopped all the same
+            except InstrumentError:
+                driver.close()
+                raise
+        return driver
+
+    def _identity_text(self, instrument: str) -> str:
+        """What the station file states that its identification contains."""
+        section = self._station.file
+        return (section.rate_table if instrument == RATE_TABLE else section.chamber).identity
+
+    def _identified(self, instrument: str, driver: RateTable | Chamber) -> str:
+        """Ask an instrument what it is; raises ConnectionFailedError if it is another one than known."""
+        text, known = self._identity_text(instrument), self._identities.get(instrument)
+
+        def problem(found: str) -> tuple[str, str] | None:
+            if text not in found:
+                return f"{found}, which lacks {text!r}", "else correct `identity` in the station file"
+            if known in (None, found):
+                return None
+            advice = "if it was replaced, resume the run with --other-instruments"
+            return f"{found} in place of {known}", advice
+
+        found = driver.identify()
+        if problem(found) and (other := problem(found := driver.identify())):  # a damaged reply comes once
+            raise ConnectionFailedError(
+                instrument,
+                f"another instrument answers on its port: {other[0]}. Check cables and names of adapters "
+                f"(those in /dev/serial/by-id stay); {other[1]}.",
+            )
+        return found
 
     def _in_time(self, instrument: str, open_it: Callable[[], _DriverT]) -> _DriverT:
         return within(self.clock, _opening_time_s(self.clock), instrument, open_it, lambda late: late.close())
@@ -257,8 +282,9 @@ class Instruments(Outputs):
         emulation: Emulation,
         may_be_absent: bool = False,
         dropped: Collection[str] = (),
+        known: Mapping[str, str] | None = None,
     ) -> None:
-        super().__init__(station, clock, emulation)
+        super().__init__(station, clock, emulation, known)
         #: Instruments that are left out, and why.
         self.absent: dict[str, InstrumentError] = {}
         #: The INS of each unit, by its name in messages, in the order of the station file.

@@ -43,7 +43,7 @@ class Chamber(RunsProfiles, Protocol):
     def identify(self) -> str:
         """Name of the controller, for the run's provenance.
 
-        The same text at each call, unless the driver has ``is_identified = False``.
+        The same text at each call.
         """
 
     def read(self) -> ChamberReading:

@@ -54,7 +54,7 @@ class RateTable(Protocol):
     def identify(self) -> str:
         """Maker, model, serial number and firmware, as the controller reports them.
 
-        The same text at each call, unless the driver has ``is_identified = False``.
+        The same text at each call.
         """
 
     def prepare(self) -> None:

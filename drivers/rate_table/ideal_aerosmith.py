@@ -45,8 +45,6 @@ class IdealAerosmith:
     ``axis`` is the bench's number of the axis; the controller has none.
     """
 
-    is_identified = False  #: Nothing distinguishes one controller from another.
-
     def __init__(self, line: SerialLine, axis: int = 1, reply_timeout_s: float = 1.0) -> None:
         self._line = line
         self._axis = axis
@@ -57,8 +55,9 @@ class IdealAerosmith:
         self._still_since_s: float | None = None
 
     def identify(self) -> str:
-        """Name of the dialect and status: the controller can't be identified, but must reply."""
-        return f"Ideal Aerosmith single-axis table, status {self._value('STA'):g}; no serial number available"
+        """Name of the dialect: the controller can't be identified, but must reply."""
+        self._value("STA")
+        return "Ideal Aerosmith single-axis table; no serial number available"
 
     def prepare(self) -> None:
         """Switch the motor on and set the limits given before.

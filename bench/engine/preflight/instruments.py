@@ -23,8 +23,11 @@ _FIND_CAUSE = "Find the cause and clear it at the controller."
 _DriverT = TypeVar("_DriverT", RateTable, Chamber)
 
 
-def answered(subject: str, identification: str, expected: str) -> Check:
-    """Check whether an instrument that answered is the one in the station file."""
+def answered(subject: str, identification: str, expected: str = "") -> Check:
+    """Check whether an instrument that answered is the one in the station file.
+
+    Table and chamber are compared when they are opened.
+    """
     is_right = expected in identification
     found = identification if is_right else f"identifies as {identification}, which lacks {expected!r}"
     advice = "Connect the right instrument, or correct `identity` in the station file."
@@ -32,8 +35,9 @@ def answered(subject: str, identification: str, expected: str) -> Check:
 
 
 def unanswered(subject: str, error: InstrumentError) -> Check:
-    """Report why an instrument does not answer."""
-    return Check.of(subject, ANSWERS, False, error.message, "Nothing else is checked until it answers.")
+    """Report why an instrument does not answer, or that it is another one."""
+    advice = "Connect the right instrument; nothing else is checked until it answers."
+    return Check.of(subject, ANSWERS, False, error.message, advice)
 
 
 def failed(subject: str, what: str, error: InstrumentError) -> Check:
@@ -47,7 +51,7 @@ def table_checks(station: Station, table: Callable[[], RateTable]) -> Iterator[C
     ``table`` returns the driver, or raises where it can't be opened.
     """
     checks = (("no faults", _table_faults), (_LIMITS, _table_limits))
-    yield from _checks(RATE_TABLE, station, table, station.file.rate_table.identity, checks)
+    yield from _checks(RATE_TABLE, station, table, checks)
 
 
 def chamber_checks(station: Station, chamber: Callable[[], Chamber]) -> Iterator[Check]:
@@ -64,20 +68,19 @@ def chamber_checks(station: Station, chamber: Callable[[], Chamber]) -> Iterator
         ("no profile", _chamber_profile),
         ("set point", _chamber_set_point),
     )
-    yield from _checks(CHAMBER, station, chamber, station.file.chamber.identity, checks)
+    yield from _checks(CHAMBER, station, chamber, checks)
 
 
 def _checks(
     subject: str,
     station: Station,
     driver: Callable[[], _DriverT],
-    identity: str,
     checks: Iterable[tuple[str, Callable[[Station, _DriverT], tuple[bool, str, str]]]],
 ) -> Iterator[Check]:
     """Make each check from whether it passes, what was found, and the advice."""
     try:
         opened = driver()
-        yield answered(subject, opened.identify(), identity)
+        yield answered(subject, opened.identify())
     except InstrumentError as error:
         yield unanswered(subject, error)
         return

@@ -15,11 +15,15 @@ from gyrobench.bench.engine.operator import ConsentingOperator, RunCommand
 from gyrobench.bench.engine.resume import MAX_RESUMES_WITHOUT_PROGRESS, prepare_resumption
 from gyrobench.bench.engine.run import resume_run, run_job
 from gyrobench.bench.foundations.clock import VirtualClock
-from gyrobench.bench.foundations.errors import BenchInUseError, RunFolderError
+from gyrobench.bench.foundations.errors import BenchInUseError, ConnectionFailedError, RunFolderError
 from gyrobench.bench.runs.folder import open_run_folder
 from gyrobench.bench.runs.journal import Journal, read_journal
-from gyrobench.bench.station.instruments import Emulation
+from gyrobench.bench.runs.provenance import read_provenance
+from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE, Emulation
 from gyrobench.bench.station.locks import RunLock
+from gyrobench.drivers.chamber.watlow_f4 import WatlowF4
+from gyrobench.drivers.ins.can_ins import CanIns
+from gyrobench.drivers.rate_table.acutrol3000 import Acutrol3000
 from tests.bench.engine.intervention import TWO_TEMPERATURES, KilledError, RefusingOperator
 from tests.drivers.emulators.forked import ForkedProcess
 
@@ -224,6 +228,43 @@ def test_a_run_of_another_unit_is_not_continued(in_third_dwell):
     assert outcome.ended == "stopped"
     assert "is unit 1003, but this run measures 77" in outcome.reason
     assert open_run_folder(path).journal.exists()
+
+
+@pytest.mark.parametrize(("instrument", "driver"), [(RATE_TABLE, Acutrol3000), (CHAMBER, WatlowF4)])
+def test_another_instrument_continues_no_run_unless_it_replaces_the_first(
+    in_third_dwell, monkeypatch, instrument, driver
+):
+    """Adapters that exchanged their names in a power cut, and a controller that was replaced."""
+    path, before = in_third_dwell, (in_third_dwell / "journal.jsonl").read_bytes()
+    monkeypatch.setattr(driver, "identify", lambda _: "another one")
+    with pytest.raises(ConnectionFailedError, match=f"{instrument}: .* another one in place of .*--other-i"):
+        resume_run(prepare_resumption(path), Watcher(), ConsentingOperator())
+    assert (path / "journal.jsonl").read_bytes() == before
+    watcher = Watcher("power_on")
+    with pytest.raises(KilledError):
+        resume_run(prepare_resumption(path), watcher, ConsentingOperator(), other_instruments=True)
+    assert any(f"Another {instrument} than before: another one" in note for note in watcher.notes)
+    assert read_provenance(open_run_folder(path))["instruments"][instrument] == "another one"
+    with pytest.raises(KilledError):
+        resume_run(prepare_resumption(path), Watcher("power_on"), ConsentingOperator())
+
+
+def test_an_ins_that_identifies_otherwise_than_before_is_noted(in_third_dwell, monkeypatch):
+    monkeypatch.setattr(CanIns, "identify", lambda *_: "serial number 1003, firmware 104")
+    watcher = Watcher("chamber")
+    with pytest.raises(KilledError):
+        resume_run(prepare_resumption(in_third_dwell), watcher, ConsentingOperator())
+    assert any("firmware 104; before as serial number 1003, firmware 103" in note for note in watcher.notes)
+
+
+def test_an_ins_without_the_identity_of_its_section_is_not_measured(in_third_dwell):
+    station = in_third_dwell / "station.yaml"
+    station.write_text(station.read_text().replace("ins:\n", "ins:\n  identity: firmware 7\n", 1))
+    _, outcome = resume_run(prepare_resumption(in_third_dwell), Watcher(), RefusingOperator())
+    assert (
+        "identifies as serial number 1003, firmware 103, hardware 1, which lacks 'firmware 7'"
+        in outcome.reason
+    )
 
 
 class Script(ConsentingOperator):

@@ -1,5 +1,6 @@
 """What a rescue does where the chamber's controller does not ramp, on an emulated bench in virtual time."""
 
+import json
 from functools import partial
 
 import pytest
@@ -10,8 +11,9 @@ from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.guard.protocol import GuardConfig
 from gyrobench.bench.guard.rescue import Rescue
 from gyrobench.bench.guard.watching import EngineEnd, EngineProcess, GuardLog
+from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
-from gyrobench.bench.station.instruments import Emulation, Outputs
+from gyrobench.bench.station.instruments import RATE_TABLE, Emulation, Outputs
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.rate_table.acutrol3000 import Acutrol3000
 
@@ -40,6 +42,24 @@ def rescued(tmp_path, monkeypatch):
         return opened(Station(path), clock), log.read_text(), list(read_journal(tmp_path / "journal.jsonl"))
 
     return rescue
+
+
+def test_another_table_under_the_name_of_the_first_is_not_commanded_and_the_chamber_is_safe(
+    rescued, tmp_path, monkeypatch
+):
+    stops = []
+    monkeypatch.setattr(Acutrol3000, "stop", stops.append)
+    monkeypatch.setattr(Acutrol3000, "release", stops.append)
+    RunFolder(tmp_path).provenance.write_text(json.dumps({"instruments": {RATE_TABLE: "the first table"}}))
+    outputs, log, entries = rescued("  []\n")
+    with outputs:
+        assert outputs.chamber.set_point_c() == 23.0
+    assert not stops
+    problems = last_problems(entries[:1])
+    assert "in place of the first table" in problems.pop(TABLE)
+    assert "in place of the first table" in problems.pop("rate table's servos off")
+    assert set(problems.values()) == {""}
+    assert "gives up: the bench is NOT in its safe state" in log
 
 
 def last_problems(entries):

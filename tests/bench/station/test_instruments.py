@@ -9,14 +9,17 @@ from contextlib import closing
 import pytest
 
 from gyrobench.bench.foundations.clock import VirtualClock, WallClock
-from gyrobench.bench.foundations.errors import ConnectionFailedError
+from gyrobench.bench.foundations.errors import ConnectionFailedError, NoReplyError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE, Emulation, Instruments, Outputs, open_ins
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.chamber.watlow_f4 import WatlowF4
 from gyrobench.drivers.ins.can_bus import INSTRUMENT as INS
+from gyrobench.drivers.rate_table.acutrol3000 import Acutrol3000
 from gyrobench.drivers.serial_line import SerialLine
 from tests.drivers.emulators.forked import served
+
+EMULATED_TABLE = "Acutronic R&D USA,Acutrol3000,0,gyrobench emulator"
 
 
 @pytest.fixture
@@ -124,6 +127,33 @@ def test_a_socketcand_server_that_says_nothing_is_given_up(changed, monkeypatch)
     gc.collect()
 
 
+def test_an_instrument_without_the_identity_of_its_section_is_not_commanded(changed):
+    path = changed(("  dialect: watlow_f4\n", "  dialect: watlow_f4\n  identity: model number 5271\n"))
+    with Outputs(Station(path), VirtualClock()) as outputs:
+        with pytest.raises(ConnectionFailedError, match=r"model number 5270.*lacks 'model number 5271'"):
+            outputs.chamber.switch(True)
+        outputs.table.stop()
+
+
+def test_a_damaged_identification_is_asked_again(station, monkeypatch):
+    answers, identify = ["Acutronic R&D USA,Acutrol3000,0,gyr#bench emulator"], Acutrol3000.identify
+    monkeypatch.setattr(Acutrol3000, "identify", lambda table: answers.pop() if answers else identify(table))
+    with Outputs(station, VirtualClock(), known={RATE_TABLE: EMULATED_TABLE}) as outputs:
+        assert outputs.identify(RATE_TABLE) == EMULATED_TABLE
+        assert not answers
+
+
+def test_a_silent_table_may_be_the_right_one_and_is_stopped(station, monkeypatch):
+    def silent(table):
+        raise NoReplyError(RATE_TABLE, "says nothing")
+
+    monkeypatch.setattr(Acutrol3000, "identify", silent)
+    with Outputs(station, VirtualClock(), known={RATE_TABLE: EMULATED_TABLE}) as outputs:
+        outputs.table.stop()
+        with pytest.raises(NoReplyError):
+            outputs.identify(RATE_TABLE)
+
+
 @pytest.mark.long
 def test_another_chamber_under_the_name_of_the_first_is_not_commanded(changed, tmp_path):
     """Two adapters that came back with exchanged names."""
@@ -133,7 +163,7 @@ def test_another_chamber_under_the_name_of_the_first_is_not_commanded(changed, t
     port.symlink_to(ours)
     path = changed(("port: emulator://chamber", f"port: {port}"), ("clock: virtual", "clock: wall"))
     with Outputs(Station(path), WallClock()) as outputs:
-        outputs.note_identities()
+        outputs.identify(CHAMBER)
         outputs.chamber.set_temperature(30.0, None)
         port.unlink()
         port.symlink_to(theirs)

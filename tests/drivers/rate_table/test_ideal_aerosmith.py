@@ -156,7 +156,7 @@ def test_a_jog_too_fast_is_refused(bench):
 def test_limits_and_identity_can_not_be_read(bench):
     table = bench.driver()
     assert bench.requests_of(table.identify) == [b"STA\r"]
-    assert table.identify() == ("Ideal Aerosmith single-axis table, status 0; no serial number available")
+    assert table.identify() == "Ideal Aerosmith single-axis table; no serial number available"
     with pytest.raises(RefusedError, match="read them from its panel"):
         table.limits()
 
