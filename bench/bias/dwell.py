@@ -181,8 +181,9 @@ class Dwell:
             is_mounting = np.abs(turn - np.rint(turn)).max() < _RIGHT_ANGLE_TOLERANCE
             raise (SignalMapError if is_mounting else MeasurementError)(
                 f"{self.position_name}: {what} and {other} disagree by {np.rad2deg(angle):.1f} deg "
-                f"(at most {np.rad2deg(MAX_ATTITUDE_DISAGREEMENT):g} deg is allowed). Check outer_axis, "
-                "inner_axis and mounting of rate_table in the station file, and whether the INS had aligned"
+                f"(at most {np.rad2deg(MAX_ATTITUDE_DISAGREEMENT):g} deg is allowed). Check directions and "
+                "numbers of the axes and the mounting in rate_table of the station file, and whether the INS "
+                "had aligned"
             )
 
 

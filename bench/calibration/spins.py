@@ -28,6 +28,9 @@ from gyrobench.bench.navigation.positions import AXES
 
 #: Rates that differ by less than this part are one.
 _SAME_RATE = 0.02
+#: Whole turns contradict gravity beyond this number of standard uncertainties of the scale factor, and ppm:
+#: what accelerometers that settle by 60 ug make of one turn.
+_MIN_SIGMAS, _MIN_PPM = 5.0, 10.0
 
 
 @dataclass(frozen=True)
@@ -84,6 +87,26 @@ def spin_scale_factors(calibration: Calibration, site: Site, whole_turns: float)
         for spin in section.spin_errors(start, common, site):
             found.setdefault(spin.axis, []).append((begin_s + float(edges_s[spin.epoch]), spin))
     return [_of_gyro(calibration, axis, found[axis], whole_turns) for axis in sorted(found)]
+
+
+def gravity_contradiction(calibration: Calibration, spun: Sequence[SpinScaleFactor]) -> str:
+    """That whole turns are not whole, which gravity shows where a gyro was spun level; empty if they may be.
+
+    ``calibration``: with ``options.whole_turns`` None, so that gravity alone determines the scale factors.
+    One that depends on the rate lies between those of the spins.
+    """
+    for each in spun:
+        place = 3 + 4 * AXES.index(each.axis)
+        value, sigma = 1e6 * calibration.common[place], 1e6 * calibration.sigmas[place]
+        by_table = [row.scale_factor_ppm for row in each.spins]
+        beyond = max(min(by_table) - value, value - max(by_table))
+        if calibration.is_observed[place] and beyond > _MIN_SIGMAS * sigma + _MIN_PPM:
+            return (
+                f"whole turns of the {each.axis} gyro give a scale factor of {each.scale_factor_ppm:.1f} ppm "
+                f"against the table, and {value:.1f} ± {sigma:.1g} ppm against gravity. Check the encoder: "
+                "the table does not turn by whole turns"
+            )
+    return ""
 
 
 def _of_gyro(

@@ -15,7 +15,7 @@ from gyrobench.bench.calibration.estimator import Calibration, calibrate, covari
 from gyrobench.bench.calibration.increment_recording import IncrementRecording, Rest
 from gyrobench.bench.calibration.information import BIAS_DRIFT, CalibrationOptions, Information
 from gyrobench.bench.calibration.rotation_list import STEP_S, ideal_increments
-from gyrobench.bench.calibration.spins import spin_scale_factors
+from gyrobench.bench.calibration.spins import gravity_contradiction, spin_scale_factors
 from gyrobench.bench.characteristics.scale_factor import SpinRecord
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.dwells.rotated_dwell import RotatedDwell, measure_rotations
@@ -170,6 +170,8 @@ def spin_record(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) 
         options = replace(_options(setup), whole_turns=None, g_sensitivity=False)
         found = _calibrated(dwell.pieces, setup.site, options)
         spun = spin_scale_factors(found, setup.site, setup.table_repeatability)
+        if contradiction := gravity_contradiction(found, spun):
+            raise MeasurementError(contradiction)
     except MeasurementError as error:
         return SpinRecord(marks.run, at_s, NOT_MEASURED, (), str(error).rstrip("."))
     return SpinRecord(marks.run, at_s, dwell.gyro_c, tuple(spun))

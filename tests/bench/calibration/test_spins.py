@@ -8,7 +8,7 @@ import pytest
 from gyrobench.bench.calibration.estimator import calibrate
 from gyrobench.bench.calibration.increment_recording import IncrementRecording
 from gyrobench.bench.calibration.information import CalibrationOptions
-from gyrobench.bench.calibration.spins import spin_scale_factors
+from gyrobench.bench.calibration.spins import gravity_contradiction, spin_scale_factors
 from gyrobench.bench.navigation.attitude import rotation_matrices
 from gyrobench.bench.navigation.error_model import Site
 from tests.bench.calibration.rotated_unit import EIGHTEEN, Noise, Unit
@@ -102,3 +102,29 @@ def test_what_the_table_does_not_return_by_is_no_error_of_the_gyro():
         (1e6 * found.values[11], 1e6 * found.sigmas[11]),
     ):
         assert abs(value - SCALE_PPM) < 4.0 * sigma < 3.0
+
+
+@pytest.mark.parametrize("table_ppm", [0.0, 100.0])
+def test_turns_that_are_not_whole_contradict_gravity_where_a_gyro_is_spun_level(table_ppm):
+    """A wrong scale of the encoder, which repeats from turn to turn."""
+    turn_deg = 360.0 * (1.0 + table_ppm * 1e-6)
+    made = Unit(
+        rotations=(
+            *[("outer", angle_deg, 20.0) for angle_deg in (90.0, 90.0, -90.0, -90.0)],
+            *[("outer", sign * turn_deg, 20.0) for _ in range(2) for sign in (1.0, -1.0)],
+        ),
+        dwell_s=60.0,
+        rate_dps=10.0,
+        sample_hz=20.0,
+        gravity=SITE.gravity,
+        gyro_matrix=SCALE_PPM * 1e-6 * np.eye(3),
+    )
+    increments = Noise().added(*made.increments(), 0.05, np.random.default_rng(3))
+    alone = CalibrationOptions(whole_turns=None)
+    found = calibrate([IncrementRecording(0.05, *increments)], SITE, alone)
+    spun = spin_scale_factors(found, SITE, ARCSEC)
+    contradiction = gravity_contradiction(found, spun)
+    if table_ppm:
+        assert "give a scale factor of 130.1 ppm against the table, and 30.0" in contradiction
+    else:
+        assert not contradiction
