@@ -293,7 +293,17 @@ class CanIns:
             expected = status.compensation_loaded if loaded is None else loaded
             return status.compensation is True and (used == expected or None in (used, expected))
 
-        self._complete(self._commanding("apply_compensation", "compensation", in_use, timeout_s))
+        try:
+            self._complete(self._commanding("apply_compensation", "compensation", in_use, timeout_s))
+        except NoReplyError as error:
+            used = self.status().compensation_in_use
+            if not self.status().compensation or used is None:
+                raise
+            raise NoReplyError(
+                self.name,
+                f"applies a compensation with the checksum {used:08x}, which is not the one that was loaded. "
+                "It kept another one, or rounds, limits or ignores coefficients.",
+            ) from error
 
     def _complete(self, steps: Iterator[None]) -> None:
         for _ in steps:
