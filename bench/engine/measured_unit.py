@@ -37,7 +37,7 @@ class MeasuredUnit:
         self.run = context.units[live.station.number]
         self.journal = context.unit_journals[live.station.number]
         self.recorder = DwellRecorder(context.bench, live, self.run.setup)
-        self.is_identified = bool(self.run.state.unit)
+        self.is_identified = False
         self.tripped_s: float | None = None  #: since when its interlock is tripped
         self._contradicted = False
         live.state.number = self.run.state.unit or self.run.number or context.job.unit

@@ -161,7 +161,13 @@ class Units:
     def _identify(self, unit: MeasuredUnit) -> None:
         ins, known = unit.live.ins, unit.live.state.number
         identity = ins.identify()
-        number = str(ins.identity().get("serial_number", unit.run.number or known or UNKNOWN_UNIT))
+        serial_number = ins.identity().get("serial_number")
+        number = known or UNKNOWN_UNIT if serial_number is None else str(serial_number)
+        if serial_number is None and known and not unit.is_identified:
+            unit.note(
+                f"{ins.name} sends no serial number (ins.signals.identity.serial_number): whether another "
+                "unit is connected is not checked"
+            )
         if known not in ("", number):
             raise FaultError(ins.name, f"is unit {number}, but this run measures {known}. Connect {known}.")
         unit.live.state.number, unit.is_identified = number, True

@@ -82,6 +82,10 @@ class QueryResult:
         return [dict(zip(self.columns, row, strict=True)) for row in self.rows]
 
 
+class _IndexInUseError(RunFolderError):
+    """Another process holds the lock of the index."""
+
+
 class RunIndex:
     """The index of one store.
 
@@ -104,16 +108,14 @@ class RunIndex:
         found = {run.path: run for run in self._store.runs()}
         units_tag = self._store.tag(UNITS)
         is_new = rebuild or not self._is_usable()
-        if is_new:
-            self._remove()
-        known = self._fingerprints()
+        known = {} if is_new else self._fingerprints()
         changed = [run for path, run in found.items() if known.get(path) != run.fingerprint]
         gone = [path for path in known if path not in found and path != UNITS]
         if changed or gone or known.get(UNITS) != units_tag or is_new:
             make_folder(self.path.parent)
-            with self._connect(read_only=False) as connection:
+            with self._connect_to_write(is_new=is_new) as connection:
                 try:
-                    if is_new:
+                    if is_new:  # in the same file, whose lock other processes wait for
                         _make_tables(connection)
                     _remove_runs(connection, gone)
                     self._read_changed(connection, changed, progress)
@@ -201,9 +203,22 @@ class RunIndex:
         if self.path.exists() and not _is_duckdb(self.path):
             raise RunFolderError(f"{self.path}: not an index of runs, so it is not replaced. Remove it")
         try:
-            self.path.unlink(missing_ok=True)
+            for path in (self.path, self.path.with_name(f"{self.path.name}.wal")):
+                path.unlink(missing_ok=True)
         except OSError as error:
             raise RunFolderError(f"{self.path}: can't be removed: {error.strerror}") from error
+
+    def _connect_to_write(self, *, is_new: bool) -> duckdb.DuckDBPyConnection:
+        """Connect; a file that can't be opened is replaced where all of it is written again."""
+        try:
+            return self._connect(read_only=False)
+        except _IndexInUseError:
+            raise
+        except (DocumentError, RunFolderError):
+            if not is_new:
+                raise
+        self._remove()
+        return self._connect(read_only=False)
 
     def _connect(self, *, read_only: bool) -> duckdb.DuckDBPyConnection:
         clock = WallClock()
@@ -222,7 +237,7 @@ class RunIndex:
 
     def _not_opened(self, error: duckdb.Error, *, is_held: bool) -> RunFolderError:
         if is_held:
-            return RunFolderError(
+            return _IndexInUseError(
                 f"{self.path}: another process is using this index. Wait until it has finished"
             )
         if any(mark in str(error) for mark in _DAMAGED):
@@ -253,12 +268,17 @@ def _is_duckdb(path: Path) -> bool:
 
 
 def _make_tables(connection: duckdb.DuckDBPyConnection) -> None:
+    """Make empty tables in place of those that are there."""
+    connection.begin()
+    for (name,) in connection.execute("SELECT table_name FROM duckdb_tables()").fetchall():
+        connection.execute(f'DROP TABLE "{name}"')
     for name in SCHEMAS:
         columns = arrow_table(name, [])
         connection.register("columns", columns)
-        connection.execute(f"CREATE TABLE IF NOT EXISTS {name} AS SELECT * FROM columns")  # noqa: S608 - ours
+        connection.execute(f"CREATE TABLE {name} AS SELECT * FROM columns")  # noqa: S608 - ours
         connection.unregister("columns")
-    connection.execute(f"CREATE TABLE IF NOT EXISTS version AS SELECT {VERSION} AS number")
+    connection.execute(f"CREATE TABLE version AS SELECT {VERSION} AS number")
+    connection.commit()
 
 
 def _remove_runs(connection: duckdb.DuckDBPyConnection, paths: Sequence[str]) -> None:

@@ -257,6 +257,15 @@ def test_an_ins_that_identifies_otherwise_than_before_is_noted(in_third_dwell, m
     assert any("firmware 104; before as serial number 1003, firmware 103" in note for note in watcher.notes)
 
 
+def test_it_is_noted_that_an_ins_without_serial_number_may_be_another(in_third_dwell, monkeypatch):
+    monkeypatch.setattr(CanIns, "identity", lambda *_: {})
+    watcher = Watcher("chamber")
+    with pytest.raises(KilledError):
+        resume_run(prepare_resumption(in_third_dwell), watcher, ConsentingOperator())
+    (note,) = [note for note in watcher.notes if "sends no serial number" in note]
+    assert "whether another unit is connected is not checked" in note
+
+
 def test_an_ins_without_the_identity_of_its_section_is_not_measured(in_third_dwell):
     station = in_third_dwell / "station.yaml"
     station.write_text(station.read_text().replace("ins:\n", "ins:\n  identity: firmware 7\n", 1))

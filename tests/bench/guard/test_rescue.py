@@ -50,6 +50,7 @@ def test_another_table_under_the_name_of_the_first_is_not_commanded_and_the_cham
     stops = []
     monkeypatch.setattr(Acutrol3000, "stop", stops.append)
     monkeypatch.setattr(Acutrol3000, "release", stops.append)
+    monkeypatch.setattr("gyrobench.bench.guard.rescue._PAUSES_S", (0.0, 1.0))
     RunFolder(tmp_path).provenance.write_text(json.dumps({"instruments": {RATE_TABLE: "the first table"}}))
     outputs, log, entries = rescued("  []\n")
     with outputs:

@@ -2,9 +2,11 @@
 
 import json
 import shutil
+import time
 from datetime import datetime
 from functools import partial
 
+import duckdb
 import fsspec
 import pytest
 
@@ -13,6 +15,7 @@ from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.runs.index.run_index import IndexUpdate, RunIndex, Selection, find_runs
 from gyrobench.bench.runs.index.store import open_store
 from tests.bench.runs.index.sample_runs import copy_run, write_verdict
+from tests.drivers.emulators.forked import ForkedProcess
 
 
 @pytest.fixture
@@ -172,6 +175,31 @@ def test_a_damaged_index_is_rebuilt_at_once(runs):
     content[12:200] = bytes(188)
     index.path.write_bytes(bytes(content[:5000]))
     assert index_of(runs).update().read == 3
+
+
+def hold(path):
+    """Hold an index open for writing until the process is ended."""
+    with duckdb.connect(path):
+        print("held", flush=True)
+        time.sleep(600.0)
+
+
+@pytest.mark.long
+def test_an_index_that_another_process_writes_is_not_rebuilt_under_it(runs, monkeypatch):
+    index = index_of(runs)
+    index.update()
+    monkeypatch.setattr("gyrobench.bench.runs.index.run_index._LOCK_TIMEOUT_S", 0.1)
+    holder = ForkedProcess(hold, str(index.path))
+    assert holder.stdout.readline() == "held\n"
+    with pytest.raises(RunFolderError, match="another process is using this index"):
+        index.update(rebuild=True)
+    holder.kill()
+    holder.wait()
+    holder.close()
+    assert index.update() == IndexUpdate(read=0, gone=0, unchanged=3)
+    assert index.update(rebuild=True) == IndexUpdate(read=3, gone=0, unchanged=0)
+    index.path.with_name(f"{index.path.name}.wal").write_bytes(b"of another file" * 100)
+    assert index.update(rebuild=True) == IndexUpdate(read=3, gone=0, unchanged=0)
 
 
 def test_one_query_is_answered_at_a_time(runs):
