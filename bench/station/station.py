@@ -61,6 +61,10 @@ class Station:
         if port == self.file.chamber.port and not port.startswith(FILL_IN):
             problem = f"the rate table has the port {port} too. Give each instrument the port that it is on"
             raise self._document.error([DocumentProblem(("chamber", "port"), problem)])
+        for key in ("chamber_event", "chamber_output"):
+            if not self.file.units and getattr(self.file.chamber, key, None) in self.power_events:
+                problem = f"output {self.file.unit.power_event} switches the chamber itself, by chamber.{key}"
+                raise self._document.error([DocumentProblem(("unit", "power_event"), problem)])
         try:
             self.table = self._table()  #: Kinematics of the table with the unit on it.
         except DocumentError as error:

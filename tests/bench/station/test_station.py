@@ -34,6 +34,17 @@ def test_a_table_with_a_vertical_outer_axis_says_which_positions_it_can_not_reac
     assert "can't reach" in limits.reachable("x_up", 0.0, ())
 
 
+@pytest.mark.parametrize(
+    ("name", "key"),
+    [("emulated", "chamber_event"), ("emulated_f4t", "chamber_output"), ("four_units", "chamber_event")],
+)
+def test_an_output_of_the_chamber_does_not_feed_the_unit_too(tmp_path, name, key):
+    path = tmp_path / "station.yaml"
+    path.write_text(find_document("stations", name).read_text().replace("power_event: 2", "power_event: 1"))
+    with pytest.raises(DocumentError, match=rf"output 1 switches the chamber itself, by chamber\.{key}"):
+        _ = Station(path).units
+
+
 def test_one_port_for_table_and_chamber_is_an_error_with_its_place(changed):
     path = changed(("port: emulator://chamber", "port: emulator://table"))
     with pytest.raises(
