@@ -17,7 +17,7 @@ evaluated is worked out here.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,8 +45,14 @@ from gyrobench.bench.runs.marks import DwellMarks
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow
 
 _EAST, _NORTH = np.eye(3)[:2]
+#: Azimuth errors of the table in one position agree within this, rad, and this number of standard
+#: uncertainties of each.
+_MAX_TABLE_ERROR, _MAX_TABLE_SIGMAS = math.radians(0.05), 5.0
 #: A gyro points East or North if it is no farther away than this.
 _MAX_ANGLE_DEG = 1.0
+
+#: Two alignments half a turn apart; None where the second one is missing.
+_Pair = tuple[CheckDwell, CheckDwell | None]
 
 
 def calibration_check_rows(
@@ -73,8 +79,10 @@ def calibration_check_rows(
     }
     rows = [_velocity_row(each, calibrations[each.marks.unit], setup) for each in dwells]
     for plateau in group_plateaus(sorted(dwells, key=lambda dwell: dwell.dwell)):
-        for first, second in half_turn_pairs(plateau, lambda each: each.marks.azimuth_deg, _are_comparable):
-            rows.append(_alignment_row(first, second, calibrations[first.marks.unit], setup))
+        pairs = half_turn_pairs(plateau, lambda each: each.marks.azimuth_deg, _are_comparable)
+        for first, second in pairs:
+            row = _alignment_row(first, second, calibrations[first.marks.unit], setup, pairs)
+            rows.append(row)
     return sorted(rows, key=lambda row: (row.dwell, row.method))
 
 
@@ -93,8 +101,13 @@ def _velocity_row(
 
 
 def _alignment_row(
-    first: CheckDwell, second: CheckDwell | None, calibration: EarlierCalibration, setup: MeasurementSetup
+    first: CheckDwell,
+    second: CheckDwell | None,
+    calibration: EarlierCalibration,
+    setup: MeasurementSetup,
+    pairs: Sequence[_Pair],
 ) -> CalibrationCheckRow:
+    """Bias by a pair of alignments; ``pairs``: those of its plateau."""
     if second is None:
         opposite_deg = (first.marks.azimuth_deg + 180.0) % 360.0
         alone = f"no alignment at azimuth {opposite_deg:g} deg: a single one contains the table's error too"
@@ -103,6 +116,7 @@ def _alignment_row(
     row = replace(_empty_row(first.marks, "alignment", _EAST, flags), turned_dwell=second.marks.dwell)
     if first.navigation is None or second.navigation is None:
         return row
+    row = replace(row, flags=(*row.flags, *_table_flags((first, second), pairs, setup)))
     x, y, z = np.mean([first.aligning_c, second.aligning_c], axis=0).tolist()
     known = calibration.accelerometers(row.position, (x, y, z))
     bias = bias_from_alignments(
@@ -117,10 +131,43 @@ def _alignment_row(
     return _compared(row, (x, y, z), bias, None, known, calibration)
 
 
+def _table_flags(pair: _Pair, pairs: Sequence[_Pair], setup: MeasurementSetup) -> Iterator[str]:
+    """That the azimuth error of the table in a pair is not that of another one in its position.
+
+    In the mean of a pair's headings the bias cancels. An encoder with a wrong scale, or that slips, seems to
+    be a bias.
+    """
+    here = _table_error(pair, setup)
+    for other in pairs:
+        there = _table_error(other, setup) if _is_placed_alike(pair[0], other[0]) else None
+        if here and there and abs(here[0] - there[0]) > max(_MAX_TABLE_ERROR, here[1] + there[1]):
+            numbers = " and ".join(str(each.dwell) for each in other if each)
+            yield (
+                f"the heading of the INS is {math.degrees(here[0]):.2f} deg off that of the table, and "
+                f"{math.degrees(there[0]):.2f} deg in dwells {numbers}: the table does not turn by what it "
+                "reads. Check encoder and coupling of the vertical axis"
+            )
+            return
+
+
+def _table_error(pair: _Pair, setup: MeasurementSetup) -> tuple[float, float] | None:
+    """Heading of the INS less that of the table, mean of a pair, and how far noise may move it, rad."""
+    dwells = [each.navigation for each in pair if each and each.navigation]
+    if len(dwells) < len(pair):
+        return None
+    _, rate_n, _ = earth_rate_enu(setup.site.latitude)
+    align_s = min(each.marks.align_s for each in pair if each)
+    noise = max(each.noise.angle_random_walk for each in dwells) / rate_n / math.sqrt(2.0 * align_s)
+    return sum(_heading_error(each.dwell) for each in dwells) / len(dwells), _MAX_TABLE_SIGMAS * noise
+
+
+def _is_placed_alike(one: CheckDwell, other: CheckDwell) -> bool:
+    return (one.marks.unit, one.marks.position) == (other.marks.unit, other.marks.position)
+
+
 def _are_comparable(one: CheckDwell, other: CheckDwell) -> bool:
-    is_same = (one.marks.unit, one.marks.position) == (other.marks.unit, other.marks.position)
     apart_k = np.abs(np.subtract(one.aligning_c, other.aligning_c))  # NaN where there are no data
-    return is_same and not (apart_k > MAX_FROM_MEAN_K).any()
+    return _is_placed_alike(one, other) and not (apart_k > MAX_FROM_MEAN_K).any()
 
 
 def _empty_row(

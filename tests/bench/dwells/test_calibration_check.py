@@ -13,6 +13,7 @@ from gyrobench.bench.dwells.calibration_check import calibration_check_rows
 from gyrobench.bench.dwells.measure_dwell import AlignedNavigation, CheckDwell
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.dwells.temperatures import DwellTemperatures
+from gyrobench.bench.navigation.attitude import rotation_matrix
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 from gyrobench.bench.navigation.table_axes import TwoAxisTable
 from gyrobench.bench.procedure.plan import DwellPurpose
@@ -283,6 +284,28 @@ def test_each_unit_is_held_against_its_own_calibration():
     first, second = (row for row in rows_of(dwells, [calibrated(), other]) if row.method == "velocity")
     assert (first.unit, first.calibrated_dph) == ("U7", pytest.approx(-0.02))
     assert (second.unit, second.calibrated_dph) == ("U8", pytest.approx(0.5))
+
+
+@pytest.mark.parametrize(("scale", "is_flagged"), [(1.0, False), (1.001, True)])
+def test_a_table_that_does_not_turn_by_what_it_reads_is_no_bias(scale, is_flagged):
+    """Its reading is taken for the truth; the unit stands elsewhere."""
+    dwells = [_on_table(each, scale) for each in four_azimuths("z_up")]
+    rows = [row for row in rows_of(dwells, [calibrated()]) if row.method == "alignment"]
+    assert len(rows) == 2
+    for row, others in zip(rows, ("2 and 4", "1 and 3"), strict=True):
+        named = [flag for flag in row.flags if f"in dwells {others}: the table does not turn" in flag]
+        assert bool(named) == is_flagged
+        assert math.isnan(row.p_value) == is_flagged
+
+
+def _on_table(check, scale):
+    """The same dwell, but the table reads an azimuth that is off by a wrong scale."""
+    angle = math.radians(check.marks.azimuth_deg) * (1.0 - 1.0 / scale)
+    reading = rotation_matrix(UP, -angle)
+    dwell = check.navigation.dwell
+    tables = tuple(reading @ table for table in dwell.C_nb_table)
+    navigation = replace(check.navigation, dwell=replace(dwell, C_nb_table=tables))
+    return replace(check, navigation=navigation)
 
 
 def test_nothing_gives_nothing():
