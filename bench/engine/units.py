@@ -151,10 +151,16 @@ class Units:
             del self._aside[unit]
 
     def identify(self, again: bool) -> None:
-        """Read the serial numbers that are not known yet, or all ``again``, and check them."""
-        for unit in [unit for unit in self.running if again or not unit.is_identified]:
+        """Check the serial numbers: read those that are not known yet, or all ``again``.
+
+        Others are compared as last received: adapters that came back may have exchanged their names.
+        """
+        for unit in list(self.running):
             try:
-                self._identify(unit)
+                if again or not unit.is_identified:
+                    self._identify(unit)
+                elif (number := unit.live.ins.status().identity.get("serial_number")) is not None:
+                    _require_number(unit, str(number))
             except InstrumentError as error:
                 self.fail(unit, error)
 
@@ -168,8 +174,7 @@ class Units:
                 f"{ins.name} sends no serial number (ins.signals.identity.serial_number): whether another "
                 "unit is connected is not checked"
             )
-        if known not in ("", number):
-            raise FaultError(ins.name, f"is unit {number}, but this run measures {known}. Connect {known}.")
+        _require_number(unit, number)
         unit.live.state.number, unit.is_identified = number, True
         if (text := unit.live.station.file.ins.identity) not in identity:
             raise FaultError(
@@ -293,6 +298,13 @@ class Units:
         unit.journal.record("run_ended", ended="failed", reason=why, safe_state=[])
         run.journal.followers.remove(unit.journal)
         self._bench.leave_out(unit.live)
+
+
+def _require_number(unit: MeasuredUnit, number: str) -> None:
+    """Raise FaultError for the serial number of another unit."""
+    name, known = unit.live.name, unit.live.state.number
+    if known not in ("", number):
+        raise FaultError(name, f"is unit {number}, but this run measures {known}. Connect {known}.")
 
 
 def _may_pass(trips: Sequence[Trip]) -> bool:

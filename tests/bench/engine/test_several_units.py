@@ -133,6 +133,34 @@ def test_a_units_folder_is_a_run_folder_of_a_bench_with_that_unit_alone(whole, t
         prepare_resumption(folder.unit("1103").path)
 
 
+class BusExchanger(Watcher):
+    """Exchanges the buses of the first two units before the second position, as adapters that come back."""
+
+    def step_started(self, planned, bench):
+        super().step_started(planned, bench)
+        if self.left == 0 and planned.step.name == "go_to":
+            one, other = (unit.ins for unit in bench.units[:2])
+            for name in ("_bus", "_receive"):
+                mine, theirs = getattr(one, name), getattr(other, name)
+                setattr(one, name, theirs)
+                setattr(other, name, mine)
+
+    def ticked(self, bench, left_s):
+        pass
+
+
+@pytest.mark.long
+def test_units_whose_adapters_exchange_their_names_between_dwells_are_not_mixed_up(files, tmp_path):
+    watcher = BusExchanger("go_to", 2)
+    folder, outcome = run_of(job_of(files), tmp_path / "run", watcher)
+    assert outcome.ended == "finished"
+    assert watcher.lost == {
+        one: f"INS {one}: is unit {other}, but this run measures {one}. Connect {one}."
+        for one, other in (("1101", "1102"), ("1102", "1101"))
+    }
+    assert [row.dwell for row in read_dwells(folder.unit("1101").dwells)] == [1]
+
+
 def test_each_unit_is_a_run_for_commands_that_evaluate_runs(whole):
     folder, _ = whole
     assert runs_named([str(folder.path)]) == [folder.unit(number).path for number in NUMBERS]
