@@ -213,7 +213,12 @@ class VerificationRuns:
             return ()
         folders = {name: RunFolder(self.folder / name) for name in measured}
         runs = [
-            CoefficientRun(name, _coefficients_of(run), read_correlations(run.correlations))
+            CoefficientRun(
+                name,
+                _coefficients_of(run),
+                read_correlations(run.correlations),
+                self.models[name].compensation.coefficients if name in self.models else {},
+            )
             for name, run in folders.items()
         ]
         return compare_coefficients(runs, site)

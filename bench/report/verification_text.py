@@ -40,8 +40,6 @@ _MODELS = {DECLARED: "The declared model", EFFECT: "The model with the effects"}
 #: Judgements of a verification.
 CONFIRMED, IMPROVED, NOT_CONFIRMED, INCONCLUSIVE = "confirmed", "improved", "not confirmed", "inconclusive"
 
-#: Up to this ratio to the noise coefficients are noise: of the measurement, and as much of what was loaded.
-_NOISE_OF_BOTH = math.sqrt(2.0)
 _CONSTANT = (
     "Bias is the rms over all gyros including the constant of the power cycle, which changes at each "
     "power-on and can't be predicted. Varying is the same without each gyro's mean over the run. The spread "
@@ -119,7 +117,7 @@ def outcome(result: VerificationResult) -> str:
         first, *_, last = result.coefficients
         if not last.is_better_than(first) or is_worse(result.results[-1].total, result.results[0].total):
             return NOT_CONFIRMED
-        return CONFIRMED if last.ratio < _NOISE_OF_BOTH else IMPROVED
+        return CONFIRMED if last.noise_p_value >= LACK_OF_FIT_P else IMPROVED
     before, after = _best_before(result), result.results[-1]
     if not after.total.dwells:
         return INCONCLUSIVE
@@ -145,7 +143,8 @@ def outcome_sentence(result: VerificationResult) -> str:
         ]
         ratio = (
             f"Coefficients but the gyros' biases, rms in times the noise of the measurement: "
-            f"{listed(ratios)}; up to {_NOISE_OF_BOTH:.1f} is noise of measurement and compensation."
+            f"{listed(ratios)} ({p_phrase(result.coefficients[-1].noise_p_value)} for noise of measurement "
+            "and compensation)."
         )
         return " ".join([ratio, *degradation_sentences(result), *application_sentences(result)])
     after = result.results[-1]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import norm
+from scipy.stats import chi2, norm
 
 from gyrobench.bench.bias.statistics import lowest_polynomial
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT
@@ -39,6 +39,17 @@ class PlateauMission:
     is_in_all: bool  #: Whether all runs have the plateau.
 
 
+@dataclass(frozen=True)
+class NoiseSums:
+    """Sums over values v in units of their standard uncertainties, with correlations R at each plateau."""
+
+    count: int  #: Number of values.
+    squares: float  #: v' v.
+    along: float  #: v' R v; of noise alone tr(R R) on average.
+    correlation: float  #: tr(R R).
+    loaded: int  #: Number of loaded coefficients of polynomials, at most one for each value.
+
+
 @dataclass(frozen=True, eq=False)
 class CoefficientResult:
     """Coefficients measured with one compensation."""
@@ -49,32 +60,41 @@ class CoefficientResult:
     rms: FloatArray
     noise: FloatArray
     plateaus: FloatArray  #: Shape (21,). Number of plateaus with a value.
+    sums: NoiseSums  #: Of all coefficients but the gyros' biases, at these plateaus.
     missions: tuple[PlateauMission, ...]  #: One for each plateau.
 
     @property
     def ratio(self) -> float:
         """Rms of all coefficients but the gyros' biases, which each power-on changes, over their noise."""
-        others = [place for place, name in enumerate(_NAMES) if not name.startswith("gyro_bias")]
-        ratios = (self.rms / self.noise)[others]
-        return rms(ratios[np.isfinite(ratios)])
+        return math.sqrt(self.sums.squares / self.sums.count) if self.sums.count else math.nan
+
+    @property
+    def noise_p_value(self) -> float:
+        """p-value of these coefficients, given the noise of the measurement and that of what was loaded.
+
+        A polynomial loaded with k numbers leaves its own noise: its variances, over those of the values, sum
+        up to k. The sum of squares is taken for a scaled chi2 with its mean and variance (Satterthwaite).
+        """
+        sums = self.sums
+        if not sums.count:
+            return math.nan
+        mean = sums.count + sums.loaded
+        variance = 2.0 * sums.correlation * (1.0 + 3.0 * sums.loaded / sums.count)
+        dof = 2.0 * mean**2 / variance
+        return float(chi2.sf(sums.squares * dof / mean, dof))
 
     def is_better_than(self, other: CoefficientResult) -> bool:
         """Whether the rms of these coefficients is smaller than in another run, by more than the noise.
 
-        Over the noise, each sum of squares has a noncentral chi2 distribution.
+        Over the noise, with correlations R, a sum of squares about means m has the variance
+        2 tr(R R) + 4 m' R m.
         """
-        values = self._others_and_noise(other)
-        sums = np.array([np.sum(counts * ratios**2) for counts, ratios in values])
-        number = float(np.sum(values[0][0]))
-        sigma = math.sqrt(float(np.sum(2.0 * number + 4.0 * np.maximum(sums - number, 0.0))))
-        return bool(sigma > 0.0 and norm.sf((sums[1] - sums[0]) / sigma) < SIGNIFICANT_P)
-
-    def _others_and_noise(self, other: CoefficientResult) -> list[tuple[FloatArray, FloatArray]]:
-        """Numbers of values and ratios to the noise in both runs, of all but the gyros' biases."""
-        both = [(each.plateaus, each.rms / each.noise) for each in (self, other)]
-        known = np.isfinite(both[0][1] + both[1][1])
-        known &= [not name.startswith("gyro_bias") for name in _NAMES]
-        return [(counts[known], ratios[known]) for counts, ratios in both]
+        variance = sum(
+            2.0 * each.correlation + 4.0 * max(each.along - each.correlation, 0.0)
+            for each in (self.sums, other.sums)
+        )
+        difference = other.sums.squares - self.sums.squares
+        return bool(variance > 0.0 and norm.sf(difference / math.sqrt(variance)) < SIGNIFICANT_P)
 
     @property
     def worst(self) -> PlateauMission:
@@ -111,8 +131,9 @@ class CoefficientRun:
     compensation: str  #: As in a verification.
     rows: Sequence[PlateauCoefficientRow]
     #: Shape (21, 21) by plateau, NaN where not observable: such a coefficient counts as zero and known in the
-    #: missions.
+    #: missions. Without them coefficients count as independent.
     correlations: Mapping[int, FloatArray]
+    loaded: Mapping[str, Correction] = field(default_factory=dict)  #: Polynomials that the INS subtracts.
 
 
 def compare_coefficients(runs: Sequence[CoefficientRun], site: Site) -> tuple[CoefficientResult, ...]:
@@ -149,10 +170,40 @@ def compare_coefficients(runs: Sequence[CoefficientRun], site: Site) -> tuple[Co
                 np.array([rms(each[:, 0]) for each in pairs]),
                 np.array([rms(each[:, 1]) for each in pairs]),
                 np.array([len(each) for each in pairs]),
+                _noise_sums([mine[key] for key in sorted(shared)], correlations, run.loaded),
                 tuple(_missions(rows, correlations, in_all, site)),
             )
         )
     return tuple(results)
+
+
+def _noise_sums(
+    rows: Sequence[PlateauCoefficientRow],
+    correlations: Mapping[int, FloatArray],
+    loaded: Mapping[str, Correction],
+) -> NoiseSums:
+    """Sums over rows, without those of the gyros' biases."""
+    mine = [row for row in rows if row.coefficient != "gyro_bias"]
+    places = {
+        plateau: [each for each, row in enumerate(mine) if row.plateau == plateau]
+        for plateau in {row.plateau for row in mine}
+    }
+    names = [f"{row.coefficient}_{row.axis}" for row in mine]
+    ratios = np.array([row.value / row.sigma for row in mine])
+    along = correlation = 0.0
+    for plateau, here in places.items():
+        index = [_NAMES.index(names[each]) for each in here]
+        shared = _known(correlations, plateau)[np.ix_(index, index)]
+        along += float(ratios[here] @ shared @ ratios[here])
+        correlation += float(np.sum(shared**2))
+    terms = sum(min(names.count(name), len(each.polynomial)) for name, each in loaded.items())
+    return NoiseSums(len(mine), float(np.sum(ratios**2)), along, correlation, terms)
+
+
+def _known(correlations: Mapping[int, FloatArray], plateau: int) -> FloatArray:
+    """Correlations (21, 21) at a plateau; what is not known counts as none."""
+    known = np.nan_to_num(correlations.get(plateau, np.eye(COUNT)))
+    return np.where(np.eye(COUNT, dtype=bool), 1.0, known)
 
 
 def _missions(
@@ -168,10 +219,7 @@ def _missions(
             np.nan_to_num([getattr(mine[name], which) for name in _NAMES]) / per_si
             for which in ("value", "sigma")
         )
-        shared = np.where(
-            np.eye(COUNT, dtype=bool), 1.0, np.nan_to_num(correlations.get(plateau, np.eye(COUNT)))
-        )
-        error = mission_error(values, shared * np.outer(sigmas, sigmas), site)
+        error = mission_error(values, _known(correlations, plateau) * np.outer(sigmas, sigmas), site)
         yield PlateauMission(plateau, _gyro_c(mine.values()), error, plateau in in_all)
 
 

@@ -143,3 +143,22 @@ def test_the_tables_have_a_row_for_each_coefficient_and_time(results, tmp_path):
     assert len(missions) == 2 * len(TEMPERATURES_C) * 3
     assert [row["hours"] for row in missions[:3]] == ["1", "8", "24"]
     assert float(missions[2]["position_95_nmi"]) >= float(missions[2]["position_median_nmi"])
+
+
+def one_plateau(ratio, correlations, **run):
+    """What is left of each coefficient at one plateau, in times its noise."""
+    rows = [replace(row, value=ratio * SIGMA) for row in rows_of({}) if row.plateau == 1]
+    return compare_coefficients([CoefficientRun("declared", rows, correlations, **run)], SITE)[0]
+
+
+def test_coefficients_that_share_their_errors_are_not_better_by_as_little_as_independent_ones():
+    together = {1: np.full((COUNT, COUNT), 0.9) + 0.1 * np.eye(COUNT)}
+    assert one_plateau(7.0, {}).is_better_than(one_plateau(10.0, {}))
+    assert not one_plateau(7.0, together).is_better_than(one_plateau(10.0, together))
+    assert one_plateau(1.0, together).is_better_than(one_plateau(10.0, together))
+
+
+def test_the_noise_of_what_was_loaded_is_noise_of_coefficients_too():
+    loaded = corrections([row for row in rows_of({}) if row.plateau == 1])
+    assert one_plateau(1.6, {}).noise_p_value < 1e-3 < one_plateau(1.6, {}, loaded=loaded).noise_p_value
+    assert one_plateau(3.0, {}, loaded=loaded).noise_p_value < 1e-6
