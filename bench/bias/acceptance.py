@@ -81,6 +81,7 @@ class _Value:
     sigma_dph: float
     passes_agree: bool = True
     passes: int = 1
+    common_dph: float = 0.0  #: Part of the standard uncertainty that is the same in each pass.
 
 
 @dataclass(frozen=True)
@@ -183,6 +184,7 @@ def _differences(
                 each.sigma_dph,
                 agree,
                 len(passes) if agree else 1,
+                each.common_dph,
             )
             for part in parts
             for each in part.differences
@@ -248,6 +250,7 @@ def _judged(
         verdict=verdict,
         passes_agree=all(each.passes_agree for each in values),
         passes=worst.passes,
+        common_sigma_dph=worst.common_dph,
     )
 
 

@@ -64,6 +64,7 @@ class Difference:
     low: str
     value_dph: float
     sigma_dph: float
+    common_dph: float  #: Part of the standard uncertainty that is the same in each pass.
 
 
 @dataclass(frozen=True)
@@ -137,10 +138,11 @@ def position_differences(
     common = np.array([shared[row.dwell][axis] if shared else [] for row in rows])
     own = np.diag(np.maximum(variances - (common**2).sum(axis=1), 0.0))
     by_rows = gain @ white
-    together = by_rows @ (own + common @ common.T + by_curve) @ by_rows.T
+    by_common = by_rows @ common @ common.T @ by_rows.T
+    together = by_rows @ (own + by_curve) @ by_rows.T + by_common
     first = len(passes)
     differences = _differences(
-        positions, parameters[first:], [each[first:, first:] for each in (covariance, together)]
+        positions, parameters[first:], [each[first:, first:] for each in (covariance, together, by_common)]
     )
     met = {(a.position, b.position) for each in passes for a, b in permutations(each, 2)}
     return PositionDifferences(
@@ -153,14 +155,18 @@ def position_differences(
 def _differences(
     positions: Sequence[str], values: FloatArray, covariances: Sequence[FloatArray]
 ) -> tuple[Difference, ...]:
-    """Differences of all pairs from those to the first position, with the largest of their variances."""
+    """Differences of all pairs from those to the first position, with the largest of their variances.
+
+    The last one of the covariances is that of the errors that are the same in each pass.
+    """
     value = [0.0, *values.tolist()]
     padded = np.zeros((len(covariances), len(value), len(value)))
     padded[:, 1:, 1:] = covariances
     diagonal = np.diagonal(padded, axis1=1, axis2=2)
     variances = diagonal[:, :, np.newaxis] + diagonal[:, np.newaxis] - 2.0 * padded
     sigma = np.sqrt(variances.max(axis=0)).tolist()
+    common = np.sqrt(np.maximum(variances[-1], 0.0)).tolist()
     return tuple(
-        Difference(positions[a], positions[b], value[a] - value[b], sigma[a][b])
+        Difference(positions[a], positions[b], value[a] - value[b], sigma[a][b], common[a][b])
         for a, b in permutations(range(len(positions)), 2)
     )

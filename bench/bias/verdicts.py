@@ -79,18 +79,34 @@ class Judgement(StrictModel):
     #: Whether these plateaus had the same differences in each pass; else each pass was judged alone.
     passes_agree: bool = True
     passes: int = 1  #: Number of passes of the plateau of which the value is the mean.
+    common_sigma_dph: float = 0.0  #: Part of sigma_dph that is the same in each pass.
 
     @property
     def cycles_to_decide(self) -> float:
         """Cycles of one run that decide, if the value stays as measured; infinite where no number does.
 
-        The distance of both confidence limits from a mean of passes falls with the root of their number.
+        The distance of both confidence limits from a mean of passes follows its standard uncertainty, of
+        which the part that is the same in each pass stays.
         """
-        if self.quantity == "bias" or not self.passes_agree or self.value_dph == self.limit_dph:
+        if self.quantity == "bias" or not self.passes_agree:
             return math.inf
+        left = self._variance_to_decide - self.common_sigma_dph**2
+        own = self.sigma_dph**2 - self.common_sigma_dph**2
+        return math.ceil(self.passes * own / left) if left > 0.0 else math.inf
+
+    @property
+    def is_limited_by_common_errors(self) -> bool:
+        """Whether errors that are the same in each pass keep any number of cycles from a decision."""
+        is_mean = self.quantity != "bias" and self.passes_agree
+        return is_mean and 0.0 < self._variance_to_decide <= self.common_sigma_dph**2
+
+    @property
+    def _variance_to_decide(self) -> float:
+        """Variance, (deg/h)^2, at which the confidence limit reaches the limit of acceptance."""
         bound_dph = self.at_most_dph if self.value_dph < self.limit_dph else self.at_least_dph
-        ratio = (bound_dph - self.value_dph) / (self.limit_dph - self.value_dph)
-        return math.ceil(self.passes * ratio**2)
+        if bound_dph == self.value_dph:
+            return math.inf
+        return (self.sigma_dph * (self.limit_dph - self.value_dph) / (bound_dph - self.value_dph)) ** 2
 
 
 class NotMeasured(StrictModel):

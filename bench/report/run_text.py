@@ -23,7 +23,13 @@ from gyrobench.bench.bias.verdicts import Acceptance, RunVerdict
 from gyrobench.bench.bias.vertical_pairs import Finding
 from gyrobench.bench.foundations.text import agreeing, counted, flag_text, listed
 from gyrobench.bench.navigation.positions import AXES, gyro_label, position_label
-from gyrobench.bench.report.number_format import dph_with_sigma, p_in_brackets, p_text, temperature_ranges
+from gyrobench.bench.report.number_format import (
+    dph_with_sigma,
+    p_in_brackets,
+    p_text,
+    size_text,
+    temperature_ranges,
+)
 from gyrobench.bench.runs.journal import RunFacts
 from gyrobench.bench.runs.tables.joint_table import JointPlateauRow
 
@@ -431,6 +437,10 @@ _NO_LIMITS = "The procedure has no acceptance limits."
 _NOTHING = "No plateau has good dwells in two positions."
 _UNDECIDED = "The uncertainty is too large for a verdict. {}."
 _DECIDED = "{:.0f} cycles in one run, instead of {}, give one if the differences stay as measured"
+_COMMON = (
+    "More cycles do not decide, because {} deg/h of it are the same in all of them: reduce its largest "
+    "contributions in budget.csv"
+)
 _MAX_CYCLES = 20
 _LACKING = (
     "{} not compared with the others of the plateau, so the unit can't be accepted. Measure all positions of "
@@ -459,6 +469,8 @@ def acceptance_sentence(acceptance: Acceptance) -> str:
 def _deciding_cycles(acceptance: Acceptance) -> str:
     marginal = [each for each in acceptance.judgements if each.verdict == "marginal"]
     last = max(marginal, key=lambda each: each.cycles_to_decide)
+    if last.is_limited_by_common_errors:
+        return _COMMON.format(size_text(last.common_sigma_dph))
     if last.cycles_to_decide > _MAX_CYCLES:
         return "Measure more cycles"
     return _DECIDED.format(last.cycles_to_decide, last.passes)

@@ -250,21 +250,40 @@ def test_the_difference_between_up_and_down_has_a_separate_limit():
     assert len(result.judgements) == 18
 
 
+def after_cycles(cycles, difference_dph, common_dph=0.0):
+    """The judgement that decides on x, with an error of each position that is the same in each cycle."""
+    rows = [
+        replace(row, cycle=cycle, dwell=row.dwell + 100 * cycle)
+        for cycle in range(cycles)
+        for row in campaign({"y_up": difference_dph})
+    ]
+    units = np.eye(len(POSITIONS_IN_ORDER))
+    shared = {
+        row.dwell: common_dph * np.tile(units[POSITIONS_IN_ORDER.index(row.position)], (3, 1)) for row in rows
+    }
+    return judge(rows, LIMITS, plan_of(rows), shared=shared).deciding("x")
+
+
+@pytest.mark.parametrize("common_dph", [0.0, 0.0003])
 @pytest.mark.parametrize(("difference_dph", "verdict"), [(0.0045, "pass"), (0.008, "fail")])
-def test_the_stated_number_of_cycles_decides_a_marginal_gyro(difference_dph, verdict):
+def test_the_stated_number_of_cycles_decides_a_marginal_gyro(difference_dph, verdict, common_dph):
     def after(cycles):
-        rows = [
-            replace(row, cycle=cycle, dwell=row.dwell + 100 * cycle)
-            for cycle in range(cycles)
-            for row in campaign({"y_up": difference_dph})
-        ]
-        return judge(rows, LIMITS, plan_of(rows)).deciding("x")
+        return after_cycles(cycles, difference_dph, common_dph)
 
     first = after(1)
+    assert not first.is_limited_by_common_errors
     decided = first.cycles_to_decide
     assert decided > 2
     assert [after(cycles).verdict for cycles in (1, 2, decided - 1, decided)] == ["marginal"] * 3 + [verdict]
     assert after(2).cycles_to_decide == pytest.approx(decided, abs=1)
+
+
+def test_no_number_of_cycles_decides_where_an_error_common_to_all_is_too_large():
+    for cycles in (1, 4):
+        result = after_cycles(cycles, 0.0045, 0.0007)
+        assert (result.verdict, result.cycles_to_decide) == ("marginal", math.inf)
+        assert result.is_limited_by_common_errors
+        assert result.common_sigma_dph == pytest.approx(0.0007 * math.sqrt(2.0))
 
 
 def test_no_number_of_cycles_decides_a_difference_at_the_limit():

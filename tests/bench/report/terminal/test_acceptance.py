@@ -1,6 +1,7 @@
 import io
 import re
 
+import numpy as np
 import pytest
 from rich.console import Console
 
@@ -52,6 +53,14 @@ def test_a_run_without_comparisons_says_so(dwells):
 def test_a_marginal_unit_has_the_number_of_cycles_that_decide(dwells):
     text = " ".join(printed(judge(dwells, AcceptanceLimits(position_difference_dph=0.0165))))
     assert re.search(r"too large for a verdict. \d+ cycles in one run, instead of 2, give one", text), text
+
+
+def test_a_marginal_unit_that_no_number_of_cycles_decides_has_the_reason(dwells):
+    limits = AcceptanceLimits(position_difference_dph=0.0165)
+    shared = {row.dwell: np.diag(row.sigma_dph) for row in dwells}
+    of_positions = {row.dwell: shared[row.dwell] * (-1.0) ** row.dwell for row in dwells}
+    text = " ".join(printed(judge(dwells, limits, shared=of_positions)))
+    assert "More cycles do not decide, because 0.0" in text
 
 
 def test_a_separate_limit_of_up_and_down_is_stated(dwells):
