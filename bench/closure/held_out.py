@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,7 +51,9 @@ class HeldOutTest:
 
 
 def held_out_test(problem: Problem, errors_dph: FloatArray, deviations_dph: FloatArray) -> HeldOutTest:
-    """Test the errors of each gyro in the held-out dwells: the sum of squares, and a slow course in time.
+    """Test the errors of each gyro in the held-out dwells.
+
+    The sum of squares, a slow course in time, and what follows attitude and temperature rate.
 
     Parameters
     ----------
@@ -77,6 +80,7 @@ def held_out_test(problem: Problem, errors_dph: FloatArray, deviations_dph: Floa
     unseen = np.setdiff1d(run, campaign.run[problem.searched])
     constants = np.asarray(run[:, np.newaxis] == unseen, dtype=np.float64)
     course = np.column_stack([np.ones(len(run)), campaign.part(held_out).slow_time(_DEGREE)])
+    up_body, rate = campaign.up_body[held_out], np.nan_to_num(campaign.rate_c_per_h[held_out])
     prediction_dph = np.sqrt(np.mean(deviations_dph**2, axis=0))
     centred_dph = _without_medians(errors_dph, constants)
     off = np.nan_to_num(centred_dph / np.hypot(noise_dph, prediction_dph))
@@ -84,7 +88,8 @@ def held_out_test(problem: Problem, errors_dph: FloatArray, deviations_dph: Floa
     sigma_dph = noise_dph * np.where(is_outlier, np.abs(off), 1.0)
     p_values = []
     for gyro, known in enumerate(~np.isnan(errors_dph).T):
-        of_gyro = sigma_dph[known, gyro], deviations_dph[:, known, gyro], constants[known], course[known]
+        followed = course[known], np.column_stack([up_body, rate[:, gyro]])[known]
+        of_gyro = sigma_dph[known, gyro], deviations_dph[:, known, gyro], constants[known], followed
         p_values.append(_p_values(problem, gyro, errors_dph[known, gyro], *of_gyro))
     tests = sum(map(len, p_values))
     dwells, axes = campaign.dwell[held_out], campaign.quantity.axes
@@ -144,21 +149,21 @@ def _p_values(
     sigma_dph: FloatArray,
     deviations_dph: FloatArray,
     constants: FloatArray,
-    course: FloatArray,
+    followed: Sequence[FloatArray],
 ) -> list[float]:
     """p-values of one gyro's tests that its held-out values (k,) allow.
 
-    ``constants`` (k, r): flags of the power cycles that were not searched. ``course`` (k, c): functions of
-    time.
+    ``constants`` (k, r): flags of the power cycles that were not searched. ``followed``: columns (k, c) of
+    what the errors may follow, for one test each.
     """
     if not len(errors_dph):
         return []
     covariance = np.diag(sigma_dph**2) + deviations_dph.T @ deviations_dph / len(deviations_dph)
     root = np.linalg.cholesky(covariance)
-    white = [np.linalg.solve(root, each) for each in (errors_dph[:, np.newaxis], course, constants)]
-    free = _directions(white[2], white[2])
-    errors, slow = (each - free @ (free.T @ each) for each in white[:2])
-    along = _directions(slow, white[1]).T @ errors
+    white = [np.linalg.solve(root, each) for each in (errors_dph[:, np.newaxis], constants, *followed)]
+    free = _directions(white[1], white[1])
+    errors, _, *columns = (each - free @ (free.T @ each) for each in white)
+    along = [_directions(left, whole).T @ errors for left, whole in zip(columns, white[2:], strict=True)]
     residuals = problem.residuals[:, gyro]
     own_dof = int(problem.campaign.is_measured[problem.searched, gyro].sum()) - problem.bases[gyro].shape[1]
     own_variance = float(residuals @ residuals) / max(own_dof, 1)
@@ -172,7 +177,7 @@ def _p_values(
     squares = errors**2
     tests = [
         (len(errors) - free.shape[1] - 1, float(squares.sum() - squares.max())),
-        (len(along), float(np.sum(along**2))),
+        *((len(each), float(np.sum(each**2))) for each in along),
     ]
     return [p_value(count, chi2) for count, chi2 in tests if count > 0]
 

@@ -91,6 +91,16 @@ def test_no_law_is_composed_for_a_difference_in_dwells_that_were_not_searched():
     assert composed(closure) is closure
 
 
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_bias_that_follows_the_attitude_in_the_held_out_cycle_alone_is_unexplained(seed):
+    rows = measure(cycles=2, seed=seed).rows
+    up, down = (
+        {row.dwell for row in held_out_rows(rows) if row.position == f"y_{end}"} for end in ("up", "down")
+    )
+    closure = closed(shifted(shifted(rows, up, 2.0, "y"), down, -2.0, "y"))
+    assert (closure.verdict, closure.held_out_axes) == ("unexplained", ["y"])
+
+
 @pytest.mark.parametrize(("share", "sigmas"), [(0.5, 3.0), (0.8, 25.0)])
 def test_an_effect_is_not_explained_where_the_held_out_cycle_jumps(share, sigmas):
     candidates = [TEMPERATURE_RATE, G_SENSITIVITY, TIME_DRIFT]
