@@ -23,7 +23,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from gyrobench.bench.bias.statistics import Chi2Test
+from gyrobench.bench.bias.statistics import Chi2Test, solve
 from gyrobench.bench.calibration.coefficients import (
     BESIDE,
     COEFFICIENTS,
@@ -44,6 +44,7 @@ from gyrobench.bench.calibration.information import (
     IS_FORCE_SCALE,
     CalibrationOptions,
     Information,
+    integrated_sections,
     spun_both_ways,
 )
 from gyrobench.bench.calibration.problem import (
@@ -53,7 +54,7 @@ from gyrobench.bench.calibration.problem import (
     Estimates,
 )
 from gyrobench.bench.calibration.section import IncrementSection
-from gyrobench.bench.calibration.strapdown import Trajectory
+from gyrobench.bench.calibration.strapdown import ASYMMETRIES, Trajectory
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.earth import EARTH_RATE
@@ -258,6 +259,28 @@ def covariances_by_source(calibration: Calibration, site: Site) -> Mapping[str, 
     beyond = calibration.covariance[:COUNT, :COUNT] - base - sum(by_site.values())
     # Where nothing is contradicted what is left is rounding.
     return parts | by_site | {"misfit": beyond if calibration.findings else np.zeros_like(base)}
+
+
+def bias_per_asymmetry(calibration: Calibration, site: Site) -> FloatArray:
+    """Change (3, k) of the gyro biases, rad/s, for an asymmetry of 1 in each gyro whose own is not estimated.
+
+    As far as rotations both ways are not distinguished from a bias.
+    """
+    options = replace(calibration.options, asymmetries=(0, 1, 2))
+    known = calibration.sections, calibration.starts, calibration.common
+    trajectories = integrated_sections(*known, site, options)
+    found = Information.of(
+        calibration.sections, trajectories, calibration.common, calibration.noise, site, options
+    )
+    left_out = [
+        options.columns.index(ASYMMETRIES.start + axis)
+        for axis in range(3)
+        if axis not in (calibration.options.asymmetries or ())
+    ]
+    kept = np.delete(np.arange(len(found.sizes)), left_out)
+    rows, sizes = found.root[:, kept], np.diag(found.sizes[kept])
+    shifts = [solve(rows, found.root[:, each], sizes)[0][:3] for each in left_out]
+    return np.array(shifts).reshape(-1, 3).T
 
 
 def _check_force(

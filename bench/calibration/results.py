@@ -30,7 +30,7 @@ from gyrobench.bench.navigation.positions import AXES
 NOT_OBSERVABLE = "not observable"
 
 #: Scale factors of three sensors count as one above this, and within this part of it.
-_MIN_COMMON_PPM, _MAX_SPREAD = 500.0, 0.3
+_MIN_COMMON_PPM, _MAX_SPREAD = 100.0, 0.3
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT
-from gyrobench.bench.calibration.estimator import Calibration
+from gyrobench.bench.calibration.estimator import Calibration, bias_per_asymmetry
 from gyrobench.bench.calibration.increment_recording import SensorNoise
 from gyrobench.bench.calibration.problem import UNEXPLAINED_P_VALUE
 from gyrobench.bench.calibration.results import (
@@ -38,6 +38,8 @@ from gyrobench.bench.report.terminal.tables import plain_table, topics
 
 _MIN_CORRELATION, _MAX_PAIRS = 0.9, 5
 _MAX_RESTS = 6
+#: What 1 ppm of asymmetry makes of a bias is stated from this number of its standard uncertainties on.
+_MIN_ASYMMETRY_SIGMAS = 0.3
 
 
 def calibration_summary(
@@ -171,16 +173,38 @@ def _topics(calibration: Calibration, site: Site, left_out: tuple[int, int]) -> 
             for a, b, value in pairs
         ]
         yield "Correlated", "; ".join(texts)
-    for sensor, cause in (("accelerometer", "gravity or a time between increments"), ("gyro", "a time")):
+    for sensor, cause in (
+        ("accelerometer", "gravity, a height (3.2 m a ppm) or a clock of increments"),
+        ("gyro", "a clock of rates"),
+    ):
         if (common := common_scale_ppm(calibration, sensor)) is not None:
             yield (
                 "Check",
                 f"all {sensor} scale factors are about {common:+.0f} ppm: {cause} that is wrong by as much "
-                "in the import map does the same",
+                "does the same",
             )
+    if text := _asymmetry_text(calibration, site):
+        yield "Asymmetry", text
     missing = [row for row in coefficient_rows(calibration) if row.finding]
     if missing:
         yield "Not observable", f"{_named(missing)}: {_advice(kinds)}"
+
+
+def _asymmetry_text(calibration: Calibration, site: Site) -> str:
+    """What an asymmetry of the gyros' scale factors that is not estimated would do; empty where little."""
+    is_observed = calibration.is_observed[:3]
+    change = 1e-6 * np.abs(bias_per_asymmetry(calibration, site))[is_observed]
+    if not change.size:
+        return ""
+    largest = change.max(axis=1)
+    sigmas = float((largest / calibration.sigmas[:3][is_observed]).max())
+    if sigmas < _MIN_ASYMMETRY_SIGMAS:
+        return ""
+    return (
+        f"not estimated for all gyros: 1 ppm would move a gyro bias by up to "
+        f"{largest.max() * RADPS_TO_DPH:.2g} deg/h, or {sigmas:.2g} standard uncertainties. --asymmetry "
+        "estimates it"
+    )
 
 
 def _spin_topic(spun: SpinScaleFactor) -> tuple[str, str]:

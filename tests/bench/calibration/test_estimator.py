@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from gyrobench.bench.calibration import estimator
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, SensorErrors
-from gyrobench.bench.calibration.estimator import calibrate, covariances_by_source
+from gyrobench.bench.calibration.estimator import bias_per_asymmetry, calibrate, covariances_by_source
 from gyrobench.bench.calibration.increment_recording import IncrementRecording, SensorNoise
 from gyrobench.bench.calibration.information import BIAS_DRIFT, CalibrationOptions
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, STANDARD_GRAVITY
@@ -610,3 +610,19 @@ def test_recordings_at_different_rates_are_refused():
     slow = recorded(rotated_unit(rotations=(), dwell_s=70.0, sample_hz=10.0).increments(), 1, 10.0)
     with pytest.raises(MeasurementError, match="differ: 10 to 20 Hz"):
         calibrate([recorded(eighteen(), 14), slow], SITE)
+
+
+def test_an_asymmetry_that_is_not_estimated_moves_the_biases_by_as_much_as_stated():
+    angle, velocity = eighteen()
+    is_turning = np.abs(angle) * 20.0 > np.deg2rad(1.0)
+    measured = [
+        calibrate([recorded((angle + 0.5e-6 * up * np.abs(angle) * is_turning, velocity), 1)], SITE)
+        for up in (np.zeros(3), np.array([0.0, 1.0, 0.0]))
+    ]
+    moved = measured[1].values[:3] - measured[0].values[:3]
+    np.testing.assert_allclose(
+        1e-6 * bias_per_asymmetry(measured[0], SITE)[:, 1], moved, atol=0.02 * moved[1]
+    )
+    assert moved[1] > 0.3 * measured[0].sigmas[1]
+    with_all = calibrate([recorded(eighteen(), 1)], SITE, CalibrationOptions(asymmetries=(0, 1, 2)))
+    assert bias_per_asymmetry(with_all, SITE).shape == (3, 0)

@@ -123,12 +123,28 @@ def test_spins_against_the_table_are_listed_with_linearity_and_asymmetry(tmp_pat
     assert "asymmetry" in text
 
 
-def test_scale_factors_that_all_sensors_share_are_named(tmp_path):
+@pytest.mark.parametrize(
+    ("wrong", "common_ppm"), [("gravity_mps2: 9.8\n  gravity_sigma_mps2: 0.1", "+6"), ("height_m: 700", "+2")]
+)
+def test_scale_factors_that_all_sensors_share_are_named(tmp_path, wrong, common_ppm):
     write_log(tmp_path, unit())
     text = (tmp_path / "map.yaml").read_text()
-    (tmp_path / "map.yaml").write_text(text + "  gravity_mps2: 9.8\n  gravity_sigma_mps2: 0.1\n")
+    (tmp_path / "map.yaml").write_text(f"{text}  {wrong}\n")
     result = gyrobench("calibrate", "log.csv", "--map", "map.yaml", cwd=tmp_path)
-    assert "all accelerometer scale factors are about +6" in " ".join(result.stdout.split())
+    printed = " ".join(result.stdout.split())
+    assert f"all accelerometer scale factors are about {common_ppm}" in printed
+    assert "a height (3.2 m a ppm)" in printed
+
+
+def test_what_an_asymmetry_would_do_that_is_not_estimated_is_stated(tmp_path):
+    write_log(tmp_path, unit())
+    command = ("calibrate", "log.csv", "--map", "map.yaml")
+    text, estimated = (
+        " ".join(gyrobench(*command, *options, cwd=tmp_path).stdout.split())
+        for options in ([], ["--asymmetry"])
+    )
+    assert "not estimated for all gyros: 1 ppm would move a gyro bias by up to 0.0" in text
+    assert "1 ppm would move" not in estimated
 
 
 def test_a_misfit_is_stated_once_and_its_test_names_where(tmp_path):
