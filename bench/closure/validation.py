@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -26,6 +27,8 @@ _MAX_TIME_KNOTS = 40
 _TEMPERATURE_KNOT_C = 4.0
 _MAX_TEMPERATURE_KNOTS = 24
 _PREVIOUS_DWELL = "the previous dwell"
+#: Fewest degrees of freedom of a correlation, and the largest one.
+_MIN_CORRELATION_DOF, _MAX_CORRELATION = 6, 0.9999
 
 
 @dataclass(frozen=True)
@@ -35,6 +38,8 @@ class LackOfFit:
     p_noise: float  #: p-value of chi2, given the stated uncertainties.
     p_structure: dict[str, float]  #: p-value of each test for structure, by what the residuals may follow.
     noise_ratio: float  #: Square root of chi2 over the degrees of freedom; NaN without any.
+    #: Two gyros and the correlation of their residuals, the largest one; None where chance explains it.
+    correlated: tuple[int, int, float] | None = None
 
     @property
     def p_value(self) -> float:
@@ -80,7 +85,23 @@ def lack_of_fit(problem: Problem, parameters: int) -> LackOfFit:
         p_noise=chi2_p_value(dof, problem.chi2),
         p_structure=structure,
         noise_ratio=float(np.sqrt(problem.chi2 / dof)),
+        correlated=_correlated(problem),
     )
+
+
+def _correlated(problem: Problem) -> tuple[int, int, float] | None:
+    """Gyros with correlated residuals, by Fisher's transformation."""
+    known = problem.campaign.is_measured[problem.searched].all(axis=1)
+    dof = int(known.sum()) - max(basis.shape[1] for basis in problem.bases)
+    if dof < _MIN_CORRELATION_DOF:
+        return None
+    products = problem.residuals[known].T @ problem.residuals[known]
+    lengths = np.sqrt(np.maximum(np.diag(products), problem.least_scatter))
+    correlations = products / np.outer(lengths, lengths)
+    first, second = max(combinations(range(3), 2), key=lambda pair: abs(correlations[pair]))
+    value = float(np.clip(correlations[first, second], -_MAX_CORRELATION, _MAX_CORRELATION))
+    p_value = 3.0 * math.erfc(abs(math.atanh(value)) * math.sqrt((dof - 2) / 2.0))
+    return (first, second, value) if p_value < LACK_OF_FIT_P else None
 
 
 def _spline(values: FloatArray, knots: int) -> FloatArray:

@@ -88,8 +88,21 @@ def _residual(closure: Closure) -> Section:
         _paragraphs(
             text.before_sentence(closure),
             *closure.noise.sentences(is_all=closure.verdict != "unexplained" or closure.differs_held_out),
+            _correlation_sentence(closure),
         ),
         figures,
+    )
+
+
+def _correlation_sentence(closure: Closure) -> str:
+    """Gyros that share noise, where it may pass for an effect; empty otherwise."""
+    if closure.verdict == "clean" or closure.after.correlated is None:
+        return ""
+    *sensors, value = closure.after.correlated
+    names = closure.quantity.place([closure.quantity.axes[each] for each in sensors])
+    return (
+        f"The remaining residuals of the {names} are correlated ({value:+.2f}). Noise that they share counts "
+        "once for each, and looks like an effect more often than the p-values state."
     )
 
 

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import kstest
@@ -95,3 +97,18 @@ def test_without_degrees_of_freedom_nothing_is_significant(problem):
     left = lack_of_fit(one, one.dof)
     assert (left.p_value, left.p_any_structure) == (1.0, 1.0)
     assert np.isnan(left.noise_ratio)
+
+
+def test_noise_that_gyros_share_is_named_with_them(problem):
+    alone = problem(seed=0)
+    assert lack_of_fit(alone, 0).correlated is None
+    noise = alone.residuals.copy()
+    noise[:, 2] = 0.8 * noise[:, 0] + 0.6 * noise[:, 2]
+    first, second, value = lack_of_fit(replace(alone, residuals=noise), 0).correlated
+    assert (first, second) == (0, 2)
+    assert 0.6 < value < 0.95
+
+
+@pytest.mark.long
+def test_independent_noise_is_rarely_called_shared(of_clean_data):
+    assert sum(each.correlated is not None for each in of_clean_data) <= 1

@@ -97,6 +97,14 @@ def test_an_unexplained_residual_has_a_warning():
     assert "Do not rely on the model below that size" in text
 
 
+@pytest.mark.parametrize(("make", "is_stated"), [(explained, True), (clean, False)])
+def test_noise_that_gyros_share_is_stated_where_it_may_pass_for_an_effect(make, is_stated):
+    closure = make()
+    closure = replace(closure, after=replace(closure.after, correlated=(0, 2, 0.7)))
+    text = " ".join(closure_sections(closure)[0].paragraphs)
+    assert ("The remaining residuals of the x and z gyros are correlated (+0.70)." in text) == is_stated
+
+
 def test_errors_are_listed_by_gyro_and_sizes_by_term():
     sections = {section.title: section for section in closure_sections(explained())}
     [table] = sections["Held-out error"].tables
