@@ -33,6 +33,7 @@ from gyrobench.bench.foundations.arrays import (
 from gyrobench.bench.foundations.text import counted, decimals_of, listed, plain_name
 from gyrobench.bench.navigation.earth import earth_rate_enu
 from gyrobench.bench.navigation.error_model import Site
+from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.report.number_format import p_text
 from gyrobench.bench.report.terminal.tables import plain_table, topics
 
@@ -185,6 +186,8 @@ def _topics(calibration: Calibration, site: Site, left_out: tuple[int, int]) -> 
             )
     if text := _asymmetry_text(calibration, site):
         yield "Asymmetry", text
+    if text := _vibration_text(calibration):
+        yield "Vibration", text
     missing = [row for row in coefficient_rows(calibration) if row.finding]
     if missing:
         yield "Not observable", f"{_named(missing)}: {_advice(kinds)}"
@@ -204,6 +207,25 @@ def _asymmetry_text(calibration: Calibration, site: Site) -> str:
         f"not estimated for all gyros: 1 ppm would move a gyro bias by up to "
         f"{largest.max() * RADPS_TO_DPH:.2g} deg/h, or {sigmas:.2g} standard uncertainties. --asymmetry "
         "estimates it"
+    )
+
+
+def _vibration_text(calibration: Calibration) -> str:
+    """What coning within the samples may do to the gyro biases; empty if it is less than their uncertainty.
+
+    Vibration of two axes with rms angles a and b, a quarter period apart, turns the third by w a b; half the
+    sample rate is the highest frequency w that samples show.
+    """
+    white = calibration.noise.white_angle
+    rates = np.pi / calibration.recordings[0].interval_s * np.roll(white, -1) * np.roll(white, -2)
+    sigmas = np.where(calibration.is_observed[:3], rates / calibration.sigmas[:3], 0.0)
+    axis = int(np.argmax(sigmas))
+    if sigmas[axis] < 1.0:
+        return ""
+    return (
+        f"if the white angle is vibration, coning between samples may pass for a bias of the {AXES[axis]} "
+        f"gyro of up to {rates[axis] * RADPS_TO_DPH:.2g} deg/h, or {sigmas[axis]:.2g} standard "
+        "uncertainties; the log does not show it. Stop what vibrates, or log increments at a higher rate"
     )
 
 

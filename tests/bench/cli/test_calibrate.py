@@ -41,10 +41,10 @@ def unit(**changes):
     )
 
 
-def write_log(folder, unit, gyro="urad", force="m/s", clock_ppm="0"):
+def write_log(folder, unit, gyro="urad", force="m/s", clock_ppm="0", noise=None):
     """A log with y gyro and z accelerometer upside down, and its map."""
     dt = 1.0 / unit.sample_hz
-    angle, velocity = Noise().added(*unit.increments(), dt, np.random.default_rng(2))
+    angle, velocity = (noise or Noise()).added(*unit.increments(), dt, np.random.default_rng(2))
     angle *= {"urad": 1e6, "deg/s": 180.0 / np.pi / dt}[gyro]
     velocity *= {"m/s": 1.0, "mg": 1e3 / 9.80665 / dt}[force]
     time_ms = 1000.0 * dt * np.arange(1, len(angle) + 1)
@@ -145,6 +145,19 @@ def test_what_an_asymmetry_would_do_that_is_not_estimated_is_stated(tmp_path):
     )
     assert "not estimated for all gyros: 1 ppm would move a gyro bias by up to 0.0" in text
     assert "1 ppm would move" not in estimated
+
+
+@pytest.mark.parametrize(("white_angle", "is_stated"), [(60e-6, True), (2e-6, False)])
+def test_what_vibration_between_samples_may_do_to_the_biases_is_stated(tmp_path, white_angle, is_stated):
+    write_log(tmp_path, unit(), noise=Noise(white_angle=white_angle))
+    with (tmp_path / "map.yaml").open("a") as file:
+        file.write(
+            "  noise: {angle_random_walk_deg_per_sqrt_h: 6e-4, velocity_random_walk_ug_per_sqrt_hz: 5}\n"
+        )
+    result = gyrobench("calibrate", "log.csv", "--map", "map.yaml", cwd=tmp_path)
+    text = " ".join(result.stdout.split())
+    assert result.returncode == 0
+    assert ("coning between samples may pass for a bias" in text) == is_stated
 
 
 def test_a_misfit_is_stated_once_and_its_test_names_where(tmp_path):
