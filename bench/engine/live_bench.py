@@ -32,8 +32,9 @@ if TYPE_CHECKING:
 _FIRST_TRIES, _FIRST_PAUSE_S = 5, 2.0
 #: Least time between reports of frames that were lost or invalid.
 _LOSS_PERIOD_S = 10.0
-#: Period at which a disconnected port is reopened.
-_REOPEN_PERIOD_S = 5.0
+#: Pauses between attempts to reopen a lost port: the first after some calm; each is twice the one before, up
+#: to the longest. An adapter is often back within seconds, before the silence of its instrument trips.
+_FIRST_REOPEN_PAUSE_S, _MAX_REOPEN_PAUSE_S, _REOPEN_CALM_S = 0.5, 5.0, 30.0
 #: Period at which a safe action that failed is repeated.
 _REPEAT_PERIOD_S = 5.0
 #: The chamber's air has reached its set point within this.
@@ -113,7 +114,7 @@ class LiveBench:
         self._report_failure = report_failure
         self._watch = InterlockWatch(station, clock, {INSTRUMENT, *instruments.absent})
         self._failing: list[str] = []
-        self._next_reopen_s = 0.0
+        self._next_reopen_s, self._reopen_pause_s = -math.inf, _FIRST_REOPEN_PAUSE_S
         self._next_loss_s = 0.0
         self._next_reading_s = 0.0
         #: Safe actions that failed and have not succeeded since, by what they do.
@@ -254,9 +255,12 @@ class LiveBench:
 
     def _reopen(self) -> None:
         """Reopen an instrument that does not answer: an adapter that was unplugged needs it."""
-        if self.clock.now() < self._next_reopen_s:
+        late_s = self.clock.now() - self._next_reopen_s
+        if late_s < 0.0:
             return
-        self._next_reopen_s = self.clock.now() + _REOPEN_PERIOD_S
+        is_first = late_s > _REOPEN_CALM_S
+        pause_s = _FIRST_REOPEN_PAUSE_S if is_first else min(2.0 * self._reopen_pause_s, _MAX_REOPEN_PAUSE_S)
+        self._next_reopen_s, self._reopen_pause_s = self.clock.now() + pause_s, pause_s
         instrument = self._failing[0]
         self._failing.append(self._failing.pop(0))  # one at a time: it may take long
         with contextlib.suppress(ConnectionFailedError):  # reported already

@@ -43,7 +43,7 @@ FAULTS = (
     {"fault": "frames_corrupted", "every_s": 1800},
     {"fault": "counter_jump", "by": 1000, "every_s": 7200},
     {"fault": "time_stamp_jump", "by_s": -3600, "for_s": 30, "every_s": 14400},
-    {"fault": "bus_off", "for_s": 3, "every_s": 14400},
+    {"fault": "bus_off", "for_s": 1, "every_s": 14400},
     {"fault": "falls_back_to_alignment", "every_s": 54000},
     {"fault": "port_gone", "target": "chamber", "for_s": 20, "every_s": 72000},
     {"fault": "ins_restarts", "every_s": 144000},

@@ -2,6 +2,9 @@
 
 from contextlib import contextmanager
 
+import numpy as np
+import pytest
+
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.errors import ReplyError
@@ -104,3 +107,32 @@ def test_a_faulty_sensor_of_the_chamber_is_an_alarm_and_its_last_temperature_gro
         bench.read_instruments()
         assert bench.readings.chamber.alarms == ()
         assert bench.readings.chamber_s > before.chamber_s
+
+
+def test_a_lost_port_is_reopened_soon_at_first_then_every_five_seconds(monkeypatch):
+    with live_bench() as (bench, _):
+        bus, attempts_s = bench_at(BenchAddress(bench.clock.name, "quick")).units[0].connection, []
+        reopen = bench.instruments.reopen
+
+        def noted(instrument):
+            attempts_s.append(bench.clock.now())
+            reopen(instrument)
+
+        def gaps_of_a_loss():
+            attempts_s.clear()
+            bus.disconnect()
+            while len(attempts_s) < 8:
+                bench.tick()
+                bus.disconnect()  # also from the port that has just been opened
+                bench.units[0].status()
+            bus.reconnect()
+            return np.diff(attempts_s)
+
+        monkeypatch.setattr(bench.instruments, "reopen", noted)
+        first = gaps_of_a_loss()
+        assert first[:2].max() <= 2.0, "at the next tick"
+        assert (np.diff(first) >= 0.0).all()
+        assert first[-1] == pytest.approx(6.0), "the first tick after 5 s"
+        while bench.silent or bench.clock.now() < attempts_s[-1] + 60.0:
+            bench.tick()
+        assert gaps_of_a_loss().tolist() == first.tolist()
