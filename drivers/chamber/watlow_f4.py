@@ -105,6 +105,10 @@ class WatlowF4:
         if self._unit == _FAHRENHEIT:
             raise self._refused("the controller works in °F; set it to °C in its setup menu")
         self.can_ramp = self._optional(_Register.RAMP_MODE) is not None  #: The model F4P alone does.
+        # All temperatures depend on it, and a late reply from before the line was opened may have come first.
+        (again,) = self._modbus.read(_Register.INPUT_1_DECIMALS)
+        if again != self._decimals:
+            raise ReplyError(line.instrument, f"register 606 reads {self._decimals}, then {again} decimals")
 
     def identify(self) -> str:
         """Model number, Modbus address and kind of ramps."""

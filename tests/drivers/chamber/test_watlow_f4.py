@@ -274,6 +274,15 @@ def test_a_device_with_impossible_decimals_is_no_f4(bench):
         bench.driver()
 
 
+def test_a_late_reply_is_not_taken_for_the_decimals_when_the_line_is_opened(bench):
+    """That of an alarm register from before; then every temperature would be read ten times as large."""
+    late, answer = [framed(bytes((1, 3, 2, 0, 0)))], bench.respond
+    bench.respond = lambda request: late.pop() if late else answer(request)
+    with pytest.raises(ReplyError, match="reads 0, then 1 decimals"):
+        bench.driver()
+    assert bench.driver().read().temperature_c == 23.0
+
+
 @given(number=st.integers(-32768, 32767), decimals=st.integers(0, 3))
 def test_every_register_value_survives_decoding_and_encoding(number, decimals):
     assert to_register(from_register(number, decimals), decimals) == number
