@@ -18,6 +18,7 @@ import can
 from gyrobench.bench.foundations.clock import Clock, Deadline
 from gyrobench.bench.foundations.errors import (
     ConnectionFailedError,
+    DocumentError,
     FaultError,
     GyrobenchError,
     InstrumentError,
@@ -29,6 +30,7 @@ from gyrobench.bench.foundations.packages import CHAMBERS, RATE_TABLES, load
 from gyrobench.bench.foundations.shipped import DEFAULT_WORLD, find_document, world_for
 from gyrobench.bench.station.instrument_sections import DialectSection
 from gyrobench.bench.station.station import Station
+from gyrobench.bench.station.station_file import load_station_file
 from gyrobench.drivers.chamber import Chamber, ChamberDialect, ChamberReading, running_profile
 from gyrobench.drivers.chamber.software_ramp import SoftwareRamp
 from gyrobench.drivers.ins.can_bus import close_bus, open_bus
@@ -106,7 +108,18 @@ class Emulation:
 
     @classmethod
     def of(cls, station: str, world: str | None = None, seed: int = 0, faults: str | None = None) -> Self:
-        """That of a station, as it was given; without a world :func:`world_for` selects it by that name."""
+        """That of a station, as it was given; without a world :func:`world_for` selects it by that name.
+
+        Raises DocumentError if world or faults are given for a station without any emulated instrument: who
+        gives them expects that nothing real moves.
+        """
+        if world or faults:
+            path = find_document("stations", station)
+            if not any(load_station_file(path)[1].emulated_instruments()):
+                raise DocumentError(
+                    f"{station}: no instrument of this station is emulated, so --world and --faults have no "
+                    "effect on it. Leave them out to use its instruments, or choose an emulated --station"
+                )
         return cls(world_for(station, world), seed, faults or "")
 
     def options(self) -> dict[str, str | int]:

@@ -439,11 +439,15 @@ class StationFile(StrictModel):
             for unit in self.units
         ] or [self.ins]
 
+    def emulated_instruments(self) -> list[bool]:
+        """Whether each instrument is emulated inside this process: table, chamber, bus of each unit."""
+        ports = (self.rate_table.port, self.chamber.port)
+        are_buses = (ins.interface == "emulator" for ins in self.ins_sections)
+        return [*(port.startswith("emulator://") for port in ports), *are_buses]
+
     def is_emulated(self) -> bool:
         """Whether every instrument is emulated inside this process."""
-        ports = (self.rate_table.port, self.chamber.port)
-        is_bus_emulated = all(ins.interface == "emulator" for ins in self.ins_sections)
-        return is_bus_emulated and all(port.startswith("emulator://") for port in ports)
+        return all(self.emulated_instruments())
 
 
 def load_station_file(path: Path) -> tuple[Document, StationFile]:

@@ -148,6 +148,12 @@ def test_arrays_that_are_not_those_of_a_dwell_are_refused(change, message):
         gyrobench.estimate_bias(**(arguments | change))
 
 
+@pytest.mark.parametrize("given", [{"world": "ideal"}, {"faults": "now_and_then"}])
+def test_a_world_for_real_instruments_is_refused(tmp_path, given):
+    with pytest.raises(DocumentError, match="no instrument of this station is emulated"):
+        gyrobench.run("ten_minute_check", "example_bench", out=tmp_path, **given)
+
+
 def test_a_negative_seed_is_refused(tmp_path):
     with pytest.raises(DocumentError, match="seed must not be negative; found -1"):
         gyrobench.run("ten_minute_check", seed=-1, out=tmp_path / "never")
