@@ -56,6 +56,7 @@ class Engine:
         self._is_hold_commanded = False
         self._unseen_faults: tuple[str, ...] = ()
         self._current: PlannedStep | None = None
+        self._dwell: int | None = None  # that which the run is in, or returns to
         self._state.run_resumed(run.state.power_ons)
 
     def run(self) -> None:
@@ -92,10 +93,12 @@ class Engine:
         retained = self._retained(is_ins_on=False, is_at_temperature=False) if index else None
         while index < len(self._plan.steps):
             try:
+                self._dwell = self._plan.steps[index].dwell
                 self._check_interlocks_before_motion()
                 self._bench.prepare_table()
                 if retained is not None:
                     index = restart_of(self._plan, index)
+                    self._dwell = self._plan.steps[index].dwell
                     self._approach(index, retained)
                     retained = None
                 planned = self._plan.steps[index]
@@ -242,6 +245,8 @@ class Engine:
                 if self._is_hold_commanded:
                     self._run.note("does not hold at the end of the dwell in progress")
                 self._is_hold_commanded = False
+            case RunCommand.SKIP if not self._dwell:
+                self._run.note("no dwell is in progress: nothing is skipped")
             case _:
                 raise CommandReceivedError(given)
 
@@ -311,13 +316,9 @@ class Engine:
         dwell = self._plan.steps[index].dwell
         is_ins_on = approached is None or approached.is_ins_on
         is_at_temperature = approached is None or approached.is_at_temperature
-        if given.command is RunCommand.SKIP:
-            retained = self._retained(is_ins_on, is_at_temperature)
-            if not dwell:
-                self._run.note("no dwell is in progress: nothing is skipped, and the step starts again")
-                return index, retained
+        if given.command is RunCommand.SKIP and dwell:
             self._units.skip(dwell)
-            return self._after_dwell(dwell, retained)
+            return self._after_dwell(dwell, self._retained(is_ins_on, is_at_temperature))
         why = f"paused by {source_in_words(given.by)}"
         self._units.discard(dwell, why, counts=False)
         is_safe = self._bench.station.file.safe_state.on_pause == "safe"

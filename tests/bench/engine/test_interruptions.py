@@ -231,6 +231,17 @@ def test_a_skipped_dwell_is_not_measured(tmp_path, two):
     assert [row.dwell for row in read_dwells(folder.dwells)] == [2]
 
 
+def test_a_skip_outside_of_a_dwell_changes_nothing(tmp_path, two):
+    folder, outcome, _ = consent(
+        tmp_path, "power_on", lambda bench, clock: os.kill(os.getpid(), signal.SIGUSR2), two
+    )
+    assert outcome.ended == "finished", outcome.reason
+    assert [entry["text"] for entry in events(folder, "note")] == [
+        "no dwell is in progress: nothing is skipped"
+    ]
+    assert [entry["step"] for entry in events(folder, "step_started")] == list(range(1, 12))
+
+
 def test_commands_can_be_typed(tmp_path, two):
     class Typist(ConsentingOperator):
         typed = [None] * 100 + [RunCommand.SKIP]
