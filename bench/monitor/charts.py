@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.text import hours_minutes
 from gyrobench.bench.monitor.snapshot import (
     Attitude,
     CurrentDwell,
@@ -111,11 +112,16 @@ def _temperature_axis(temperatures_c: Iterable[float]) -> Axis:
 
 
 def time_axis(title: str, high_s: float, unit_s: float) -> Axis:
-    """Make an axis of time from zero with ticks at round minutes or hours, labelled in ``unit_s``."""
+    """Make an axis of time from zero with ticks at round minutes or hours.
+
+    They are labelled in ``unit_s``, parts of hours as h:mm.
+    """
     high_s = max(high_s, MINUTE_S)
     fitting = (step for step in _TIME_STEPS_S if high_s / step <= _MAX_TICKS)
     step_s = next(fitting, 24.0 * HOUR_S * math.ceil(high_s / (24.0 * HOUR_S * _MAX_TICKS)))
-    return _with_ticks(Axis(title, 0.0, high_s, ()), step_s, lambda time_s: f"{time_s / unit_s:.3g}")
+    is_clock = unit_s == HOUR_S and step_s % HOUR_S != 0.0
+    axis = Axis(title, 0.0, high_s, ())
+    return _with_ticks(axis, step_s, hours_minutes if is_clock else lambda time_s: f"{time_s / unit_s:.3g}")
 
 
 def line(x: Axis, y: Axis, x_values: Sequence[float], y_values: Sequence[float]) -> str:

@@ -61,15 +61,9 @@ def snapshot_of(path: Path) -> RunSnapshot:
     records = snapshot_from_records(folder)
     # A process that was killed may have recorded more than its last snapshot has.
     if not snapshot.units and records.finished_dwells >= snapshot.finished_dwells:
-        return records
+        return replace(records, alarms=snapshot.alarms)
     return replace(
-        snapshot,
-        state=RunState.STOPPED,
-        reason=NO_END_RECORDED,
-        question=None,
-        step=None,
-        dwell=None,
-        alarms=(),
+        snapshot, state=RunState.STOPPED, reason=NO_END_RECORDED, question=None, step=None, dwell=None
     )
 
 

@@ -171,7 +171,7 @@ def run_findings(
     the run did not finish, which is stated elsewhere.
     """
     found = {
-        "Most dwells are flagged.": flags_sentence(rows, reason),
+        "Many dwells are flagged.": flags_sentence(rows, reason),
         "Temperatures of the gyros.": temperatures_sentence(rows),
         "Drifting accelerometers.": accelerometers_sentence(rows, station),
         "Declared noise.": noise_sentence(noise, station),

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from gyrobench.bench.bias.error_sources import SOURCES
 from gyrobench.bench.navigation.positions import gyro_label
-from gyrobench.bench.report.figures.style import common_legend, house_style, new_figure
+from gyrobench.bench.report.figures.style import LEGEND_ROW_IN, common_legend, house_style, new_figure
 from gyrobench.bench.runs.tables.budget_table import COMBINED, BudgetSummary
 
 #: Colours of Okabe and Ito, and hatches, for the sources with the largest shares; the rest is grey.
@@ -25,6 +25,7 @@ _STYLES = (
 _OTHER = ("#bbbbbb", "")
 #: Smaller shares than this in all bars are drawn together.
 _SMALLEST = 0.01
+_KEY_COLUMNS = 2  # of the legend
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,10 @@ def budget_figure(shares: Sequence[Shares]) -> Figure:
     largest = {name: max(each.parts.get(name, 0.0) for each in shares) for name in SOURCES}
     order = sorted(largest, key=lambda name: -largest[name])
     named = [name for name in order[: len(_STYLES)] if largest[name] >= _SMALLEST]
-    figure = new_figure(0.75 + 0.2 * len(shares), left_in=1.2, right_in=1.35, top_in=0.05, bottom_in=0.4)
+    keys_in = LEGEND_ROW_IN * math.ceil((len(named) + 1) / _KEY_COLUMNS)
+    figure = new_figure(
+        0.4 + keys_in + 0.2 * len(shares), left_in=1.2, right_in=1.35, top_in=0.05, bottom_in=0.4
+    )
     axes = figure.add_subplot()
     places = range(len(shares))
     start = [0.0] * len(shares)
@@ -99,5 +103,5 @@ def budget_figure(shares: Sequence[Shares]) -> Figure:
     )
     axes.invert_yaxis()
     axes.grid(visible=False, axis="y")
-    common_legend(figure, [axes], "lower center", ncols=2)
+    common_legend(figure, [axes], "lower center", ncols=_KEY_COLUMNS)
     return figure

@@ -31,8 +31,8 @@ WIDTH_IN = 7.2
 _PNG_DPI = 160
 _INCH_M = 0.0254
 _POINTS_PER_INCH, _LEGEND_PT = 72.0, 8
-#: Width of a character and height of a legend's row in parts of the size of the font.
-_CHARACTER, _LEGEND_ROW = 0.58, 1.75
+_CHARACTER = 0.58  # width in parts of the size of the font
+LEGEND_ROW_IN = 1.75 * _LEGEND_PT / _POINTS_PER_INCH  #: Height of a row of a legend.
 _KEY_IN = 0.53  # of a column of a legend: its line, and the space to the next column
 #: Name of the text of a PNG file that holds the key, near its beginning.
 _KEY, _KEY_WITHIN_BYTES = "Inputs", 1000
@@ -339,9 +339,8 @@ def common_legend(
     if figure.get_layout_engine():
         side = f"outside {side}"  # type: ignore[assignment]
     else:
-        row_in = _LEGEND_ROW * _LEGEND_PT / _POINTS_PER_INCH
         rows = math.ceil(len(handles) / ncols) + bool(title)
-        room = (0.5 + rows) * row_in / figure.get_figheight()
+        room = (0.5 + rows) * LEGEND_ROW_IN / figure.get_figheight()
         at = figure.subplotpars
         figure.subplots_adjust(
             **{"bottom": at.bottom + room} if side == "lower center" else {"top": at.top - room}

@@ -6,7 +6,7 @@ import pytest
 
 from gyrobench.bench.monitor.snapshot import Note, RunState
 from gyrobench.bench.monitor.website import Website
-from tests.bench.monitor.sample_snapshots import made_up_snapshot
+from tests.bench.monitor.sample_snapshots import made_up_snapshot, waiting_snapshot
 from tests.bench.monitor.served_run import ask, now, run_under_way, served, write_snapshot
 
 
@@ -164,6 +164,14 @@ def test_a_killed_run_is_shown_at_once(tmp_path):
     assert "gyrobench resume runs/six_position-001 --look" in text_of(site, "/fragment")
     assert "commands are sent" not in text_of(site, "/fragment")
     assert "stopped without recording its end" in text_of(Website(tmp_path, now), "/fragment")
+
+
+def test_alarms_at_the_kill_of_a_run_are_shown(tmp_path):
+    with run_under_way(tmp_path, waiting_snapshot()):
+        pass
+    shown = text_of(Website(tmp_path, now), "/fragment")
+    assert "stopped without recording its end" in shown
+    assert "ALARM chamber deviation at the end" in shown
 
 
 def test_a_run_that_has_fallen_silent_is_reported(tmp_path):

@@ -4,6 +4,7 @@ from dataclasses import replace
 import pytest
 
 from gyrobench.bench.bias.budget import BiasBudget, Budget, Contribution
+from gyrobench.bench.bias.error_sources import SOURCES
 from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN
 from gyrobench.bench.report.budget_section import budget_box, budget_section
 from gyrobench.bench.report.figures.budget import budget_figure, shares
@@ -134,3 +135,15 @@ def test_a_report_of_coefficients_has_them_on_its_first_page_and_the_figure_in_t
     assert ">12.3<" in first
     assert "Shares of the variance" not in first
     assert sections.index("Uncertainty budget") < sections.index("Shares of the variance")
+
+
+def test_bars_keep_their_height_above_a_legend_of_many_sources():
+    few, many = (
+        [replace(each, parts=dict.fromkeys(list(SOURCES)[:count], 1.0 / count)) for each in shares(SUMMARY)]
+        for count in (1, 6)
+    )
+    heights_in = [
+        figure.axes[0].get_position().height * figure.get_figheight()
+        for figure in map(budget_figure, (few, many))
+    ]
+    assert heights_in[1] == pytest.approx(heights_in[0])
