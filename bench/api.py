@@ -390,6 +390,13 @@ def close_loop(
     rotate : bool
         Whether each cycle is held out in turn as well: ``Closure.held_out_in_turn``.
 
+    Returns
+    -------
+    Closure
+        ``verdict``, ``names`` of the effects found and their ``probability``; ``effects`` with values and
+        sizes; ``error_before_dph`` and ``error_after_dph`` in the held-out cycle; ``evidence`` for each
+        candidate alone.
+
     Raises
     ------
     DocumentError, MeasurementError

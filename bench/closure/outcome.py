@@ -179,6 +179,10 @@ class Closure:
     #: Names of the laws found that were composed from held-out dwells, which can't confirm them.
     circular: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        """Verdict and effects: all fields would fill pages of a notebook."""
+        return f"Closure(verdict={self.verdict!r}, names={self.names!r}, probability={self.probability:.3g})"
+
     @property
     def quantity(self) -> Quantity:
         """What was searched; its unit is that of all numbers in deg/h otherwise."""

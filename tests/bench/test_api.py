@@ -85,6 +85,7 @@ def test_a_search_takes_a_file_or_a_data_frame(tmp_path):
     table = gyrobench.open_run(folder).dwells
     from_frame, from_folder = gyrobench.close_loop(table), gyrobench.close_loop(folder)
     assert from_frame.verdict == from_folder.verdict
+    assert len(repr(from_frame)) < 200  # what a notebook shows
     assert from_frame.error_before_dph == pytest.approx(from_folder.error_before_dph)
     halves = [tmp_path / "one.csv", tmp_path / "two.csv"]
     for path, part in zip(halves, (table[table.cycle == 1], table[table.cycle > 1]), strict=True):
