@@ -147,6 +147,25 @@ def _reversed_earth(rows: Sequence[DwellRow], latitude_deg: float) -> Iterator[s
                 )
 
 
+def _missing_earth(rows: Sequence[DwellRow], latitude_deg: float) -> Iterator[str]:
+    """Axes whose biases are what subtracting the Earth's rotation leaves where the rates lack it."""
+    earth_dph = float(earth_rate_enu(math.radians(latitude_deg))[2]) * RADPS_TO_DPH
+    for index, axis in enumerate(AXES):
+        ways = (
+            [sign * row.bias_dph[index] for row in rows if row.position == f"{axis}_{way}"]
+            for way, sign in (("up", 1.0), ("down", -1.0))
+        )
+        means = [float(np.mean(biases)) for biases in ways if biases]
+        if means and abs(earth_dph) > 0.5 * _MIN_EARTH_DPH:
+            along_up_dph = float(np.mean(means))
+            if abs(along_up_dph + earth_dph) < _SAME_EARTH * abs(earth_dph):
+                yield (
+                    f"the {axis} gyro, where it is vertical, seems to lack the Earth's rotation: subtracting "
+                    f"it leaves {along_up_dph:.1f} deg/h along Up. Check 'unit' and 'scale' of the gyro; "
+                    "leave 'earth_rate' out where the log is free of it"
+                )
+
+
 def _map_warnings(log_map: LogMap, rows: Sequence[DwellRow]) -> list[str]:
     warnings: list[str] = []
     if log_map.earth_rate is None:
@@ -157,6 +176,7 @@ def _map_warnings(log_map: LogMap, rows: Sequence[DwellRow]) -> list[str]:
             )
     else:
         warnings += _reversed_earth(rows, log_map.earth_rate.latitude_deg)
+        warnings += _missing_earth(rows, log_map.earth_rate.latitude_deg)
         if log_map.earth_rate.azimuth_deg is None:
             _, north, _ = earth_rate_enu(math.radians(log_map.earth_rate.latitude_deg))
             horizontal_dph = north * RADPS_TO_DPH

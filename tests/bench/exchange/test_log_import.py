@@ -315,6 +315,17 @@ def test_the_earths_rotation_with_the_wrong_sign_is_shown(log, gyro, force, lati
     assert warned == ((gyro, force, latitude_deg) != (1, 1, 48))
 
 
+@pytest.mark.parametrize(("unit", "is_warned"), [("rad/s", False), ("deg/s", True)])
+def test_rates_in_too_large_a_unit_lack_the_earths_rotation(log, unit, is_warned):
+    random = np.random.default_rng(5)
+    earth_dph = 15.041067 * np.sin(np.radians(48.0))
+    log.columns["gz"] = np.radians(0.3 + earth_dph + random.standard_normal(len(log.time_s))) / 3600.0
+    found = imported(
+        log, position="z_up", gyro=f"{{unit: {unit}, x: gx, y: gy, z: gz}}", earth_rate="{latitude_deg: 48}"
+    )
+    assert any("seems to lack the Earth's rotation" in each for each in found.warnings) == is_warned
+
+
 def test_without_azimuth_the_vertical_gyro_alone_is_freed_and_that_is_reported(log):
     plain = biases(imported(log, position="x_down").rows)
     result = imported(log, position="x_down", earth_rate="{latitude_deg: 30}")
