@@ -29,7 +29,9 @@ from gyrobench.bench.closure.effects.effect_file import EffectFile
 from gyrobench.bench.foundations.documents import parse_document, read_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.json_schema import Schema
+from gyrobench.bench.foundations.packages import CHAMBERS, RATE_TABLES, installed
 from gyrobench.bench.foundations.shipped import TEMPLATES, find_document
+from gyrobench.bench.foundations.text import did_you_mean
 from gyrobench.bench.procedure.procedure_file import STEP_KINDS, checked_procedure, resolve
 from gyrobench.bench.procedure.steps import Step
 from gyrobench.bench.station.station import FILL_IN
@@ -251,7 +253,15 @@ def new_station(name: str, path: Path, table: str | None = None, chamber: str | 
     """
     values = read_document(find_document("stations", _EXAMPLE_STATION)).data
     values |= {"station": name, "description": _NOT_FILLED_IN}
-    for section, dialect in (("rate_table", table), ("chamber", chamber)):
+    for section, dialect, names in (
+        ("rate_table", table, installed(RATE_TABLES)),
+        ("chamber", chamber, installed(CHAMBERS)),
+    ):
+        if dialect is not None and dialect not in names:
+            raise DocumentError(
+                f"no dialect {dialect!r} of a {section.replace('_', ' ')} is installed"
+                f"{did_you_mean(dialect, names)}; installed: {', '.join(names)}"
+            )
         if dialect is not None and dialect != values[section]["dialect"]:
             values[section] = _of_dialect(values[section], dialect, section)
         values[section] = {**values[section], "port": FILL_IN}

@@ -169,8 +169,8 @@ class Dwell:
         if not moved.max() <= _MAX_MOVEMENT:
             raise MeasurementError(
                 f"{self.position_name}: in window {number} the unit turned by "
-                f"{np.rad2deg(moved.max()):.1f} deg according to the INS (at most "
-                f"{np.rad2deg(_MAX_MOVEMENT):g} deg is allowed). Check that the table holds its position"
+                f"{np.rad2deg(moved.max()):.1f} deg according to the INS (limit "
+                f"{np.rad2deg(_MAX_MOVEMENT):g} deg). Check that the table holds its position"
             )
 
     def _check_attitude(self, what: str, C_one: FloatArray, other: str, C_other: FloatArray) -> None:

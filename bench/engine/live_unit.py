@@ -214,6 +214,8 @@ class LiveUnit:
         if abs(period_s / self._other_period_s - 1.0) < _SAME_PERIOD:
             is_emulated = self.station.file.ins.interface == "emulator"
             other = "choose the --world that belongs to it" if is_emulated else "the output rate of the INS"
+            if self.station.file.speed > 1.0:
+                other += "; or this computer is too slow for `gyrobench emulate --speed`"
             raise SignalMapError(
                 f"{self.name}: counts an epoch in {period_s:.3g} s, not in {ins.epoch_period_s:g} s. Correct "
                 f"epoch_period_s of the signal map in the station file, or {other}"

@@ -33,7 +33,7 @@ USES = MappingProxyType(
     {
         "procedure": "Run it with: gyrobench run {0} --station STATION, or check it with its bench: "
         "gyrobench check STATION --procedure {0}",
-        "station": "Give the procedure first: gyrobench run PROCEDURE --station {0}",
+        "station": "Give it with --station, as in: gyrobench run PROCEDURE --station {0}",
         "world": "Give it with: --world {0}",
         "faults": "Give it with: --faults {0}",
         "rotation_list": "Show what it determines with: gyrobench plan {0} --observability",

@@ -125,9 +125,10 @@ def _await_start(station: Station, ins: CanIns, clock: Clock) -> None:
     while not ins.sends_frames(_FIRST_FRAME_S):
         if deadline.expired():
             others = f", but {found}" if (found := ins.other_frames()) else ""
-            raise NoReplyError(
-                _SUBJECT, f"sends nothing{others}. Check its power, the bus, its bit rate and the cable."
+            what = (
+                "the DBC file and ins.identifier_offset" if others else "the bus, its bit rate and the cable"
             )
+            raise NoReplyError(_SUBJECT, f"sends nothing{others}. Check its power, {what}.")
     while ins.status().mode is InsMode.BOOT and not deadline.expired():
         clock.sleep(1.0)
         ins.poll()

@@ -92,6 +92,11 @@ def test_lines_are_not_longer_than_a_screen(tmp_path):
 def test_a_dialect_that_is_not_installed_is_reported_with_those_that_are(tmp_path):
     with pytest.raises(DocumentError, match=r"watlow_f5.*watlow_f4"):
         new_station("mine", tmp_path / "a.yaml", chamber="watlow_f5")
+    # No file has a place that could be named.
+    with pytest.raises(
+        DocumentError, match=r"^no dialect 'acl' of a rate table is installed; installed: acu"
+    ):
+        new_station("mine", tmp_path / "a.yaml", table="acl")
 
 
 def test_a_name_that_can_not_be_one_is_refused(tmp_path):

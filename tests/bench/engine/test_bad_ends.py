@@ -186,8 +186,10 @@ def test_a_velocity_mapped_with_the_wrong_sign_ends_the_run_after_its_first_dwel
     assert "dwell_given_up" not in [entry["event"] for entry in read_journal(folder.journal)]
 
 
-@pytest.mark.parametrize("period_s", [0.05, 0.2])
-def test_a_wrong_period_of_the_epochs_ends_the_run_before_its_first_dwell(tmp_path, monkeypatch, period_s):
+@pytest.mark.parametrize(("period_s", "speed"), [(0.05, 1.0), (0.2, 10.0)])
+def test_a_wrong_period_of_the_epochs_ends_the_run_before_its_first_dwell(
+    tmp_path, monkeypatch, period_s, speed
+):
     monkeypatch.setattr(can_interface, "_check_period", lambda *_: None)  # a real INS can't refuse it
     text = find_document("stations", "emulated").read_text()
     right = "epoch_period_s: 0.1"
@@ -195,8 +197,10 @@ def test_a_wrong_period_of_the_epochs_ends_the_run_before_its_first_dwell(tmp_pa
     station = tmp_path / "station.yaml"
     station.write_text(text.replace(right, f"epoch_period_s: {period_s}"))
     job = prepare_job("calibration_check", str(station), Emulation("gyro_a", 1))
+    monkeypatch.setitem(job.station.file.__dict__, "speed", speed)  # of a bench that is served
     _, outcome = run_job(job, tmp_path / "run", RunObserver(), ConsentingOperator())
     assert outcome.ended == "failed"
+    assert ("too slow for `gyrobench emulate --speed`" in outcome.reason) == (speed > 1.0)
     assert f"counts an epoch in 0.1 s, not in {period_s:g} s. Correct epoch_period_s" in outcome.reason
     assert not outcome.check_dwells
     assert [action.problem for action in outcome.safe_state] == [""] * len(outcome.safe_state)

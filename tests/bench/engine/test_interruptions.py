@@ -167,7 +167,7 @@ def test_a_table_that_is_moved_and_brought_back_gives_a_flag_and_no_number(tmp_p
     assert outcome.ended == "finished", outcome.reason
     (row,) = read_dwells(folder.dwells)
     assert "the table moved by 5.0" in str(row.flags)
-    assert "in window 1 the unit turned by 5.0 deg" in str(row.flags)
+    assert "in window 1 the unit turned by 5.0 deg according to the INS (limit 0.5 deg)." in str(row.flags)
     assert np.isnan(row.bias_dph).all()
 
 

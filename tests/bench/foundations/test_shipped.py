@@ -16,6 +16,10 @@ def test_the_name_of_a_shipped_file_of_another_kind_is_named_with_what_to_write(
         find_document("procedures", "emulated")
     with pytest.raises(DocumentError, match=r"a shipped procedure\. Run it with: gyrobench run warm_up"):
         find_document("stations", "warm_up")
+    with pytest.raises(
+        DocumentError, match=r"a shipped station\. Give it with --station, as in: gyrobench run"
+    ):
+        find_document("worlds", "example_bench")
     with pytest.raises(DocumentError, match=r"warmup: .*did you mean 'warm_up'"):
         find_document("procedures", "warmup")
 

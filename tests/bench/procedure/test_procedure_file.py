@@ -295,8 +295,8 @@ def test_a_station_in_place_of_a_procedure_is_named_with_what_to_write() -> None
     with pytest.raises(DocumentError) as caught:
         load_procedure(path)
     assert str(caught.value) == (
-        f"{path}:2:1: this is a station file, not a procedure file. Give the procedure first: gyrobench run "
-        f"PROCEDURE --station {path}"
+        f"{path}:2:1: this is a station file, not a procedure file. Give it with --station, as in: gyrobench "
+        f"run PROCEDURE --station {path}"
     )
 
 

@@ -1,5 +1,6 @@
 """Preflights of the emulated bench in virtual time: what passes, and each way in which it does not."""
 
+import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -224,6 +225,20 @@ def test_a_chamber_at_another_address_fails_with_its_address_and_the_unit_with_i
     failures = failures_of(("  address: 1\n", "  address: 5\n"))
     assert "set to this baud rate and Modbus address 5?" in failures["chamber: answers"].found
     assert failures["INS: answers"].found.startswith("not switched on: the chamber, whose output feeds it,")
+
+
+def test_frames_that_are_not_in_the_dbc_file_lead_to_that_file(failures_of, tmp_path):
+    shipped = (Path(ins.__file__).parent / "gyrobench_ins.dbc").read_text()
+    moved = re.sub(
+        r"^((?:BO_|VAL_|SIG_VALTYPE_|CM_ BO_|CM_ SG_|BA_.* BO_) )(\d+)",
+        lambda found: f"{found[1]}{int(found[2]) + 1024}",
+        shipped,
+        flags=re.MULTILINE,
+    )
+    (tmp_path / "own.dbc").write_text(moved)
+    found = failures_of(("  dbc: gyrobench_ins.dbc", "  dbc: own.dbc"))["INS: answers"].found
+    assert "frames arrive, such as 0x001, but none that is in the DBC file" in found
+    assert found.endswith("Check its power, the DBC file and ins.identifier_offset.")
 
 
 def test_without_the_latitude_of_the_ins_comparing_it_is_left_to_the_operator(tmp_path):
