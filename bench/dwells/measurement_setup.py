@@ -18,8 +18,8 @@ from gyrobench.bench.dwells.output_checks import OutputFault, exceeds_noise, out
 from gyrobench.bench.dwells.setup_check import SetupEvidence, setup_evidence
 from gyrobench.bench.dwells.sign_check import SignCheck
 from gyrobench.bench.foundations.arrays import ARCSEC_TO_RAD
-from gyrobench.bench.navigation.earth import NORMAL_GRAVITY_SIGMA
 from gyrobench.bench.navigation.error_model import Site
+from gyrobench.bench.navigation.location import NORMAL_GRAVITY_SIGMA
 from gyrobench.bench.navigation.table_axes import TwoAxisTable
 from gyrobench.bench.runs.marks import WindowMark
 from gyrobench.bench.station.station import Station

@@ -14,7 +14,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from gyrobench.bench.foundations.csv_tables import COLDEST_C, HOTTEST_C
 from gyrobench.bench.foundations.documents import StrictModel, read_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.navigation.earth import gravity_fault
+from gyrobench.bench.navigation.location import Location
 from gyrobench.bench.navigation.positions import AXES, PositionName
 from gyrobench.drivers import ins
 
@@ -314,28 +314,10 @@ class CalibrationNoise(StrictModel):
     velocity_random_walk_ug_per_sqrt_hz: Positive = Field(description="of each accelerometer, ug/sqrt(Hz)")
 
 
-class CalibrationLog(StrictModel):
+class CalibrationLog(Location):
     """What ``gyrobench calibrate`` needs beside the gyros; it ignores temperatures, position and windows."""
 
     accelerometers: CalibrationAccelerometers = Field(description="columns of the accelerometers")
-    latitude_deg: float = Field(ge=-85.0, le=85.0, description="geodetic latitude, deg")
-    latitude_uncertainty_arcmin: float = Field(
-        default=0.33,
-        ge=0.0,
-        le=60.0,
-        description="standard uncertainty of the latitude, arcmin; the default holds the deflection of the "
-        "vertical to the north, 20 arcsec without an astronomical survey",
-    )
-    height_m: float = Field(default=0.0, ge=-1000.0, le=10000.0, description="above the ellipsoid, m")
-    gravity_mps2: float | None = Field(
-        default=None, ge=9.7, le=9.9, description="local gravity; default: normal gravity of the place"
-    )
-    gravity_sigma_mps2: float | None = Field(
-        default=None,
-        ge=0.0,
-        le=0.1,
-        description="standard uncertainty of gravity; default: by the digits of 'gravity_mps2', else 3e-4",
-    )
     clock_sigma_ppm: float = Field(
         default=29.0,
         ge=0.0,
@@ -350,14 +332,6 @@ class CalibrationLog(StrictModel):
         description="standard uncertainty with which the table returns after whole turns; without it spins "
         "count as any other rotation",
     )
-
-    @model_validator(mode="after")
-    def _has_its_gravity(self) -> Self:
-        if self.gravity_mps2 is not None:
-            place = self.latitude_deg, self.height_m
-            if fault := gravity_fault(self.gravity_mps2, self.gravity_sigma_mps2, *place):
-                raise ValueError(fault)
-        return self
 
 
 class Averages(NamedTuple):

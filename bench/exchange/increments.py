@@ -24,7 +24,6 @@ from gyrobench.bench.foundations.arrays import (
     true_spans,
 )
 from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.bench.navigation.earth import gravity_uncertainty
 from gyrobench.bench.navigation.error_model import Site
 
 #: SI units of angle and velocity, and of their rates, by the names in maps.
@@ -224,19 +223,15 @@ def calibration_settings(log_map: LogMap, interval_error: float = 0.0) -> tuple[
             noise.angle_random_walk_deg_per_sqrt_h * DEG_PER_SQRT_H_TO_SI,
             noise.velocity_random_walk_ug_per_sqrt_hz * UG_PER_SQRT_HZ_TO_SI,
         )
-    site = Site(float(np.deg2rad(section.latitude_deg)), section.height_m)
     whole_turns = None if turns is None else turns * _ANGLES["arcsec"]
-    gravity_sigma = section.gravity_sigma_mps2
-    if gravity_sigma is None:
-        gravity_sigma = gravity_uncertainty(section.gravity_mps2)
     time_error = float(np.hypot(1e-6 * section.clock_sigma_ppm, interval_error))
     _, angles_are_increments = _angle_unit(log_map.gyro.unit)
     velocities_are_increments = section.accelerometers.unit in _INCREMENTS
-    return site, CalibrationOptions(
+    return section.site, CalibrationOptions(
         whole_turns=whole_turns,
         gravity=section.gravity_mps2,
         walks=walks,
-        gravity_sigma=gravity_sigma,
+        gravity_sigma=section.gravity_sigma,
         latitude_sigma=section.latitude_uncertainty_arcmin / RAD_TO_ARCMIN,
         scales_by_time=(
             0.0 if angles_are_increments else time_error,

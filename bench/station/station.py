@@ -17,7 +17,6 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.clock import Clock, VirtualClock, WallClock
 from gyrobench.bench.foundations.documents import Document, DocumentProblem, KeyPath, parse_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.navigation.earth import gravity_uncertainty
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import POSITIONS, PositionName
 from gyrobench.bench.navigation.table_axes import Angles, SingleAxisTable, TurnOrMove, TwoAxisTable
@@ -131,17 +130,13 @@ class Station:
     @cached_property
     def site(self) -> Site:
         """Where the bench is."""
-        place = self.file.location
-        return Site(np.deg2rad(place.latitude_deg), place.height_m)
+        return self.file.location.site
 
     @property
     def gravity_and_sigma(self) -> tuple[float | None, float]:
         """Local gravity, m/s^2, None where it is not known, and its standard uncertainty."""
         place = self.file.location
-        sigma = place.gravity_uncertainty_mps2
-        if sigma is None:
-            sigma = gravity_uncertainty(place.gravity_mps2)
-        return place.gravity_mps2, sigma
+        return place.gravity_mps2, place.gravity_sigma
 
     @cached_property
     def dbc_path(self) -> Path:

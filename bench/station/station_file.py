@@ -2,22 +2,13 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 from urllib.parse import urlsplit
 
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Discriminator,
-    Field,
-    Tag,
-    field_validator,
-    model_validator,
-)
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from gyrobench.bench.foundations.documents import (
     Document,
@@ -27,8 +18,7 @@ from gyrobench.bench.foundations.documents import (
     validate,
 )
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.navigation.earth import gravity_fault
-from gyrobench.bench.navigation.error_model import MAX_LATITUDE
+from gyrobench.bench.navigation.location import Location
 from gyrobench.bench.station.instrument_sections import (
     ChamberSection,
     Identity,
@@ -67,55 +57,6 @@ def _why_not_fast(addresses: Iterable[str], interface: str, host: str) -> str:
         if url.scheme and url.scheme not in _SCHEMES_HERE and url.hostname not in _LOOPBACK:
             return f"{address} is not an address of this computer"
     return ""
-
-
-#: Where an INS can still gyrocompass.
-_MAX_LATITUDE_DEG = round(math.degrees(MAX_LATITUDE), 6)
-
-
-class Location(StrictModel):
-    """Where the bench is."""
-
-    latitude_deg: float = Field(
-        description="geodetic latitude, deg; gyrocompassing fails near the poles",
-        json_schema_extra={"minimum": -_MAX_LATITUDE_DEG, "maximum": _MAX_LATITUDE_DEG},
-    )
-    height_m: float = Field(0.0, ge=-500.0, le=9000.0, description="height above the ellipsoid, m")
-    latitude_uncertainty_arcmin: float = Field(
-        0.33,
-        ge=0.0,
-        le=60.0,
-        description="standard uncertainty of the latitude that the INS uses, arcmin; the default holds the "
-        "deflection of the vertical to the north, 20 arcsec without an astronomical survey",
-    )
-    gravity_mps2: float | None = Field(
-        default=None, ge=9.7, le=9.9, description="local gravity; default: normal gravity of the place"
-    )
-    gravity_uncertainty_mps2: float | None = Field(
-        default=None,
-        ge=0.0,
-        le=0.1,
-        description="standard uncertainty of gravity, which all scale factors of accelerometers share; "
-        "default: by the digits of 'gravity_mps2', without it 3e-4",
-    )
-
-    @field_validator("latitude_deg")
-    @classmethod
-    def _can_gyrocompass(cls, latitude_deg: float) -> float:
-        if not abs(latitude_deg) <= _MAX_LATITUDE_DEG:
-            raise ValueError(
-                f"gyrocompassing fails at {latitude_deg:g} deg; allowed: -{_MAX_LATITUDE_DEG:g} to "
-                f"{_MAX_LATITUDE_DEG:g} deg"
-            )
-        return latitude_deg
-
-    @model_validator(mode="after")
-    def _has_its_gravity(self) -> Self:
-        if self.gravity_mps2 is not None:
-            place = self.latitude_deg, self.height_m
-            if fault := gravity_fault(self.gravity_mps2, self.gravity_uncertainty_mps2, *place):
-                raise ValueError(fault)
-        return self
 
 
 def _no_secret(key: str) -> str:

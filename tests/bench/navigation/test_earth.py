@@ -35,35 +35,6 @@ def test_gravity_and_radii_agree_with_another_library(latitude_deg):
     assert earth.curvature_radii(latitude, 1000.0) == pytest.approx((north, east), abs=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("known", "sigma", "fault"),
-    [
-        (
-            9.80665,
-            None,
-            "9.80665 m/s^2 is standard gravity, which defines the unit g; normal gravity at 36.4 deg",
-        ),
-        (
-            9.81,
-            None,
-            "gravity_mps2 is 9.81; normal gravity at 36.4 deg and 60 m is 9.79835 m/s^2, from which",
-        ),
-        (9.81, 0.005, ""),  # as uncertain as it is wrong
-        (9.8, None, ""),
-        (9.80135, None, ""),  # an anomaly of 300 mGal
-        (9.79835, 1e-6, ""),
-    ],
-)
-def test_a_gravity_that_is_not_that_of_its_place_is_named(known, sigma, fault):
-    found = earth.gravity_fault(known, sigma, 36.4, 60.0)
-    assert found.startswith(fault)
-    assert bool(found) == bool(fault)
-
-
-def test_standard_gravity_is_taken_where_it_is_that_of_the_place():
-    assert earth.gravity_fault(9.80665, None, 45.5, 0.0) == ""
-
-
 def test_gravity_falls_by_the_free_air_gradient():
     latitude = np.deg2rad(45.0)
     assert earth.gravity(latitude, 1.0) - earth.gravity(latitude) == pytest.approx(-3.086e-6, abs=2e-9)

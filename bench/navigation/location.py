@@ -1,0 +1,97 @@
+"""Where a unit is calibrated, as station files and import maps state it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import ClassVar, Self
+
+import numpy as np
+from pydantic import Field, field_validator, model_validator
+
+from gyrobench.bench.foundations.arrays import STANDARD_GRAVITY
+from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.bench.navigation.error_model import MAX_LATITUDE, Site
+
+#: Standard uncertainty of normal gravity, m/s^2: a usual anomaly of 30 mGal.
+NORMAL_GRAVITY_SIGMA = 3e-4
+#: Largest difference of gravity from normal gravity, m/s^2, above that of laboratories by far, and one that
+#: does not matter.
+_MAX_ANOMALY, _SAME_GRAVITY = 5e-3, 1e-4
+_MAX_LATITUDE_DEG = round(math.degrees(MAX_LATITUDE), 6)
+
+
+class Location(StrictModel):
+    """Where the bench is."""
+
+    renamed_keys: ClassVar[Mapping[str, str]] = MappingProxyType(
+        {"gravity_sigma_mps2": "gravity_uncertainty_mps2"}
+    )
+
+    latitude_deg: float = Field(
+        description="geodetic latitude, deg; gyrocompassing fails near the poles",
+        json_schema_extra={"minimum": -_MAX_LATITUDE_DEG, "maximum": _MAX_LATITUDE_DEG},
+    )
+    height_m: float = Field(0.0, ge=-1000.0, le=10000.0, description="height above the ellipsoid, m")
+    latitude_uncertainty_arcmin: float = Field(
+        0.33,
+        ge=0.0,
+        le=60.0,
+        description="standard uncertainty of the latitude, arcmin; the default holds the "
+        "deflection of the vertical to the north, 20 arcsec without an astronomical survey",
+    )
+    gravity_mps2: float | None = Field(
+        default=None, ge=9.7, le=9.9, description="local gravity; default: normal gravity of the place"
+    )
+    gravity_uncertainty_mps2: float | None = Field(
+        default=None,
+        ge=0.0,
+        le=0.1,
+        description="standard uncertainty of gravity, which all scale factors of accelerometers share; "
+        "default: by the digits of 'gravity_mps2', without it 3e-4",
+    )
+
+    @property
+    def site(self) -> Site:
+        """Latitude and height, SI."""
+        return Site(float(np.deg2rad(self.latitude_deg)), self.height_m)
+
+    @property
+    def gravity_sigma(self) -> float:
+        """Standard uncertainty of gravity, m/s^2: as stated, else by the digits of the number."""
+        if self.gravity_uncertainty_mps2 is not None:
+            return self.gravity_uncertainty_mps2
+        if self.gravity_mps2 is None:
+            return NORMAL_GRAVITY_SIGMA
+        digits = len(repr(self.gravity_mps2).partition(".")[2])
+        return 0.5 * 10.0**-digits / math.sqrt(3.0)
+
+    @field_validator("latitude_deg")
+    @classmethod
+    def _can_gyrocompass(cls, latitude_deg: float) -> float:
+        if not abs(latitude_deg) <= _MAX_LATITUDE_DEG:
+            raise ValueError(
+                f"gyrocompassing fails at {latitude_deg:g} deg; allowed: -{_MAX_LATITUDE_DEG:g} to "
+                f"{_MAX_LATITUDE_DEG:g} deg"
+            )
+        return latitude_deg
+
+    @model_validator(mode="after")
+    def _has_its_gravity(self) -> Self:
+        if (known := self.gravity_mps2) is None:
+            return self
+        normal, allowed = self.site.gravity, 2.0 * self.gravity_sigma
+        away = abs(known - normal)
+        place = f"normal gravity at {self.latitude_deg:g} deg and {self.height_m:g} m is {normal:.5f} m/s^2"
+        if known == STANDARD_GRAVITY and away > max(allowed, _SAME_GRAVITY):
+            raise ValueError(
+                f"{known} m/s^2 is standard gravity, which defines the unit g; {place}. Leave gravity_mps2 "
+                "out, or enter the gravity measured there"
+            )
+        if away > _MAX_ANOMALY + allowed:
+            raise ValueError(
+                f"gravity_mps2 is {known}; {place}, from which places differ by up to {_MAX_ANOMALY:g} "
+                "m/s^2. Correct gravity, latitude or height, or leave gravity_mps2 out"
+            )
+        return self
