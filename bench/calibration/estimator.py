@@ -34,9 +34,7 @@ from gyrobench.bench.calibration.coefficients import (
 from gyrobench.bench.calibration.increment_recording import (
     IncrementRecording,
     RecordedRotation,
-    Rest,
     SensorNoise,
-    find_rests,
     find_rotations,
     measure_noise,
 )
@@ -79,7 +77,6 @@ class Calibration(CoefficientEstimate):
 
     noise: SensorNoise  #: As measured at rest or declared.
     recordings: tuple[IncrementRecording, ...]
-    rests: tuple[tuple[Rest, ...], ...]  #: Of each recording.
     rotations: tuple[tuple[RecordedRotation, ...], ...]  #: Of each recording.
     gravity_and_sigma: tuple[float, float]  #: Assumed gravity and its standard uncertainty, m/s^2.
     #: Test that the noise explains what the coefficients leave of the velocity. Where it does not, the
@@ -98,16 +95,12 @@ class Calibration(CoefficientEstimate):
 
 
 def calibrate(
-    recordings: Sequence[IncrementRecording],
-    site: Site,
-    options: CalibrationOptions | None = None,
-    rests: Sequence[Sequence[Rest]] | None = None,
+    recordings: Sequence[IncrementRecording], site: Site, options: CalibrationOptions | None = None
 ) -> Calibration:
     """Estimate all coefficients.
 
-    ``recordings``: of one unit, at one sample rate. ``rests``: of each recording; by default those found in
-    it. Raises MeasurementError if the unit does not rest long enough, sample rates differ, or no coefficients
-    explain the increments.
+    ``recordings``: of one unit, at one sample rate. Raises MeasurementError if the unit does not rest long
+    enough, sample rates differ, or no coefficients explain the increments.
     """
     options = options or CalibrationOptions()
     gravity = options.gravity or site.gravity
@@ -117,16 +110,15 @@ def calibrate(
             f"the sample rates of the recordings differ: {min(rates_hz):.4g} to {max(rates_hz):.4g} Hz. "
             "Calibrate recordings of one rate together"
         )
-    rests = [find_rests(each) for each in recordings] if rests is None else rests
-    noise = measure_noise(recordings, rests)
+    noise = measure_noise(recordings)
     if options.walks is not None:
         walk, velocity_walk = options.walks
         noise = replace(
             noise, angle_random_walk=np.full(3, walk), velocity_random_walk=np.full(3, velocity_walk)
         )
-    _check_force(recordings, rests, gravity)
-    _check_angle(recordings, rests)
-    rotations, problem = _problem(recordings, rests, noise, site, options)
+    _check_force(recordings, gravity)
+    _check_angle(recordings)
+    rotations, problem = _problem(recordings, noise, site, options)
     options = problem.options
     found, note = problem.solve(), ""
     if options.g_sensitivity is None and found.fit.p_value < UNEXPLAINED_P_VALUE:
@@ -155,7 +147,6 @@ def calibrate(
         coefficients=coefficients,
         noise=noise,
         recordings=tuple(recordings),
-        rests=tuple(map(tuple, rests)),
         rotations=tuple(map(tuple, rotations)),
         gravity_and_sigma=(gravity, options.gravity_sigma),
         fit=found.fit,
@@ -171,21 +162,16 @@ def calibrate(
 
 
 def _problem(
-    recordings: Sequence[IncrementRecording],
-    rests: Sequence[Sequence[Rest]],
-    noise: SensorNoise,
-    site: Site,
-    options: CalibrationOptions,
+    recordings: Sequence[IncrementRecording], noise: SensorNoise, site: Site, options: CalibrationOptions
 ) -> tuple[list[list[RecordedRotation]], CalibrationProblem]:
     """Rotations found in each recording, and the least-squares problem with them."""
-    bias = _first_bias(recordings, rests)
+    bias = _first_bias(recordings)
 
     def problem(options: CalibrationOptions) -> CalibrationProblem:
-        known = zip(recordings, rests, rotations, strict=True)
-        sections = [IncrementSection.between_rests(*each) for each in known]
+        sections = [IncrementSection.between_rests(*each) for each in zip(recordings, rotations, strict=True)]
         return CalibrationProblem(sections, bias, noise, site, options)
 
-    rotations = [find_rotations(*each) for each in zip(recordings, rests, strict=True)]
+    rotations = [find_rotations(each) for each in recordings]
     if options.whole_turns is not None and any(
         turn.is_long and not turn.is_spin for turns in rotations for turn in turns
     ):
@@ -193,8 +179,8 @@ def _problem(
         first = problem(replace(options, whole_turns=None)).solve()
         errors = SensorErrors.from_vector(first.common[:COUNT])
         rotations = [
-            find_rotations(each, its, errors.removed(each.angle, each.velocity, each.interval_s)[0])
-            for each, its in zip(recordings, rests, strict=True)
+            find_rotations(each, errors.removed(each.angle, each.velocity, each.interval_s)[0])
+            for each in recordings
         ]
     if options.asymmetries is None:
         spun = [(turn.axis, turn.path) for turns in rotations for turn in turns if turn.is_spin]
@@ -283,17 +269,9 @@ def bias_per_asymmetry(calibration: Calibration, site: Site) -> FloatArray:
     return np.array(shifts).reshape(-1, 3).T
 
 
-def _check_force(
-    recordings: Sequence[IncrementRecording], rests: Sequence[Sequence[Rest]], gravity: float
-) -> None:
+def _check_force(recordings: Sequence[IncrementRecording], gravity: float) -> None:
     """Raise MeasurementError if the accelerometers are not in the unit that the map states."""
-    force = np.median(
-        [
-            np.linalg.norm(recording.velocity[rest.begin : rest.end].mean(axis=0)) / recording.interval_s
-            for recording, stretches in zip(recordings, rests, strict=True)
-            for rest in stretches
-        ]
-    )
+    force = np.median(np.linalg.norm(np.concatenate([each.at_rest()[1] for each in recordings]), axis=1))
     if abs(force / gravity - 1.0) > _MAX_ELEMENT:
         raise MeasurementError(
             f"the specific force at rest is {force:.4g} m/s^2, gravity {gravity:.4g} m/s^2. Check "
@@ -301,14 +279,14 @@ def _check_force(
         )
 
 
-def _check_angle(recordings: Sequence[IncrementRecording], rests: Sequence[Sequence[Rest]]) -> None:
+def _check_angle(recordings: Sequence[IncrementRecording]) -> None:
     """Raise MeasurementError if the gyros turn by far less than the specific force from rest to rest."""
     by_force, by_gyros = [], []
-    for recording, stretches in zip(recordings, rests, strict=True):
-        for before, after in pairwise(stretches):
-            force = [recording.velocity[rest.begin : rest.end].mean(axis=0) for rest in (before, after)]
-            cosine = force[0] @ force[1] / np.prod(np.linalg.norm(force, axis=1))
-            by_force.append(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    for recording in recordings:
+        _, forces = recording.at_rest()
+        ups = forces / np.linalg.norm(forces, axis=1, keepdims=True)
+        by_force += np.arccos(np.clip((ups[1:] * ups[:-1]).sum(axis=1), -1.0, 1.0)).tolist()
+        for before, after in pairwise(recording.rests):
             by_gyros.append(np.linalg.norm(recording.angle[before.end : after.begin], axis=1).sum())
     # Disturbances between rests turn by little; about the vertical only the gyros turn.
     turned = np.array(by_force) > _MIN_TILT
@@ -333,12 +311,7 @@ def _check_size(values: FloatArray, is_observed: BoolArray) -> None:
             )
 
 
-def _first_bias(recordings: Sequence[IncrementRecording], rests: Sequence[Sequence[Rest]]) -> FloatArray:
+def _first_bias(recordings: Sequence[IncrementRecording]) -> FloatArray:
     """Gyro biases that exceed the Earth's rate by far; zero otherwise."""
-    rates = [
-        recording.angle[rest.begin : rest.end].mean(axis=0) / recording.interval_s
-        for recording, stretches in zip(recordings, rests, strict=True)
-        for rest in stretches
-    ]
-    mean = np.mean(rates, axis=0)
+    mean = np.concatenate([each.at_rest()[0] for each in recordings]).mean(axis=0)
     return np.asarray(mean if np.linalg.norm(mean) > 3.0 * EARTH_RATE else np.zeros(3))

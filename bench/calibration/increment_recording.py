@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -39,6 +40,14 @@ _OF_LEVEL = 1.5
 _ALLAN_S = 0.2
 
 
+@dataclass(frozen=True)
+class Rest:
+    """The unit rests from one sample to another."""
+
+    begin: int  #: First sample.
+    end: int  #: Behind the last sample.
+
+
 @dataclass(frozen=True, eq=False)
 class IncrementRecording:
     """Increments of angle and velocity, evenly sampled and without a gap.
@@ -60,6 +69,7 @@ class IncrementRecording:
     #: Standard uncertainties of rounding, rad and m/s, of the attitude and velocity that increments are
     #: differences of: coarse output that stays the same at rest shows none.
     rounding: tuple[float, float] = (0.0, 0.0)
+    known_rests: tuple[Rest, ...] | None = None  #: Where the unit rests; None to find that.
 
     def __post_init__(self) -> None:
         for name, values in (("angle", self.angle), ("velocity", self.velocity)):
@@ -80,6 +90,19 @@ class IncrementRecording:
         """Time from the first increment's beginning to the last one's end."""
         return len(self.angle) * self.interval_s
 
+    @cached_property
+    def rests(self) -> tuple[Rest, ...]:
+        """Where it rests, in order. Raises MeasurementError if that is less than a minute in all."""
+        return _found_rests(self) if self.known_rests is None else self.known_rests
+
+    def at_rest(self) -> tuple[FloatArray, FloatArray]:
+        """Mean rate, rad/s, and specific force, m/s^2, of each rest, shapes (m, 3)."""
+        rate, force = (
+            np.array([values[rest.begin : rest.end].mean(axis=0) for rest in self.rests]) / self.interval_s
+            for values in (self.angle, self.velocity)
+        )
+        return rate, force
+
     def table_turn(self, first: int, last: int) -> FloatArray | None:
         """Rotation (3, 3) of the table from the end of one increment to that of another; None if unknown."""
         if self.table is None:
@@ -89,14 +112,6 @@ class IncrementRecording:
             places = np.searchsorted(self.table_from, places, side="right") - 1
         before, after = self.table[places]
         return np.asarray(after @ before.T)
-
-
-@dataclass(frozen=True)
-class Rest:
-    """The unit rests from one sample to another."""
-
-    begin: int  #: First sample.
-    end: int  #: Behind the last sample.
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,12 +142,12 @@ class RecordedRotation:
         return "disturbance" if float(np.linalg.norm(self.vector)) < _MIN_ROTATION else "rotation"
 
 
-def find_rests(recording: IncrementRecording) -> list[Rest]:
+def _found_rests(recording: IncrementRecording) -> tuple[Rest, ...]:
     """Stretches in which the unit rests, in order; disturbed parts are left out.
 
     The unit rests where neither mean rate nor mean specific force of a block of half a second differs from
     those of its neighbours by more than their noise, and the rate is that of the other resting blocks: a
-    steady spin is no rest. Raises MeasurementError if it rests for less than a minute in all.
+    steady spin is no rest.
     """
     size = max(1, round(_BLOCK_S / recording.interval_s))
     count = len(recording.angle) // size
@@ -160,7 +175,7 @@ def find_rests(recording: IncrementRecording) -> list[Rest]:
         spans[0] = (0, spans[0][1])
     if stretches.size and stretches[-1, 1] == count:
         spans[-1] = (spans[-1][0], count * size)
-    rests = [Rest(int(begin), int(end)) for begin, end in spans if end - begin >= least]
+    rests = tuple(Rest(int(begin), int(end)) for begin, end in spans if end - begin >= least)
     total_s = sum(rest.end - rest.begin for rest in rests) * recording.interval_s
     if total_s < MIN_REST_TOTAL_S:
         raise MeasurementError(
@@ -188,17 +203,15 @@ def _settling(rate: FloatArray, noise: FloatArray) -> int:
     return int(moving[-1]) + 1 if len(moving) else 0
 
 
-def find_rotations(
-    recording: IncrementRecording, rests: Sequence[Rest], angle: FloatArray | None = None
-) -> list[RecordedRotation]:
+def find_rotations(recording: IncrementRecording, angle: FloatArray | None = None) -> list[RecordedRotation]:
     """What happened between each rest and the next.
 
     ``angle`` (n, 3): increments freed of known errors, which show more whole turns; by default as recorded.
     """
     angle = recording.angle if angle is None else angle
-    level = np.mean([angle[rest.begin : rest.end].mean(axis=0) for rest in rests], axis=0)
+    level = np.mean([angle[rest.begin : rest.end].mean(axis=0) for rest in recording.rests], axis=0)
     rotations = []
-    for before, after in itertools.pairwise(rests):
+    for before, after in itertools.pairwise(recording.rests):
         steps = angle[before.end : after.begin] - level
         travelled = steps.sum(axis=0)
         axis = int(np.argmax(np.abs(travelled)))
@@ -224,7 +237,7 @@ class SensorNoise:
     white_velocity: FloatArray  #: m/s; quantisation, vibration.
 
 
-def measure_noise(recordings: Sequence[IncrementRecording], rests: Sequence[Sequence[Rest]]) -> SensorNoise:
+def measure_noise(recordings: Sequence[IncrementRecording]) -> SensorNoise:
     """Noise of the resting unit, from the Allan variance over all rests of recordings at one sample rate.
 
     Raises MeasurementError if the rests are too short for it, or a sensor's output never changes.
@@ -235,13 +248,13 @@ def measure_noise(recordings: Sequence[IncrementRecording], rests: Sequence[Sequ
     for name, rounding in zip(("angle", "velocity"), recordings[0].rounding, strict=True):
         for axis, label in enumerate(AXES):
             segments = []
-            for recording, stretches in zip(recordings, rests, strict=True):
+            for recording in recordings:
                 values = getattr(recording, name)[:, axis]
                 if np.ptp(values) == 0.0:
                     raise MeasurementError(f"the {name} increments of axis {label} never change")
                 segments += [
                     np.concatenate([[0.0], np.cumsum(values[rest.begin : rest.end])])[::size]
-                    for rest in stretches
+                    for rest in recording.rests
                 ]
             fitted = fit_rate_noise(allan_variance(segments, size * interval_s))
             # A term that does not show may be as large as twice its uncertainty.

@@ -89,12 +89,8 @@ def expected_rows(expected: ExpectedUncertainties) -> list[dict[str, Any]]:
 def rest_rates(calibration: Calibration) -> list[RestRate]:
     """What each rest measured."""
     rates = []
-    for recording, rests in zip(calibration.recordings, calibration.rests, strict=True):
-        for rest in rests:
-            rate, force = (
-                values[rest.begin : rest.end].mean(axis=0) / recording.interval_s
-                for values in (recording.angle, recording.velocity)
-            )
+    for recording in calibration.recordings:
+        for rest, rate, force in zip(recording.rests, *recording.at_rest(), strict=True):
             size = float(np.linalg.norm(force))
             duration_s = (rest.end - rest.begin) * recording.interval_s
             noise = calibration.noise

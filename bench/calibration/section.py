@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrobench.bench.calibration.coefficients import COUNT, SensorErrors
-from gyrobench.bench.calibration.increment_recording import IncrementRecording, RecordedRotation, Rest
+from gyrobench.bench.calibration.increment_recording import IncrementRecording, RecordedRotation
 from gyrobench.bench.calibration.strapdown import (
     ASYMMETRIES,
     ASYMMETRY_RATE,
@@ -59,9 +59,10 @@ class IncrementSection:
 
     @classmethod
     def between_rests(
-        cls, recording: IncrementRecording, rests: Sequence[Rest], rotations: Sequence[RecordedRotation]
+        cls, recording: IncrementRecording, rotations: Sequence[RecordedRotation]
     ) -> IncrementSection:
-        """From a recording, with what was found in it."""
+        """From a recording, with the rotations that were found in it."""
+        rests = recording.rests
         offset, size = rests[0].begin, max(1, round(REST_EPOCH_S / recording.interval_s))
         ends = np.arange(size, rests[-1].end - offset + 1, size, dtype=np.int64)
         at_rest = np.zeros(len(ends), bool)

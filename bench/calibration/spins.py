@@ -79,10 +79,10 @@ def spin_scale_factors(calibration: Calibration, site: Site, whole_turns: float)
     found: dict[int, list[tuple[float, SpinError]]] = {}
     common = calibration.common.copy()
     common[ASYMMETRIES] = 0.0  # each spin shows its own
-    for section, recording, rests, start in zip(
-        calibration.sections, calibration.recordings, calibration.rests, calibration.starts, strict=True
+    for section, recording, start in zip(
+        calibration.sections, calibration.recordings, calibration.starts, strict=True
     ):
-        begin_s = recording.start_s + rests[0].begin * recording.interval_s
+        begin_s = recording.start_s + recording.rests[0].begin * recording.interval_s
         edges_s = section.interval_s * np.concatenate([[0], section.epochs.ends])
         for spin in section.spin_errors(start, common, site):
             found.setdefault(spin.axis, []).append((begin_s + float(edges_s[spin.epoch]), spin))

@@ -41,7 +41,7 @@ class RotatedDwell:
     """What the INS measured in a dwell with rotations."""
 
     marks: DwellMarks
-    pieces: list[tuple[IncrementRecording, list[Rest]]]  #: Increments without a gap, each with its rests.
+    pieces: list[IncrementRecording]  #: Increments without a gap.
     gyro_c: Triple  #: Mean temperatures of the gyros; NaN where not measured.
     gyro_rate_c_per_h: Triple  #: Their slopes.
     case_c: float  #: Mean temperature of the case; NaN where not measured.
@@ -85,7 +85,7 @@ def measure_rotations(marks: DwellMarks, frames: FrameBlock, setup: MeasurementS
             np.searchsorted(increments.row[part], [each.first_frame, each.end_frame])
             for each in marks.windows
         ]
-        rests = [Rest(int(a), int(b)) for a, b in ends if b > a]
+        rests = tuple(Rest(int(a), int(b)) for a, b in ends if b > a)
         if sum(rest.end - rest.begin for rest in rests) * increments.interval_s >= MIN_REST_TOTAL_S:
             angle, velocity = increments.angle[part], increments.velocity[part]
             recording = IncrementRecording(
@@ -97,8 +97,9 @@ def measure_rotations(marks: DwellMarks, frames: FrameBlock, setup: MeasurementS
                 # Up to the end of a rest the table stands as it was read there.
                 table_from=np.array([0, *(end for _, end in ends[:-1])]),
                 rounding=(0.0, 0.0) if is_sent else (angle_rounding, velocity_rounding),
+                known_rests=rests,
             )
-            pieces.append((recording, rests))
+            pieces.append(recording)
     return RotatedDwell(
         marks, pieces, temperatures.gyro_c, temperatures.gyro_rate_c_per_h, temperatures.case_c
     )

@@ -153,7 +153,7 @@ def compile_calibration(setup: MeasurementSetup) -> None:
     noise = np.random.default_rng(0).normal(0.0, 1e-7, (2, 1800, 3))
     angle, velocity = noise + ideal_increments(attitude, setup.site)
     _calibrated(
-        [(IncrementRecording(STEP_S, angle, velocity), [Rest(0, 800), Rest(1000, 1800)])],
+        [IncrementRecording(STEP_S, angle, velocity, known_rests=(Rest(0, 800), Rest(1000, 1800)))],
         setup.site,
         _options(setup),
     )
@@ -193,13 +193,10 @@ def _options(setup: MeasurementSetup) -> CalibrationOptions:
     )
 
 
-def _calibrated(
-    pieces: Sequence[tuple[IncrementRecording, list[Rest]]], site: Site, options: CalibrationOptions
-) -> Calibration:
+def _calibrated(pieces: Sequence[IncrementRecording], site: Site, options: CalibrationOptions) -> Calibration:
     if not pieces:
         raise MeasurementError("too many increments are missing in the rotations. Check the CAN bus")
-    recordings, rests = zip(*pieces, strict=True)
-    return calibrate(recordings, site, options, rests)
+    return calibrate(pieces, site, options)
 
 
 def _with_force(found: Calibration, site: Site) -> CoefficientEstimate:

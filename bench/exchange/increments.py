@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gyrobench.bench.calibration.increment_recording import MIN_REST_TOTAL_S, IncrementRecording, find_rests
+from gyrobench.bench.calibration.increment_recording import MIN_REST_TOTAL_S, IncrementRecording
 from gyrobench.bench.calibration.information import CalibrationOptions
 from gyrobench.bench.exchange.import_map import LogMap
 from gyrobench.bench.exchange.log_windows import FORCES, RATES, SampleReader, ScaledColumn
@@ -114,7 +114,7 @@ def read_increments(path: Path, log_map: LogMap) -> LogIncrements:
 
 def _rests(recording: IncrementRecording) -> bool:
     try:
-        return bool(find_rests(recording))
+        return bool(recording.rests)
     except MeasurementError:
         return False
 

@@ -107,12 +107,12 @@ def test_navigation_output_gives_what_its_information_allows(what):
         deviations, sigmas = [], []
         for _ in range(RUNS // 5):
             unit = any_unit(random)
-            recordings, rests = (
+            recordings = (
                 six_dwells(unit, latitude_deg, random)
                 if what == "six dwells"
                 else rotated(unit, latitude_deg, random, rotations)
             )
-            found = calibrate(recordings, site, heading, rests)
+            found = calibrate(recordings, site, heading)
             deviations.append(np.where(found.is_observed, found.values - truth(unit), np.nan))
             sigmas.append(found.sigmas)
         seen = np.isfinite(deviations).all(axis=0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace
 
@@ -59,7 +58,7 @@ def truth(unit):
 
 
 def recording(unit, place, schedule, angles_deg, random):
-    """One recording and its rests, with the attitude of the table."""
+    """One recording with its rests and the attitude of the table."""
     output = simulate(unit, place, schedule, angles_deg, random)
     site = Site(np.deg2rad(place.latitude_deg), place.height_m)
     navigation = SimpleNamespace(
@@ -69,19 +68,19 @@ def recording(unit, place, schedule, angles_deg, random):
         row=np.arange(len(output.time_s)),
     )
     found = navigated_increments(navigation, site)
-    rests = [Rest(begin, end - 1) for begin, end in output.windows]
+    rests = tuple(Rest(begin, end - 1) for begin, end in output.windows)
     at_table = np.empty((len(found.angle), 3, 3))
     edges = [0, *(window[0] for window in output.windows[1:]), len(at_table)]
     for angles, (begin, end) in zip(angles_deg, pairwise(edges), strict=True):
         at_table[begin:end] = OFF_NORTH @ Table().attitude(*np.radians(angles)[:, np.newaxis])[0] @ OFF_TABLE
-    made = IncrementRecording(found.interval_s, found.angle, found.velocity, has_vertical=False)
-    return replace(made, table=at_table), rests
+    return IncrementRecording(
+        found.interval_s, found.angle, found.velocity, has_vertical=False, table=at_table, known_rests=rests
+    )
 
 
 def six_dwells(unit, latitude_deg, random):
     """Two windows of 10 min in each position, with a turn of 180 deg about Up between them."""
-    dwells = [recording(unit, Place(latitude_deg), *each, random) for each in six_schedules()]
-    return zip(*dwells, strict=True)
+    return [recording(unit, Place(latitude_deg), *each, random) for each in six_schedules()]
 
 
 def six_schedules():
@@ -92,8 +91,7 @@ def six_schedules():
 
 def rotated(unit, latitude_deg, random, rotations):
     """The rests and rotations of a list, all in one navigation."""
-    one, rests = recording(unit, Place(latitude_deg), *rotated_schedule(rotations), random)
-    return [one], [rests]
+    return [recording(unit, Place(latitude_deg), *rotated_schedule(rotations), random)]
 
 
 def rotated_schedule(rotations):

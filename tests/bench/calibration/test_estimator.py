@@ -113,7 +113,7 @@ def test_the_uncertainty_is_the_cramer_rao_bound(monkeypatch):
     monkeypatch.setattr(estimator, "measure_noise", lambda *_: exact)
     unit = rotated_unit(rotations=EIGHTEEN[:6], dwell_s=40.0, ramp_s=2.0)
     found = calibrate([recorded(unit.increments(), 3)], SITE)
-    (rests,) = found.rests
+    rests = found.recordings[0].rests
     ends = np.arange(20, rests[-1].end + 1, 20)
     used = np.any([(ends >= rest.begin) & (ends <= rest.end) for rest in rests], axis=0)
     response = responses(unit)[ends[used] - 1]

@@ -5,12 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.calibration.increment_recording import (
-    IncrementRecording,
-    find_rests,
-    find_rotations,
-    measure_noise,
-)
+from gyrobench.bench.calibration.increment_recording import IncrementRecording, find_rotations, measure_noise
 from gyrobench.bench.foundations.errors import MeasurementError
 from tests.bench.calibration.rotated_unit import EARTH, Noise, Unit
 
@@ -23,11 +18,11 @@ def recorded(unit, noise=None, seed=1):
 def test_rests_and_rotations_are_those_of_the_table():
     unit = Unit(rotations=(("outer", 90.0), ("inner", -180.0), ("outer", 45.0)), dwell_s=40.0, sample_hz=20.0)
     recording = recorded(unit)
-    rests = find_rests(recording)
+    rests = recording.rests
     lengths = [(rest.end - rest.begin) * recording.interval_s for rest in rests]
     assert len(rests) == 4
     assert min(lengths) > 37.0
-    rotations = find_rotations(recording, rests)
+    rotations = find_rotations(recording)
     assert [rotation.kind for rotation in rotations] == ["rotation"] * 3
     np.testing.assert_allclose(np.rad2deg([turn.path for turn in rotations]), [90.0, -180.0, -45.0], atol=0.2)
     assert [turn.axis for turn in rotations] == [0, 2, 0]
@@ -36,9 +31,9 @@ def test_rests_and_rotations_are_those_of_the_table():
 def test_a_steady_spin_is_no_rest_and_whole_turns_are_a_spin():
     unit = Unit(rotations=(("inner", 3600.0), ("outer", 90.0)), dwell_s=40.0, rate_dps=30.0, sample_hz=20.0)
     recording = recorded(unit)
-    rests = find_rests(recording)
+    rests = recording.rests
     assert len(rests) == 3
-    spin, rotation = find_rotations(recording, rests)
+    spin, rotation = find_rotations(recording)
     assert (spin.kind, rotation.kind) == ("spin", "rotation")
     assert np.rad2deg(spin.path) == pytest.approx(3600.0, abs=0.5)
 
@@ -47,7 +42,7 @@ def test_a_large_bias_is_not_taken_for_a_rotation():
     unit = Unit(
         rotations=(("outer", 90.0),), dwell_s=40.0, sample_hz=20.0, gyro_bias=np.array([0.02, 0.0, -0.01])
     )
-    assert len(find_rests(recorded(unit))) == 2
+    assert len(recorded(unit).rests) == 2
 
 
 def test_disturbed_parts_of_a_rest_are_left_out():
@@ -56,17 +51,17 @@ def test_disturbed_parts_of_a_rest_are_left_out():
     shake = np.sin(np.arange(100) * 0.7)[:, np.newaxis]
     recording.angle[2000:2100] += 2e-4 * shake
     recording.velocity[2000:2100] += 0.01 * shake
-    first, second = find_rests(recording)
+    first, second = recording.rests
     assert first.end <= 2000 < 2100 <= second.begin
     assert (first.end - first.begin) + (second.end - second.begin) > 3800
-    (moved,) = find_rotations(recording, (first, second))
+    (moved,) = find_rotations(recording)
     assert moved.kind == "disturbance"
 
 
 def test_a_unit_that_does_not_rest_is_refused():
     unit = Unit(rotations=(("outer", 3600.0),), dwell_s=5.0, sample_hz=20.0)
     with pytest.raises(MeasurementError, match="at least 60 s are needed"):
-        find_rests(recorded(unit))
+        _ = recorded(unit).rests
 
 
 def test_samples_too_far_apart_to_show_motion_are_refused():
@@ -78,7 +73,7 @@ def test_the_noise_is_that_of_the_sensors():
     unit = Unit(rotations=(("outer", 90.0),) * 3, dwell_s=120.0, sample_hz=20.0)
     noise = Noise(white_angle=1e-6)
     recording = recorded(unit, noise)
-    measured = measure_noise([recording], [find_rests(recording)])
+    measured = measure_noise([recording])
     assert measured.angle_random_walk == pytest.approx(noise.angle_random_walk, rel=0.35)
     assert measured.white_angle == pytest.approx(1e-6, rel=0.1)
     assert measured.velocity_random_walk == pytest.approx(noise.velocity_random_walk, rel=0.25)
@@ -88,9 +83,8 @@ def test_the_noise_is_that_of_the_sensors():
 def test_output_that_is_rounded_is_at_least_as_uncertain_as_its_rounding():
     unit = Unit(rotations=(("outer", 90.0),) * 3, dwell_s=60.0, sample_hz=20.0)
     recording = recorded(unit)
-    rests = [find_rests(recording)]
     fine, coarse = (
-        measure_noise([replace(recording, rounding=each)], rests) for each in ((1e-12, 1e-12), (25e-6, 3e-3))
+        measure_noise([replace(recording, rounding=each)]) for each in ((1e-12, 1e-12), (25e-6, 3e-3))
     )
     assert (fine.white_angle < 1e-6).all()
     assert (coarse.white_angle == 25e-6).all()
@@ -103,7 +97,7 @@ def test_a_sensor_that_never_changes_is_refused():
     recording = recorded(unit)
     recording.velocity[:, 1] = 0.0
     with pytest.raises(MeasurementError, match="velocity increments of axis y never change"):
-        measure_noise([recording], [find_rests(recording)])
+        measure_noise([recording])
 
 
 def _disturbed_axes(time):
@@ -142,9 +136,9 @@ def test_quiet_stretches_of_1847_s_with_disturbed_axes_give_earth_rate_and_noise
     noise = Noise(angle_random_walk=np.deg2rad(0.002) / 60.0)
     angle, velocity = noise.added(*clean, interval_s, np.random.default_rng(5))
     recording = IncrementRecording(interval_s, angle, velocity)
-    rests = find_rests(recording)
+    rests = recording.rests
     assert len(rests) == len(stretches) + 1
-    assert {each.kind for each in find_rotations(recording, rests)} == {"disturbance"}
+    assert {each.kind for each in find_rotations(recording)} == {"disturbance"}
     for rest, begin_s, end_s in zip(
         rests,
         [0.0, *(end for _, end in stretches)],
@@ -161,6 +155,6 @@ def test_quiet_stretches_of_1847_s_with_disturbed_axes_give_earth_rate_and_noise
         # pyins has North, East and Down: the unit's force points up in it all the same.
         assert up_rate == pytest.approx(EARTH * np.sin(np.deg2rad(latitude_deg)), abs=4.0 * sigma)
         assert np.linalg.norm(rate) == pytest.approx(EARTH, abs=4.0 * sigma)
-    measured = measure_noise([recording], [rests])
+    measured = measure_noise([recording])
     assert measured.angle_random_walk == pytest.approx(np.full(3, noise.angle_random_walk), rel=0.2)
     assert measured.velocity_random_walk == pytest.approx(np.full(3, noise.velocity_random_walk), rel=0.35)

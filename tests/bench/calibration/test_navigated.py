@@ -28,8 +28,7 @@ def of(found, unit):
 def test_six_dwells_give_misalignments_to_an_arcsec_and_one_scale_factor_by_the_heading():
     random = np.random.default_rng(5)
     unit = any_unit(random)
-    recordings, rests = six_dwells(unit, 45.0, random)
-    found = calibrate(recordings, SITE, HEADING, rests)
+    found = calibrate(six_dwells(unit, 45.0, random), SITE, HEADING)
     sigmas = of(found, unit)
     assert found.fit.p_value > 1e-3
     names = [f"gyro_misalignment_{axes}" for axes in ("xz", "yz", "zx", "zy")]
@@ -45,8 +44,8 @@ def test_six_dwells_give_misalignments_to_an_arcsec_and_one_scale_factor_by_the_
 def test_eighteen_rotations_of_navigation_output_give_all_gyro_coefficients(latitude_deg):
     random = np.random.default_rng(6)
     unit = any_unit(random)
-    recordings, rests = rotated(unit, latitude_deg, random, shipped("eighteen_rotations"))
-    found = calibrate(recordings, Site(np.deg2rad(latitude_deg), 60.0), HEADING, rests)
+    recordings = rotated(unit, latitude_deg, random, shipped("eighteen_rotations"))
+    found = calibrate(recordings, Site(np.deg2rad(latitude_deg), 60.0), HEADING)
     sigmas = of(found, unit)
     assert max(sigma for name, sigma in sigmas.items() if "gyro_mis" in name) < 0.25
     assert max(sigma for name, sigma in sigmas.items() if "gyro_scale" in name) < 0.5
