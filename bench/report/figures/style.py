@@ -8,7 +8,7 @@ import math
 import struct
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
@@ -115,12 +115,6 @@ class _AlikeTicks(Axis):
     """An axis whose ticks are copies of its first, with labels of their own: its lines are drawn at once."""
 
     axis_name: str
-    _boxes: Any = None
-
-    @cached_property
-    def minorTicks(self) -> list[Tick]:  # type: ignore[override]  # noqa: N802
-        """None until a locator places some; matplotlib makes one for each axis."""
-        return []
 
     def _get_tick(self, major: bool) -> Tick:
         made = vars(self).get("majorTicks" if major else "minorTicks")
@@ -139,15 +133,10 @@ class _AlikeTicks(Axis):
     def _copy_tick_props(self, src: Tick, dest: Tick) -> None:
         """Do nothing: the ticks are alike."""
 
-    def _get_tick_boxes_siblings(self, renderer: Any) -> Any:
-        # Labels of several panels are not aligned, and the boxes are known while an axis is drawn.
-        return self._boxes or super()._get_tick_boxes_siblings(renderer)  # type: ignore[misc]
-
     def draw(self, renderer: Any) -> None:
         if not self.get_visible():
             return
         ticks = self._update_ticks()  # type: ignore[attr-defined]
-        self._boxes = self._get_ticklabel_bboxes(ticks, renderer)  # type: ignore[attr-defined]
         for group in (self.majorTicks, self.minorTicks):
             if places := [tick.get_loc() for tick in ticks if tick in group]:
                 first = group[0]
@@ -164,10 +153,9 @@ class _AlikeTicks(Axis):
             tick.label2.draw(renderer)
         self._update_label_position(renderer)  # type: ignore[attr-defined]
         self.label.draw(renderer)
-        self._update_offset_text_position(*self._boxes)  # type: ignore[attr-defined]
+        self._update_offset_text_position(*self._get_tick_boxes_siblings(renderer))  # type: ignore[attr-defined]
         self.offsetText.set_text(self.get_major_formatter().get_offset())
         self.offsetText.draw(renderer)
-        self._boxes = None
 
 
 class _XAxis(_AlikeTicks, XAxis):
