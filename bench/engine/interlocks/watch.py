@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from gyrobench.bench.engine.bench_state import ExpectedState, Readings
 from gyrobench.bench.engine.interlocks.checks import (
@@ -93,8 +92,7 @@ class InterlockWatch:
     def __init__(self, station: Station, clock: Clock, absent: Collection[str] = ()) -> None:
         self._clock = clock
         self._rules = station.file.interlocks.rules()
-        self._by_instrument = {name: make(station) for name, make in _CHECKS.items() if name not in absent}
-        self._checks = list(self._by_instrument.values())
+        self._checks = [make(station) for name, make in _CHECKS.items() if name not in absent]
         self._readings: Readings | None = None
         self._good_since_s: dict[str, float] = {}
         #: Nothing was found wrong with these readings and this command, nor will be until that time.
@@ -102,8 +100,14 @@ class InterlockWatch:
 
     def is_doubtful(self, reading: TableReading | ChamberReading, expected: ExpectedState) -> bool:
         """Whether a new reading alone would trip an interlock, so that it should be taken again."""
-        checks: Any = self._by_instrument.get(RATE_TABLE if isinstance(reading, TableReading) else CHAMBER)
-        return bool(checks and checks.is_doubtful(reading, self._readings, expected))
+        if (before := self._readings) is None:
+            return False
+        for checks in self._checks:
+            if isinstance(checks, TableChecks) and isinstance(reading, TableReading):
+                return checks.is_doubtful(reading, before, expected)
+            if isinstance(checks, ChamberChecks) and isinstance(reading, ChamberReading):
+                return checks.is_doubtful(reading, before, expected)
+        return False
 
     def observe(self, readings: Readings) -> None:
         """Take the readings; to be called after every poll, whether the instruments answered or not."""
