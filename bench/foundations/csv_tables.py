@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.files import read_limited, read_lines, write_whole
-from gyrobench.bench.foundations.text import did_you_mean, format_cell
+from gyrobench.bench.foundations.text import WRITE_POINT, did_you_mean, format_cell, has_decimal_comma
 
 _RowT = TypeVar("_RowT")
 
@@ -31,7 +31,6 @@ _SHOWN_PROBLEMS = 20
 #: What stands between cells in place of a comma, and how to call it.
 _OTHER_SEPARATORS = {";": "';'", "\t": "a tab"}
 _PART_LINES = 100
-_DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+([eE][-+]?[0-9]+)?")
 _INTEGER = re.compile(r"[-+]?[0-9]{1,18}")
 _LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
 _NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
@@ -146,7 +145,7 @@ class CsvTable:
                 return value
             self.problem(index, column, f"{value:g} is beyond {_LARGEST_NUMBER:g}")
         elif not (may_be_empty and text.lower() in ("", "nan")):
-            point = ". Write a decimal point" if _DECIMAL_COMMA.fullmatch(text) else ""
+            point = f". {WRITE_POINT}" if has_decimal_comma(text) else ""
             self.problem(index, column, f"expected a number; found '{text}'{point}")
         return math.nan
 

@@ -24,7 +24,7 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.files import read_limited
 from gyrobench.bench.foundations.shipped import USES
-from gyrobench.bench.foundations.text import did_you_mean
+from gyrobench.bench.foundations.text import WRITE_POINT, did_you_mean, has_decimal_comma
 
 #: Keys and indices that lead from the top of a document to one of its values.
 KeyPath = tuple[str | int, ...]
@@ -34,8 +34,6 @@ _MAX_VALUES = 50_000
 _MAX_DEPTH = 50
 _TOO_MUCH = f"more than {_MAX_VALUES} values or deeper than {_MAX_DEPTH} levels"
 _SHOWN_CHARACTERS = 60
-_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
-_WRITE_POINT = "A number has a decimal point, not a comma"
 _WITH_UNIT = re.compile(r"[-+]?\d+(\.\d+)?\s*[^\d\s.,_].*")
 #: A message that begins with the keys of a place, as "safe_state.chamber_c is ...".
 _DOTTED_KEYS = re.compile(r"([a-z_0-9]+(?:\.[a-z_0-9]+)+)\b")
@@ -226,8 +224,8 @@ def _repair(kind: str, found: Any, location: KeyPath) -> str:
         return f". Put it in brackets: [{_shown(found)}, ...]"
     if not isinstance(found, str):
         return ""
-    if _DECIMAL_COMMA.fullmatch(found):
-        return f". {_WRITE_POINT}"
+    if has_decimal_comma(found):
+        return f". {WRITE_POINT}"
     if kind.startswith(("float", "int")) and _WITH_UNIT.fullmatch(found):
         return ". Write the number alone, in the unit of the key"
     if location and found == location[-1]:
@@ -474,7 +472,7 @@ def _wrong_kind(detail: Any, location: KeyPath) -> tuple[str, str, KeyPath]:
 
 def _unknown_key(key: str, allowed: list[str]) -> str:
     if key.isdecimal():  # as 48,1 between braces
-        return f"unknown key {_quoted(key)}. {_WRITE_POINT}"
+        return f"unknown key {_quoted(key)}. {WRITE_POINT}"
     return f"unknown key {_quoted(key)}{did_you_mean(key, allowed)}; allowed here: {', '.join(allowed)}"
 
 

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Iterable, Sequence
 
+WRITE_POINT = "A number has a decimal point, not a comma"
+_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
 #: Smallest uncertainty that is written without a power of ten: with one or two digits in five decimals.
 _PLAIN_SIGMA = 1e-5
 #: Digits of a floating-point number.
@@ -109,3 +112,8 @@ def did_you_mean(name: str, allowed: Iterable[str]) -> str:
     """Write " (did you mean 'x'?)" if one of the allowed names is near, else nothing."""
     close = difflib.get_close_matches(name, list(allowed), n=1)
     return f" (did you mean '{close[0]}'?)" if close else ""
+
+
+def has_decimal_comma(text: str) -> bool:
+    """Whether a text is a number but for the comma in it."""
+    return _DECIMAL_COMMA.fullmatch(text) is not None

@@ -210,7 +210,7 @@ def test_a_mark_in_front_of_the_file_is_no_matter(tmp_path):
         ("dwell", "1.5", "x:2: column dwell: expected a whole number; found '1.5'"),
         ("position", "Z_UP", "x:2: column position: expected one of z_up, z_down, .*; found 'Z_UP'"),
         ("position", "Z-UP", "found 'Z-UP' .did you mean 'z_up'"),
-        ("bias_y_dph", '"0,5"', "expected a number; found '0,5'. Write a decimal point"),
+        ("bias_y_dph", '"0,5"', "expected a number; found '0,5'. A number has a decimal point, not a comma"),
         ("sigma_x_dph", "0", "x:2: column sigma_x_dph: an uncertainty must be above zero"),
         ("paper_sigma_y_dph", "-1", "x:2: column paper_sigma_y_dph: an uncertainty must be above zero"),
         ("sigma_x_dph", "1e-200", "x:2: column sigma_x_dph: an uncertainty must be above zero; found 1e-200"),

@@ -96,6 +96,7 @@ def test_the_place_of_something_missing_is_that_of_what_it_is_missing_from() -> 
         ("title: a\ncuont: 2", "2:1: unknown key 'cuont' (did you mean 'count'?); allowed here: title"),
         ("{title: a, count: 48,1}", "1:22: unknown key '1'. A number has a decimal point, not a comma"),
         ("title: a\ncount: 48,1", 'found "48,1". A number has a decimal point, not a comma'),
+        ("title: a\nshare: 4,8e1", 'found "4,8e1". A number has a decimal point, not a comma'),
         ("title: a\nzzz: 2", "2:1: unknown key 'zzz'; allowed here: title, count"),
         ("count: 2", "1:1: the key 'title' is missing"),
         ("title: a\ncount: 2.5", "2:1: 'count' must be a whole number; found 2.5"),
