@@ -49,6 +49,7 @@ PARAMETER_COUNT = COUNT + len(BESIDE)
 ATTITUDE, DRIFT = slice(PARAMETER_COUNT, PARAMETER_COUNT + 3), slice(PARAMETER_COUNT + 3, PARAMETER_COUNT + 6)
 LATITUDE = PARAMETER_COUNT + 6
 _ALL = tuple(range(LATITUDE))
+_SQUARES, _BY_FORCE, _BY_SIGN = QUADRATIC.start, G_SENSITIVITIES.start, ASYMMETRIES.start
 _ROWS, _COLUMNS = LOWER
 #: Rotations, rad, after which the attitude and the responses are brought up to date. Until then increments
 #: are summed with their coning and sculling, and the attitude of the responses is the mean.
@@ -281,17 +282,16 @@ def _integrate(
                     response[3 + i, r] += (
                         middle[i, 0] * delayed[0] + middle[i, 1] * delayed[1] + middle[i, 2] * delayed[2]
                     )
-            elif c < DELAY + 4:
-                sensor = c - DELAY - 1
+            elif c < _BY_FORCE:
                 for i in range(3):
-                    response[3 + i, r] -= middle[i, sensor] * squares[sensor]
-            elif c < DELAY + 13:
-                sensor, along = (c - DELAY - 4) // 3, (c - DELAY - 4) % 3
+                    response[3 + i, r] -= middle[i, c - _SQUARES] * squares[c - _SQUARES]
+            elif c < _BY_SIGN:
+                sensor, along = (c - _BY_FORCE) // 3, (c - _BY_FORCE) % 3
                 for i in range(3):
                     response[i, r] -= middle[i, sensor] * middle[2, along] * lifted
-            elif c < PARAMETER_COUNT and abs(angles[c - DELAY - 13]) > ASYMMETRY_RATE * length_s:
+            elif c < PARAMETER_COUNT and abs(angles[c - _BY_SIGN]) > ASYMMETRY_RATE * length_s:
                 for i in range(3):
-                    response[i, r] -= 0.5 * of_gyros[i, c - DELAY - 13] * abs(angles[c - DELAY - 13])
+                    response[i, r] -= 0.5 * of_gyros[i, c - _BY_SIGN] * abs(angles[c - _BY_SIGN])
             elif c == LATITUDE:
                 for i in range(3):
                     response[i, r] -= by_latitude[i] * length_s
