@@ -223,7 +223,7 @@ def _align(step: Align, context: StepContext) -> Ticks:
     for unit in context.units.measuring:
         unit.recorder.begin()
     yield from _commanded(context, lambda unit: _choosing_euler_sequence(step, unit))
-    yield from _commanded(context, lambda unit: unit.live.ins.aligning())
+    yield from _commanded(context, lambda unit: unit.live.ins.entering(InsMode.ALIGN))
     begin_s = bench.clock.now()
     yield
     yield from _lasting(bench, (step.duration_s or 0.0) - (bench.clock.now() - begin_s))
@@ -312,7 +312,7 @@ def _navigation_begun(context: StepContext) -> Ticks:
 
     def navigating(unit: MeasuredUnit) -> Ticks | None:
         is_begun = unit.live.ins.status().mode is InsMode.NAVIGATE or unit.recorder.has_window
-        return None if is_begun else unit.live.ins.navigating()
+        return None if is_begun else unit.live.ins.entering(InsMode.NAVIGATE)
 
     yield from _commanded(context, navigating)
 

@@ -219,7 +219,7 @@ class ManualControl:
 
     def ins(self, command: str) -> None:
         """Command the INS: ``align``, ``navigate`` or ``standby``."""
-        getattr(self.bench.instruments.ins, command)()
+        self.bench.instruments.ins.enter(InsMode[command.upper()])
         self.bench.read_instruments()
         self._display.print(f"INS: {_mode_words(self.bench.readings.ins)}")
 

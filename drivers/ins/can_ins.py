@@ -163,16 +163,14 @@ class CanIns:
         self._newest = NewestFrames(self.codec)
         self._others.clear()
 
-    def identity(self, timeout_s: float = _REPLY_TIMEOUT_S) -> dict[str, int]:
+    def identity(self) -> dict[str, int]:
         """Wait for the numbers that identify the INS, none if the map has none; raises NoReplyError."""
-        self._wait(
-            lambda status: len(status.identity) == len(self.signal_map.identity), "identity", timeout_s
-        )
+        self._wait(lambda status: len(status.identity) == len(self.signal_map.identity), "identity")
         return self.status().identity
 
-    def identify(self, timeout_s: float = _REPLY_TIMEOUT_S) -> str:
+    def identify(self) -> str:
         """Identification of the INS, in words; raises as :meth:`identity`."""
-        numbers = self.identity(timeout_s)
+        numbers = self.identity()
         if not numbers:
             return f"INS on {self._bus.channel_info}, DBC version '{self.codec.database.version or ''}'"
         return ", ".join(f"{name.replace('_', ' ')} {number}" for name, number in numbers.items())
@@ -186,64 +184,44 @@ class CanIns:
         """Whether the map has the mode of the INS."""
         return "mode" in self._signals
 
-    def align(self, timeout_s: float = _REPLY_TIMEOUT_S) -> None:
-        """Begin self-alignment, and wait until the INS confirms it.
+    def enter(self, mode: InsMode) -> None:
+        """Command the INS to align, to navigate or to stand by, and wait until it confirms that.
 
         Where the map has no signal that confirms it, the command is sent without confirmation. Raises
         RefusedError if the INS has no such command. Raises NoReplyError if the INS did not confirm in time.
         Raises FaultError if the INS reports a fault. Raises ConnectionFailedError if the bus is gone.
         """
-        self._complete(self.aligning(timeout_s))
+        self._complete(self.entering(mode))
 
-    def aligning(self, timeout_s: float = _REPLY_TIMEOUT_S) -> Iterator[None]:
-        """:meth:`align` in steps: yields until the INS confirms it, for several INS at once.
+    def entering(self, mode: InsMode) -> Iterator[None]:
+        """:meth:`enter` in steps: yields until the INS confirms it, for several INS at once.
 
         :data:`POLL_PERIOD_S` is to be waited at each yield.
         """
-        return self._commanding("align", "mode", lambda status: status.mode is InsMode.ALIGN, timeout_s)
+        return self._commanding(mode.name.lower(), "mode", lambda status: status.mode is mode)
 
-    def navigate(self, timeout_s: float = _REPLY_TIMEOUT_S) -> None:
-        """Begin to navigate; waits and raises as :meth:`align`."""
-        self._complete(self.navigating(timeout_s))
-
-    def navigating(self, timeout_s: float = _REPLY_TIMEOUT_S) -> Iterator[None]:
-        """:meth:`navigate` in steps, as :meth:`aligning`."""
-        return self._commanding("navigate", "mode", lambda status: status.mode is InsMode.NAVIGATE, timeout_s)
-
-    def standby(self, timeout_s: float = _REPLY_TIMEOUT_S) -> None:
-        """Stop aligning or navigating; waits and raises as :meth:`align`."""
-        self._complete(
-            self._commanding("standby", "mode", lambda status: status.mode is InsMode.STANDBY, timeout_s)
-        )
-
-    def set_euler_sequence(self, sequence: EulerSequence, timeout_s: float = _REPLY_TIMEOUT_S) -> None:
-        """Choose the sequence of the Euler angles; waits and raises as :meth:`align`."""
-        self._complete(self.setting_euler_sequence(sequence, timeout_s))
-
-    def setting_euler_sequence(
-        self, sequence: EulerSequence, timeout_s: float = _REPLY_TIMEOUT_S
-    ) -> Iterator[None]:
-        """:meth:`set_euler_sequence` in steps, as :meth:`aligning`."""
+    def setting_euler_sequence(self, sequence: EulerSequence) -> Iterator[None]:
+        """Choose the sequence of the Euler angles, in steps; yields and raises as :meth:`entering`."""
         command = self._commands.set_euler_sequence
         given = {"$sequence": float(command.number(sequence))} if command is not None else {}
         path = "attitude.euler.sequence"
         return self._commanding(
-            "set_euler_sequence", path, lambda status: status.euler_sequence is sequence, timeout_s, given
+            "set_euler_sequence", path, lambda status: status.euler_sequence is sequence, given
         )
 
     def send_increments(self, on: bool) -> None:
-        """Begin or stop to send increments, without confirmation; raises as :meth:`align`."""
-        self._complete(self._commanding("send_increments", "", lambda _: True, 0.0, {"$on": float(on)}))
+        """Begin or stop to send increments, without confirmation; raises as :meth:`enter`."""
+        self._complete(self._commanding("send_increments", "", lambda _: True, {"$on": float(on)}))
 
-    def clear_compensation(self, timeout_s: float = _REPLY_TIMEOUT_S) -> None:
-        """Erase the compensation in the INS; waits and raises as :meth:`align`."""
+    def clear_compensation(self) -> None:
+        """Erase the compensation in the INS; waits and raises as :meth:`enter`."""
         self._complete(
             self._commanding(
-                "clear_compensation", "compensation", lambda status: status.compensation is False, timeout_s
+                "clear_compensation", "compensation", lambda status: status.compensation is False
             )
         )
 
-    def load_compensation(self, compensation: Compensation, timeout_s: float = _REPLY_TIMEOUT_S) -> int:
+    def load_compensation(self, compensation: Compensation) -> int:
         """Load a compensation, for :meth:`apply_compensation` to put into use; returns its checksum.
 
         Sends all numbers, also zeros, in the units of the DBC. Waits until the INS reports the checksum, if
@@ -277,12 +255,11 @@ class CanIns:
             self._wait(
                 lambda status: status.compensation_loaded == expected,
                 f"checksum {expected:08x} of the loaded compensation",
-                timeout_s,
             )
         return expected
 
-    def apply_compensation(self, loaded: int | None = None, timeout_s: float = _REPLY_TIMEOUT_S) -> None:
-        """Put the loaded compensation into use; waits and raises as :meth:`align`.
+    def apply_compensation(self, loaded: int | None = None) -> None:
+        """Put the loaded compensation into use; waits and raises as :meth:`enter`.
 
         Where the map has a signal for the checksum in use, that confirms it too. ``loaded``: the checksum of
         what was loaded; by default what the INS reports as loaded.
@@ -294,7 +271,7 @@ class CanIns:
             return status.compensation is True and (used == expected or None in (used, expected))
 
         try:
-            self._complete(self._commanding("apply_compensation", "compensation", in_use, timeout_s))
+            self._complete(self._commanding("apply_compensation", "compensation", in_use))
         except NoReplyError as error:
             used = self.status().compensation_in_use
             if not self.status().compensation or used is None:
@@ -314,7 +291,6 @@ class CanIns:
         name: str,
         path: str,
         confirms: Callable[[InsStatus], bool],
-        timeout_s: float,
         given: dict[str, float] | None = None,
     ) -> Iterator[None]:
         """Send a command and wait for a later frame with the quantity ``path`` that confirms it."""
@@ -333,13 +309,13 @@ class CanIns:
 
         if path in self._signals:
             self._newest.forget(self._signals[path].message)
-            yield from self._waiting(is_confirmed, f"confirmation of '{name}'", timeout_s)
+            yield from self._waiting(is_confirmed, f"confirmation of '{name}'")
 
-    def _wait(self, condition: Callable[[InsStatus], bool], what: str, timeout_s: float) -> None:
-        self._complete(self._waiting(condition, what, timeout_s))
+    def _wait(self, condition: Callable[[InsStatus], bool], what: str) -> None:
+        self._complete(self._waiting(condition, what))
 
-    def _waiting(self, condition: Callable[[InsStatus], bool], what: str, timeout_s: float) -> Iterator[None]:
-        deadline = Deadline(self._clock, timeout_s)
+    def _waiting(self, condition: Callable[[InsStatus], bool], what: str) -> Iterator[None]:
+        deadline = Deadline(self._clock, _REPLY_TIMEOUT_S)
         while True:
             self.poll()
             status = self.status()
@@ -348,8 +324,8 @@ class CanIns:
             if deadline.expired():
                 raise NoReplyError(
                     self.name,
-                    f"no {what} within {timeout_s:g} s on {self._bus}; last frame {status.age_s:.1f} s ago, "
-                    f"mode {status.mode_text}. Check its power, the bus, the DBC and the signal map.",
+                    f"no {what} within {_REPLY_TIMEOUT_S:g} s on {self._bus}; last frame {status.age_s:.1f} "
+                    f"s ago, mode {status.mode_text}. Check its power, the bus, the DBC and the signal map.",
                 )
             yield
 

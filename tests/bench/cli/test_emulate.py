@@ -51,7 +51,8 @@ def test_the_station_written_reaches_the_bench_at_its_speed(emulate, tmp_path):
         assert "Acutrol3000" in outputs.table.identify()
         outputs.power_unit(True)
         ins = open_ins(station, clock, Emulation())
-        assert ins.identify(60.0).startswith("serial number")
+        assert ins.sends_frames(60.0)
+        assert ins.identify().startswith("serial number")
         ins.close()
         began_s, real_s = clock.now(), time.monotonic()
         outputs.table.prepare()
@@ -145,7 +146,8 @@ def test_slcan_on_a_socket_comes_at_full_rate_and_nothing_is_imported_from_the_c
     with Outputs(station, clock) as outputs:
         outputs.power_unit(True)
         ins = open_ins(station, clock, Emulation())
-        assert ins.identify(60.0).startswith("serial number")
+        assert ins.sends_frames(60.0)
+        assert ins.identify().startswith("serial number")
         blocks, end_s = [], time.monotonic() + 60.0
         while sum(map(len, blocks)) < 150:
             assert time.monotonic() < end_s

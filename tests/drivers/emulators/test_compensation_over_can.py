@@ -14,6 +14,7 @@ from gyrobench.bench.station.instruments import Emulation, Instruments
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
 from gyrobench.drivers.ins.compensation import Compensation, Correction
+from gyrobench.drivers.ins.readout import InsMode
 from tests.drivers.ins.compensation_reference import Conditions, compensated_dph
 
 _STEP_S = 10.0
@@ -69,7 +70,7 @@ class EmulatedIns:
         self.instruments.chamber.set_temperature(-10.0, 1.0)
         self.instruments.chamber.switch(True)
         self.run(2400.0)
-        self.ins.align()
+        self.ins.enter(InsMode.ALIGN)
 
     def _feel_increments(self):
         advance = self.world.unit.advance
@@ -165,7 +166,7 @@ def test_a_power_cycle_loses_the_compensation(emulated):
     emulated.instruments.power_unit(True)
     emulated.run(20.0)
     assert emulated.ins.status().compensation is False
-    emulated.ins.align()
+    emulated.ins.enter(InsMode.ALIGN)
     emulated.run(20.0)
     np.testing.assert_allclose(emulated.rate_dph(), before_dph, atol=1e-6)
 

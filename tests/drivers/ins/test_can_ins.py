@@ -251,25 +251,25 @@ def test_an_ins_that_sends_nothing_is_waited_for(driver, buses, clock, frames_of
 
 
 def test_commands_wait_until_the_status_confirms_them(driver, unit, clock):
-    driver.align()
+    driver.enter(InsMode.ALIGN)
     assert driver.status().mode is InsMode.ALIGN
-    driver.navigate()
+    driver.enter(InsMode.NAVIGATE)
     assert driver.status().mode is InsMode.NAVIGATE
-    driver.set_euler_sequence(EulerSequence.PRY_231)
+    driver._complete(driver.setting_euler_sequence(EulerSequence.PRY_231))
     assert driver.status().euler_sequence is EulerSequence.PRY_231
     driver.apply_compensation()
     assert driver.status().compensation is True
     driver.clear_compensation()
     assert driver.status().compensation is False
-    driver.standby()
+    driver.enter(InsMode.STANDBY)
     assert unit.state == {"MODE": 1, "EULER_SEQUENCE": 1, "COMPENSATION": 0}
     assert clock.now() == pytest.approx(6.0, abs=0.1)
 
 
 def test_a_status_from_before_the_command_confirms_nothing(driver, unit, clock):
-    driver.align()
+    driver.enter(InsMode.ALIGN)
     sent_s = clock.now()
-    driver.align()
+    driver.enter(InsMode.ALIGN)
     assert clock.now() > sent_s + 0.9
 
 
@@ -277,7 +277,7 @@ def test_frames_that_arrive_while_a_command_waits_reach_the_sink(
     driver, unit, batches, frames_of, to_messages
 ):
     unit.send("VELOCITY_NE", 0.1, VELOCITY_EAST=1.0)
-    driver.align()
+    driver.enter(InsMode.ALIGN)
     unit.send("VELOCITY_NE", 1.1, VELOCITY_EAST=2.0)
     driver.poll()
     assert concatenate(batches).arbitration_id.tolist() == [0x004, 0x010, 0x011, 0x012, 0x004]
@@ -286,13 +286,13 @@ def test_frames_that_arrive_while_a_command_waits_reach_the_sink(
 def test_a_command_that_is_not_confirmed_times_out(driver, unit, clock):
     unit.executes = False
     with pytest.raises(
-        NoReplyError, match=r"INS: no confirmation of 'align' within 3 s.*mode standby\. Check its"
+        NoReplyError, match=r"INS: no confirmation of 'align' within 5 s.*mode standby\. Check its"
     ):
-        driver.align(timeout_s=3.0)
-    assert clock.now() == pytest.approx(3.0, abs=0.1)
+        driver.enter(InsMode.ALIGN)
+    assert clock.now() == pytest.approx(5.0, abs=0.1)
     unit.silent = True
     with pytest.raises(NoReplyError, match="mode unknown"):
-        driver.navigate(timeout_s=6.0)
+        driver.enter(InsMode.NAVIGATE)
 
 
 def test_a_mode_that_the_map_lacks_is_named_with_its_value(driver, unit):
@@ -300,13 +300,13 @@ def test_a_mode_that_the_map_lacks_is_named_with_its_value(driver, unit):
     with pytest.raises(
         NoReplyError, match=r"mode boot \(INS_STATUS\.MODE is 9, no value of ins\.signals\.mode\)"
     ):
-        driver.align(timeout_s=3.0)
+        driver.enter(InsMode.ALIGN)
 
 
 def test_a_fault_ends_the_wait(driver, unit):
     unit.fails = True
     with pytest.raises(FaultError, match="fault after 'align'"):
-        driver.align()
+        driver.enter(InsMode.ALIGN)
 
 
 def test_a_compensation_is_loaded_number_by_number(driver, unit, clock):
@@ -358,8 +358,8 @@ def test_every_term_is_sent_to_its_index(driver, unit):
 
 def test_numbers_that_are_lost_on_the_way_are_noticed(driver, unit):
     unit.loses = (0, 3)
-    with pytest.raises(NoReplyError, match=r"no checksum [0-9a-f]{8} of the loaded compensation within 3 s"):
-        driver.load_compensation(POLYNOMIAL, timeout_s=3.0)
+    with pytest.raises(NoReplyError, match=r"no checksum [0-9a-f]{8} of the loaded compensation within 5 s"):
+        driver.load_compensation(POLYNOMIAL)
 
 
 def test_an_ins_without_checksums_is_not_waited_for(buses, make_signal_map, codec, clock, command_map, unit):
@@ -458,8 +458,8 @@ def test_commands_that_the_station_lacks_are_refused(buses, signal_map, codec, c
     driver = CanIns(buses[0], signal_map, codec.database, clock)
     assert not driver.supports("align")
     for command in (
-        driver.align,
-        lambda: driver.set_euler_sequence(EulerSequence.RPY_321),
+        lambda: driver.enter(InsMode.ALIGN),
+        lambda: next(driver.setting_euler_sequence(EulerSequence.RPY_321)),
         lambda: driver.load_compensation(POLYNOMIAL),
     ):
         with pytest.raises(RefusedError, match="has no command"):
@@ -480,8 +480,8 @@ def test_the_ins_says_who_it_is(driver, unit):
 def test_an_ins_that_sends_no_identity_gives_none_in_time(driver, unit, clock):
     unit.silent = True
     with pytest.raises(NoReplyError, match="identity"):
-        driver.identify(timeout_s=2.0)
-    assert clock.now() == pytest.approx(2.0, abs=0.1)
+        driver.identify()
+    assert clock.now() == pytest.approx(5.0, abs=0.1)
 
 
 def test_an_ins_without_identity_is_named_by_bus_and_dbc(buses, make_signal_map, codec, clock):
