@@ -26,7 +26,7 @@ from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, Re
 from gyrobench.bench.bias.error_split import ErrorPart, ErrorParts, noise_parts, prior_parts
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
-from gyrobench.bench.bias.statistics import GoodnessOfFit, chi2_p_value, goodness_of_fit, least_chi2, solve
+from gyrobench.bench.bias.statistics import Chi2Test, chi2_p_value, chi2_test, least_chi2, solve
 from gyrobench.bench.bias.window_filter import WindowFilter
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray, block_diagonal
 from gyrobench.bench.foundations.errors import MeasurementError
@@ -73,7 +73,7 @@ class StateSpaceEstimate(BiasEstimate):
     #: not measured and keeps its prior uncertainty.
     accelerometer_bias: FloatArray
     accelerometer_sigma: FloatArray
-    fit: GoodnessOfFit  #: Whether the model explains the data.
+    fit: Chi2Test  #: Whether the model explains the data.
     #: Probability that the biases of the windows differ at least as much, if each gyro has one bias.
     steady_p_value: float
     #: Most significant step of the biases in the dwell; None in very short windows, or if not searched for.
@@ -224,7 +224,7 @@ class BiasFilter:
         noise = noise_parts(self._windows, self._changes, expansions, gain, self._site, self._noise)
         return ErrorParts(noise | prior_parts(by_prior, self._prior, shown, len(self._windows)))
 
-    def goodness_of_fit(self) -> GoodnessOfFit:
+    def goodness_of_fit(self) -> Chi2Test:
         """Test whether the model explains what has been added, even a single window."""
         information, shown = self._information(test=True)
         expansions = [each * shown[: each.shape[1]] for each in self._expansions]
@@ -355,14 +355,14 @@ class BiasFilter:
 
     def _goodness_of_fit(
         self, expansions: list[FloatArray], values: FloatArray, covariance: FloatArray
-    ) -> GoodnessOfFit:
+    ) -> Chi2Test:
         blocks = [
-            (time_s, total[:, window_filter.DATA], _expanded(total, expansion, len(values)))
+            (total[:, window_filter.DATA], _expanded(total, expansion, len(values)))
             for window, expansion in zip(self._windows, expansions, strict=True)
-            for time_s, total in window.blocks()
+            for total in window.minutes()
         ]
-        time_s, sums, responses = (np.array(each) for each in zip(*blocks, strict=True))
-        return goodness_of_fit(time_s, sums, responses, values, covariance)
+        sums, responses = (np.concatenate(each) for each in zip(*blocks, strict=True))
+        return chi2_test(sums - responses @ values, responses, covariance)
 
 
 def _temperatures(rest: RestOutput) -> FloatArray:
@@ -409,7 +409,7 @@ def _filtered(dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge
 
 def navigation_fit(
     window: NavigationWindow, site: Site, noise: NoiseModel, prior: PriorKnowledge
-) -> GoodnessOfFit:
+) -> Chi2Test:
     """Test whether error model and noise explain one navigation.
 
     Nothing of the alignment enters.

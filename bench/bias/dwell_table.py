@@ -99,7 +99,7 @@ class DwellRow:
     #: knowledge.
     accelerometer_ug: Triple = NOT_MEASURED
     accelerometer_sigma_ug: Triple = NOT_MEASURED
-    #: fit_ratio, fit_p_value: See :class:`gyrobench.bench.bias.statistics.GoodnessOfFit`; NaN where not
+    #: fit_ratio, fit_p_value: See :class:`gyrobench.bench.bias.statistics.Chi2Test`; NaN where not
     #: known.
     fit_ratio: float = math.nan
     fit_p_value: float = math.nan

@@ -75,6 +75,11 @@ class Chi2Test:
     dof: int
     p_value: float
 
+    @property
+    def ratio(self) -> float:
+        """Size of the residuals over the expected one."""
+        return math.sqrt(self.chi2 / self.dof) if self.dof else math.nan
+
 
 def chi2_test(residuals: FloatArray, rows: FloatArray, covariance: FloatArray) -> Chi2Test:
     """Test the residuals of white data.
@@ -93,51 +98,6 @@ def chi2_test(residuals: FloatArray, rows: FloatArray, covariance: FloatArray) -
     chi2 = float(((residuals @ directions[:, free]) ** 2 / variances[free]).sum())
     dof = int(free.sum())
     return Chi2Test(chi2, dof, chi2_p_value(dof, chi2))
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class GoodnessOfFit:
-    """Chi-square test of the innovations."""
-
-    time_s: FloatArray  #: Shape (m,). Middle of each minute on the clock of the INS.
-    #: Shape (m, 3). Innovations of velocity East and North and of the heading summed over the minute, in
-    #: standard deviations of the sum; what the estimate explains is taken away.
-    residuals: FloatArray
-    #: chi2, dof: Their sum of squares weighted by their covariance, and its expectation.
-    chi2: float
-    dof: int
-    p_value: float  #: Probability of at least this chi2 if model and noise are true.
-
-    @property
-    def ratio(self) -> float:
-        """Size of the residuals over the expected one."""
-        return math.sqrt(self.chi2 / self.dof) if self.dof else math.nan
-
-
-def goodness_of_fit(
-    time_s: FloatArray,
-    sums: FloatArray,
-    responses: FloatArray,
-    parameters: FloatArray,
-    covariance: FloatArray,
-) -> GoodnessOfFit:
-    """Test the sums of innovations against an estimate made from the same data.
-
-    Parameters
-    ----------
-    time_s : ndarray, shape (m,)
-        Middle of each minute.
-    sums : ndarray, shape (m, 3)
-        White, with unit variance.
-    responses : ndarray, shape (m, 3, p)
-        Of the sums to the parameters.
-    parameters, covariance : ndarray, shape (p,), (p, p)
-        The estimate.
-    """
-    response = responses.reshape(-1, len(parameters))
-    residuals = sums.ravel() - response @ parameters
-    test = chi2_test(residuals, response, covariance)
-    return GoodnessOfFit(time_s, residuals.reshape(-1, 3), test.chi2, test.dof, test.p_value)
 
 
 def chi2_p_value(dof: int, chi2: float) -> float:

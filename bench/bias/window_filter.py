@@ -26,7 +26,7 @@ from gyrobench.bench.navigation.error_model import INPUTS, STATES, Site, integra
 #: average noise of the output.
 EPOCH_S = 1.0
 #: Time, s, over which innovations are summed for the test of fit.
-BLOCK_S = 60.0
+_MINUTE_S = 60.0
 #: Time constant, s, with which accelerometers settle after a turn.
 TRANSIENT_S = 120.0
 
@@ -35,9 +35,9 @@ _MIN_WHITE = np.array([1e-7, 1e-7, 1e-10])
 
 
 @dataclass
-class _Block:
+class _Minute:
     total: FloatArray = field(default_factory=lambda: np.zeros((3, COLUMN_COUNT)))
-    times_s: list[float] = field(default_factory=list)
+    count: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +100,7 @@ class WindowFilter:
         self.first_s = time_s
         white = np.array([noise.velocity_white, noise.velocity_white, noise.heading_white])
         self.output_variances = np.maximum(white, _MIN_WHITE) ** 2
-        self._blocks: dict[int, _Block] = {}
+        self._minutes: dict[int, _Minute] = {}
         self.C_nb = np.ascontiguousarray(C_nb)
         self.covariance = covariance
         self.columns = np.zeros((STATES, COLUMN_COUNT))
@@ -162,18 +162,17 @@ class WindowFilter:
         """What the filter did at each epoch."""
         return EpochsFiltered(*(np.concatenate(each) for each in zip(*self._filtered, strict=True)))
 
-    def blocks(self) -> Iterator[tuple[float, FloatArray]]:
-        """Middle of each minute, and the sum of its rows (3, c) with unit variance."""
-        for block in self._blocks.values():
-            times_s = block.times_s
-            yield 0.5 * (times_s[0] + times_s[-1]), block.total / math.sqrt(len(times_s))
+    def minutes(self) -> Iterator[FloatArray]:
+        """Sum of the rows (3, c) of each minute, with unit variance."""
+        for minute in self._minutes.values():
+            yield minute.total / math.sqrt(minute.count)
 
     def _sum_up(self, time_s: FloatArray, rows: FloatArray) -> None:
-        numbers = slots(time_s, self.first_s, BLOCK_S)
+        numbers = slots(time_s, self.first_s, _MINUTE_S)
         for number in np.unique(numbers).tolist():
-            block = self._blocks.setdefault(number, _Block())
-            block.total += rows[numbers == number].sum(axis=0)
-            block.times_s += time_s[numbers == number].tolist()
+            minute = self._minutes.setdefault(number, _Minute())
+            minute.total += rows[numbers == number].sum(axis=0)
+            minute.count += int(np.sum(numbers == number))
 
 
 #: Columns of a window: state at its start, constant inputs, a constant of the heading, inputs that

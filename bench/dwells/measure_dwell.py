@@ -16,7 +16,7 @@ from gyrobench.bench.bias.joint_solution import JointInformation
 from gyrobench.bench.bias.noise_estimate import RestMotion
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.paper import estimate_paper
-from gyrobench.bench.bias.statistics import GoodnessOfFit
+from gyrobench.bench.bias.statistics import Chi2Test
 from gyrobench.bench.bias.vertical_pairs import exceeds_declared
 from gyrobench.bench.bias.window_filter import EPOCH_S
 from gyrobench.bench.dwells.dwell_output import check_signal_map, decoded_navigation, dwell_at_rest
@@ -229,7 +229,7 @@ def _paper(dwell: Dwell, site: Site, noise: NoiseModel) -> BiasEstimate | None:
         return None
 
 
-def lack_of_fit_text(fit: GoodnessOfFit) -> str:
+def lack_of_fit_text(fit: Chi2Test) -> str:
     """Message where error model and noise do not explain the data."""
     return (
         f"the residuals are {fit.ratio:.2f} times as large as the noise explains "
