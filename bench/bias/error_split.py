@@ -44,11 +44,6 @@ class ErrorPart:
     sigma: float  #: Standard uncertainty of each component, SI.
     dof: float = math.inf  #: Its degrees of freedom; infinite where it is declared.
 
-    @property
-    def covariance(self) -> FloatArray:
-        """Covariance of the three biases by this source, shape (3, 3), (rad/s)^2."""
-        return self.columns @ self.columns.T
-
     def scaled(self, factors: FloatArray) -> ErrorPart:
         """The same with the error of each gyro multiplied by a factor (3,)."""
         return replace(self, columns=self.columns * factors[:, np.newaxis])

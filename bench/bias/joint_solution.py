@@ -267,20 +267,9 @@ class JointSolution:
         return not (self.fit.p_value < _MIN_P_VALUE and self.north_free_fit.p_value < _MIN_P_VALUE)
 
     @property
-    def gain(self) -> FloatArray:
-        """Uncertainty dwell by dwell over the joint one, shape (m, 3)."""
-        return self.single.sigma_radps / self.together.sigma_radps
-
-    @property
     def accelerometer_bias(self) -> tuple[FloatArray, FloatArray]:
         """Biases (3,) and their standard uncertainties, m/s^2, body axes."""
         return self._shared(SHARED_ACCELEROMETER_BIAS)
-
-    @property
-    def accelerometer_misalignment(self) -> tuple[FloatArray, FloatArray]:
-        """Matrix (3, 3) and its standard uncertainties, rad; the diagonal is not seen and stays 0."""
-        matrix, sigma = self._shared(SHARED_ACCELEROMETER_MATRIX)
-        return matrix.reshape(3, 3), sigma.reshape(3, 3)
 
     @property
     def north_rate(self) -> tuple[float, float]:

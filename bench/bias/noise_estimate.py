@@ -249,12 +249,6 @@ class NoiseComparison:
     unit_si: float  #: Size of the unit in SI.
 
     @property
-    def ratio(self) -> float | None:
-        """Measured over declared; None where either is nothing."""
-        value = self.measured.value
-        return value / self.declared if value is not None and self.declared > 0.0 else None
-
-    @property
     def is_consistent(self) -> bool | None:
         """Whether the declared value can be true; None where nothing is known."""
         if self.measured.square is None:

@@ -215,11 +215,6 @@ class CoefficientEstimate:
         """Sensors that the body frame is fixed to: "accelerometers" or "gyros"."""
         return "gyros" if self.coefficients[:COUNT] == _GYRO_FRAME_COEFFICIENTS else "accelerometers"
 
-    @property
-    def errors(self) -> SensorErrors:
-        """The coefficients, in the accelerometers' body frame, as matrices."""
-        return SensorErrors.from_vector(np.where(self.is_observed, self.values, 0.0)[:COUNT])
-
     def in_gyro_frame(self) -> Self:
         """The estimate, from the accelerometers' body frame, in that of the gyros.
 

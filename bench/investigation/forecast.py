@@ -38,11 +38,6 @@ class Forecast:
     def _fitted(self) -> tuple[UnitThermal, Course | None]:
         return UnitThermal.typical(ThermalEstimate()).fitted_to(self.campaign)
 
-    @property
-    def thermal(self) -> UnitThermal:
-        """The lags and rises; those of a typical unit without temperatures of the chamber."""
-        return self._fitted[0]
-
     @cached_property
     def _above_optics(self) -> tuple[FloatArray, FloatArray] | None:
         """Electronics above optics as the campaign has them: offset (3,), and factor (3,) of the course's.

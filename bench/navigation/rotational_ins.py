@@ -46,7 +46,7 @@ _DWELL_STEP_S = 60.0
 _TURN_STEPS = 6
 #: Direction cosines of Up below this are rounding.
 _LEVEL = 1e-9
-_EAST_VELOCITY, _NORTH_VELOCITY, _LATITUDE = 3, 4, 5
+_EAST_VELOCITY, _LATITUDE = 3, 5
 #: Outer axis East, inner axis Up, body axes East, North, Up with both angles at zero.
 GIMBALS = TwoAxisTable(np.array([1.0, 0.0, 0.0]), UP, np.eye(3))
 
@@ -116,13 +116,11 @@ SIX_POSITIONS = _both_senses(
 class PositionError:
     """Errors of the navigation over time, from a start without error."""
 
-    #: time_s, east_m, north_m, velocity_east_mps, velocity_north_mps: Shape (n,); the errors of k navigations
-    #: (n, k). Each at the end of a step of a minute or less.
+    #: time_s, east_m, north_m: Shape (n,); the errors of k navigations (n, k). Each at the end of a step of a
+    #: minute or less.
     time_s: FloatArray
     east_m: FloatArray
     north_m: FloatArray
-    velocity_east_mps: FloatArray
-    velocity_north_mps: FloatArray
 
     @property
     def distance_nmi(self) -> FloatArray:
@@ -197,8 +195,6 @@ def navigate_with_drift(steps_s: FloatArray, drift_enu_dph: FloatArray, site: Si
         time_s=np.cumsum(steps_s),
         east_m=np.cumsum((steps_s * means_mps.T).T, axis=0),
         north_m=meridian_m * states[1:, _LATITUDE],
-        velocity_east_mps=velocity_east[1:],
-        velocity_north_mps=states[1:, _NORTH_VELOCITY],
     )
 
 

@@ -162,11 +162,6 @@ class InsStatus:
         return self._readout.map.epoch_period_s
 
     @cached_property
-    def ins_time_s(self) -> float:
-        """Time on the clock of the INS."""
-        return float(self._readout.time_s(_NOW)[0])
-
-    @cached_property
     def velocity_enu_mps(self) -> Triple:
         """Velocity."""
         return self._number("velocity_east"), self._number("velocity_north"), self._number("velocity_up")

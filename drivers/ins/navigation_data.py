@@ -187,7 +187,6 @@ class EpochCounts:
     #: between the two clocks has the same effect.
     late: int = 0
     restarts: int = 0  #: Resets of the clock or the counter of the INS.
-    untimed: int = 0  #: Epochs whose INS time is unknown; dropped.
     #: Additional frames of a message in an epoch with other content than the frame before.
     contradicted: int = 0
 
@@ -233,7 +232,6 @@ def _find_epochs(reader: BlockReader, readout: Readout) -> _Epochs:
         repeated=int(np.sum(~new)),
         late=_count_late(groups.arrival_s - times_s, segment, _LATE_PERIODS * period_s),
         restarts=int(np.sum(restart)),
-        untimed=int(np.sum(~timed)),
         contradicted=contradicted,
     )
     return _Epochs(groups.rows, groups.arrival_s, times_s, segment, counts)

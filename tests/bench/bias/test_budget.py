@@ -34,7 +34,7 @@ def part(sigma_dph, dof=math.inf):
 
 def dwells_of(parts, **rows):
     """Dwells in one position, each with these parts and the uncertainty that they add up to."""
-    sigma_dph = math.sqrt(sum(each.covariance[0, 0] for each in parts.values())) / DPH_TO_RADPS
+    sigma_dph = math.sqrt(sum(each.columns[0] @ each.columns[0] for each in parts.values())) / DPH_TO_RADPS
     count = len(next(iter(rows.values()))) if rows else 2
     return [
         BudgetedDwell(

@@ -282,7 +282,7 @@ def test_noise_that_is_as_declared_is_called_consistent():
         "angle random walk of all gyros",
     ]
     assert all(each.is_consistent for each in comparisons)
-    assert comparisons[3].ratio == pytest.approx(1.0, abs=0.05)
+    assert comparisons[3].measured.value == pytest.approx(comparisons[3].declared, rel=0.05)
     assert comparisons[3].sentence.startswith("angle random walk of all gyros 0.000")
     assert comparisons[3].sentence.endswith("deg/sqrt(h), declared 0.0006 deg/sqrt(h): consistent")
 

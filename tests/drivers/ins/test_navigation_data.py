@@ -154,7 +154,7 @@ def test_arrival_in_bursts_changes_no_time(recording, signal_map, codec):
     bursts = block.with_fields(time_s=np.ceil(block.timestamp_s / 5.0) * 5.0)
     found, even = (decode_navigation(b, signal_map, codec) for b in (bursts, block))
     assert np.array_equal(found.ins_time_s, even.ins_time_s)
-    assert (found.counts.lost, found.counts.restarts, found.counts.untimed) == (0, 0, 0)
+    assert (found.counts.lost, found.counts.restarts) == (0, 0)
 
 
 def test_an_epoch_that_arrives_late_is_counted_and_keeps_its_time(recording, signal_map, codec):
@@ -181,7 +181,7 @@ def test_epochs_after_a_restart_without_a_time_are_dropped(recording, signal_map
     before, after = recording(500, 600), without(recording(0, 9), TIME_ID, 0)
     later = after.with_fields(time_s=after.timestamp_s + 90.0)
     found = decode_navigation(concatenate([before, later]), signal_map, codec)
-    assert found.counts == EpochCounts(restarts=1, untimed=9)
+    assert found.counts == EpochCounts(restarts=1)
     assert len(found.ins_time_s) == 100
 
 
@@ -193,7 +193,7 @@ def test_a_clock_set_again_between_two_times_leaves_the_epochs_between_them_with
     rows = np.flatnonzero(block.arbitration_id == TIME_ID)[5:]
     block.data[rows] = shifted.data
     found = decode_navigation(block, signal_map, codec)
-    assert found.counts == EpochCounts(restarts=1, untimed=9)
+    assert found.counts == EpochCounts(restarts=1)
     assert found.ins_time_s[found.segment == 0] == pytest.approx(100 + np.arange(41) / 10)
     assert found.ins_time_s[found.segment == 1] == pytest.approx(7 + np.arange(50) / 10)
 

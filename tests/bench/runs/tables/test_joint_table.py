@@ -147,7 +147,9 @@ def test_no_solutions_make_no_rows():
 
 def test_gain_is_the_ratio_of_the_uncertainties(wrong_latitude, biases):
     _, solutions, _ = wrong_latitude
-    expected = np.concatenate([each.gain.ravel() for each in solutions])
+    expected = np.concatenate(
+        [(each.single.sigma_radps / each.together.sigma_radps).ravel() for each in solutions]
+    )
     found = [gain for sigmas in JointSigmas.of(biases).values() for gain in sigmas.gains]
     np.testing.assert_allclose(sorted(found), sorted(expected))
 
