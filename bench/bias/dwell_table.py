@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import MISSING, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, overload
 
@@ -31,11 +31,6 @@ _FIT = ("fit_ratio", "fit_p_value")
 _READERS = {"gyro_c": CsvTable.temperature} | dict.fromkeys(
     ("sigma_dph", "paper_sigma_dph", "accelerometer_sigma_ug"), CsvTable.uncertainty
 )
-#: What a table may lack, or have empty.
-_OPTIONAL = {
-    *("azimuth_deg", "chamber_set_c", "chamber_c", "case_c", "board_c"),
-    *("paper_bias_dph", "paper_sigma_dph", "accelerometer_ug", "accelerometer_sigma_ug", *_FIT),
-}
 
 
 def _columns(names: Iterable[str]) -> tuple[str, ...]:
@@ -51,7 +46,6 @@ def _columns(names: Iterable[str]) -> tuple[str, ...]:
 _NOT_NUMBERS = ("unit", "run", "dwell", "cycle", "position", "other", "flags")
 _NUMBERS = len(_SCALARS) + 3 * len(_TRIPLES) + len(_FIT)
 _NAMES = ("unit", "run", "dwell", "cycle", "position", *_SCALARS, *_TRIPLES, *_FIT)
-_REQUIRED = _columns(name for name in _NAMES if name not in _OPTIONAL)
 
 #: Columns that a table is written with.
 COLUMNS = (*_columns(_NAMES), "flags")
@@ -108,6 +102,11 @@ class DwellRow:
     #: What was wrong with the dwell; empty where nothing was. A dwell with flags may be without result: NaN
     #: for its biases, their uncertainties and the gyros' temperatures.
     flags: tuple[str, ...] = ()
+
+
+#: What a table may lack, or have empty.
+_OPTIONAL = {field.name for field in fields(DwellRow) if field.default is not MISSING}
+_REQUIRED = _columns(name for name in _NAMES if name not in _OPTIONAL)
 
 
 class PackedDwells(Sequence[DwellRow]):
