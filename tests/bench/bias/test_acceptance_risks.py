@@ -137,6 +137,12 @@ def test_a_sound_unit_is_accepted_in_most_runs_and_never_rejected_for_its_temper
     assert found["rejected"] <= most(draws)
 
 
+def test_the_largest_of_noisy_differences_does_not_reject_equal_positions(draws):
+    found = verdicts(equal, draws, limits=AcceptanceLimits(position_difference_dph=1e-6))
+    assert found["rejected"] <= most(draws)
+    assert found["accepted"] == 0
+
+
 def by_attitude(level_dph, vertical_dph):
     """Sizes (6, 3) by position and gyro."""
     up = np.array([each.up_axis for each in POSITIONS.values()])
