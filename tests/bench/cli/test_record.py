@@ -15,8 +15,8 @@ def record(tmp_path, *options):
 @pytest.mark.parametrize(
     ("instrument", "dialect", "asked"),
     [
-        ("table", "acutrol3000", ["identify", "faults", "limits", "read", "identify"]),
-        ("chamber", "watlow_f4", ["identify", "alarms", "read", "limits_c", "set_point_c"]),
+        ("table", "acutrol3000", ["identify", "limits", "read", "identify"]),
+        ("chamber", "watlow_f4", ["identify", "read", "limits_c", "set_point_c"]),
     ],
 )
 def test_an_instrument_is_asked_recorded_and_replayed(tmp_path, instrument, dialect, asked):
