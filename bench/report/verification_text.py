@@ -168,7 +168,11 @@ def _judgement_sentence(result: VerificationResult) -> str:
         case "confirmed":
             return f"The residual {with_text(after)} is consistent with noise ({p})."
         case "improved":
-            return f"The residual {with_text(after)} exceeds the noise ({p})."
+            residual = f"The residual {with_text(after)} exceeds the noise ({p})"
+            if not after.total.agreement_p_value >= LACK_OF_FIT_P:  # NaN where it is not known
+                return f"{residual}."
+            explained = p_phrase(after.total.agreement_p_value)
+            return f"{residual}; the uncertainty of the compensation itself explains that ({explained})."
         case "not confirmed":
             return f"The new measurements show no improvement {with_text(after)} beyond the noise."
         case _ if before.total.varying_p_value < LACK_OF_FIT_P:

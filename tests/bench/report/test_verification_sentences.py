@@ -68,6 +68,16 @@ def test_the_judgement_compares_the_varying_bias_with_the_noise(comparison, judg
     assert reason in outcome_sentence(comparison())
 
 
+def test_a_residual_that_the_uncertainty_of_the_compensation_explains_is_said_to_be_so():
+    *before, last = improved().results
+    p_values = {0.116: "; the uncertainty of the compensation itself explains that (p = 0.116).", 1e-7: ")."}
+    for p_value, end in p_values.items():
+        total = replace(last.total, agreement_p_value=p_value)
+        sentence = outcome_sentence(replace(improved(), results=(*before, replace(last, total=total))))
+        assert "exceeds the noise (p" in sentence
+        assert sentence.endswith(end)
+
+
 def test_each_size_is_stated_for_each_compensation_with_the_noise():
     _, bias, positions, day = change_sentences(confirmed())  # no navigation showed a velocity
     assert bias.startswith("Bias in deg/h")
