@@ -275,7 +275,7 @@ def _check_force(recordings: Sequence[IncrementRecording], gravity: float) -> No
     if abs(force / gravity - 1.0) > _MAX_ELEMENT:
         raise MeasurementError(
             f"the specific force at rest is {force:.4g} m/s^2, gravity {gravity:.4g} m/s^2. Check "
-            "'calibration.accelerometers.unit' and 'time' in the import map"
+            "'calibration.accelerometers.unit' and 'time' in the import map; of a run, ins.signals and DBC"
         )
 
 
@@ -296,7 +296,7 @@ def _check_angle(recordings: Sequence[IncrementRecording]) -> None:
     if gyros < _MIN_ANGLE_SHARE * force:
         raise MeasurementError(
             f"from rest to rest the specific force turns by {force:.3g} deg and the gyros by {gyros:.2g} "
-            "deg. Check 'gyro.unit' in the import map"
+            "deg. Check 'gyro.unit' in the import map; of a run, ins.signals and DBC"
         )
 
 
@@ -307,7 +307,8 @@ def _check_size(values: FloatArray, is_observed: BoolArray) -> None:
             columns = "gyro" if each.sensor == "gyro" else "calibration.accelerometers"
             raise MeasurementError(
                 f"{each.sensor} {each.kind.replace('_', ' ')} {each.axis} is {value:.3g}, at most "
-                f"{_MAX_ELEMENT:g} is possible. Check unit, signs and axes of '{columns}' in the import map"
+                f"{_MAX_ELEMENT:g} is possible. Check unit, signs and axes of '{columns}' in the import map; "
+                "of a run, those of ins.signals, and whether the table turns as its angles say"
             )
 
 

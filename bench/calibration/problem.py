@@ -164,7 +164,8 @@ class CalibrationProblem:
                 )
         raise MeasurementError(
             "the estimate does not converge: the increments do not follow from rotations between rests at "
-            "one place. Check signs, axes and units in the import map"
+            "one place. Check signs, axes and units in the import map; of a run, those of ins.signals, and "
+            "whether the table turns as its angles say"
         )
 
     def with_g_sensitivity(self, found: Estimates) -> tuple[CalibrationProblem, Estimates, str]:
