@@ -251,7 +251,11 @@ def measure_noise(recordings: Sequence[IncrementRecording]) -> SensorNoise:
             for recording in recordings:
                 values = getattr(recording, name)[:, axis]
                 if np.ptp(values) == 0.0:
-                    raise MeasurementError(f"the {name} increments of axis {label} never change")
+                    sensor = {"angle": "gyro", "velocity": "accelerometer"}[name]
+                    raise MeasurementError(
+                        f"the output of the {label} {sensor} never changes. Check its column in the import "
+                        "map; of a run, ins.signals"
+                    )
                 segments += [
                     np.concatenate([[0.0], np.cumsum(values[rest.begin : rest.end])])[::size]
                     for rest in recording.rests
