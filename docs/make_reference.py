@@ -15,8 +15,9 @@ import re
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from enum import Enum
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 import typer.main
 from pydantic import BaseModel, TypeAdapter
@@ -109,8 +110,20 @@ def _parameter(parameter: Any) -> tuple[str, str, str]:
     is_argument = parameter.param_type_name == "argument"
     name = (parameter.metavar or parameter.name.upper()) if is_argument else ", ".join(parameter.opts)
     default = parameter.default
-    shown = "" if default is None or callable(default) or default in ((), [], False) else f"`{default}`"
-    return f"`{name}`", parameter.help or "", "required" if parameter.required else shown
+    is_shown = not callable(default) and default not in (None, "", (), [], False)
+    shown = f"`{default}`" if is_shown else ""
+    values = ", ".join(_choices(parameter.type_descriptor.annotation))
+    meaning = f"{parameter.help or ''}{f' Values: {values}.' * bool(values)}"
+    return f"`{name}`", meaning, "required" if parameter.required else shown
+
+
+def _choices(annotation: Any) -> list[str]:
+    """Values of an option that is a choice, or a list of choices; none of another."""
+    if inspect.isclass(annotation) and issubclass(annotation, Enum):
+        return [str(each.value) for each in annotation]
+    if get_origin(annotation) is list:
+        return _choices(get_args(annotation)[0])
+    return list(get_args(annotation)) if get_origin(annotation) is Literal else []
 
 
 @dataclass(frozen=True)

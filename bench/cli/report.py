@@ -50,7 +50,7 @@ def report(
 
     Includes the results of `close` and `verify`. Figures mark the temperatures that the procedure lists
     (marked_temperatures_c) and those given with --mark-temperature. A run whose journal or dwell table is
-    damaged is reported, but not judged.
+    damaged is reported, but not judged. --before, --mark-temperature and --out take the folder of one unit.
 
     Exit codes: 0 the report is written; 1 it is written, but journal or dwell table are damaged.
 
@@ -65,7 +65,8 @@ def report(
     from gyrobench.bench.runs.folder import open_run_folder
     from gyrobench.bench.runs.provenance import watermark_of
 
-    folder = open_run_folder(run_folder, may_have_units=True)
+    is_of_one_unit = before is not None or out is not None or bool(mark_temperature)
+    folder = open_run_folder(run_folder, may_have_units=not is_of_one_unit)
     earlier = open_run_folder(before) if before else None
     formats = [each.value for each in vectors or ()]
     terminal = console()

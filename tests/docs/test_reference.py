@@ -17,6 +17,13 @@ def test_it_reads_as_plain_markdown():
     assert "| `procedure` | name: letters, digits, underscore, hyphen | text | required |" in text
 
 
+def test_commands_show_the_values_of_a_choice_and_no_empty_default():
+    text = (DOCS / "reference" / "commands.md").read_text(encoding="utf-8")
+    assert "or lines as in a file. Values: live, lines. | `live` |" in text
+    assert "Command to the run. Values: pause, continue, hold, skip, abort. | required |" in text
+    assert "| `` |" not in text
+
+
 def test_keys_that_are_alike_have_one_table_on_their_page():
     for page in ("import_map", "station", "world"):
         text = (DOCS / "reference" / f"{page}.md").read_text()

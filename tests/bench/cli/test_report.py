@@ -158,3 +158,14 @@ def test_a_run_with_a_damaged_file_is_reported_with_exit_code_1_and_not_judged(r
         "Unit not judged.",
         f"Report   {run.report}",
     ]
+
+
+@pytest.mark.parametrize("options", [("--before", "run"), ("--mark-temperature", "20"), ("--out", "page")])
+def test_what_is_of_one_unit_is_refused_for_a_run_of_several(options, run, tmp_path):
+    unit = RunFolder(run.path / "units" / "7")
+    unit.path.mkdir(parents=True)
+    shutil.copy(run.journal, unit.journal)
+    done = gyrobench("report", "run", *options, cwd=tmp_path)
+    assert done.returncode == EXIT_WRONG_INPUT
+    assert "Give the folder of one of them: run/units/7" in done.stderr
+    assert not run.report.exists()
