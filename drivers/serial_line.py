@@ -75,6 +75,16 @@ def system_reason(error: Exception) -> str:
     return found[-1].strip() if found else str(error)
 
 
+def port_advice(address: str, otherwise: str) -> str:
+    """What to do where a port can't be opened; a pseudo-terminal ends with the program that serves it."""
+    if not address.startswith("/dev/pts/"):
+        return otherwise
+    return (
+        "Start the program that served it again, such as `gyrobench emulate`, and write its new port into "
+        "the station file; `resume` reads station.yaml of the run folder."
+    )
+
+
 class SerialLine:
     """Bytes to and from one instrument.
 
@@ -119,7 +129,7 @@ class SerialLine:
             raise ConnectionFailedError(
                 self.instrument,
                 f"can't open {self.address}: {system_reason(error)}. "
-                "Check the station file's port and the cable.",
+                + port_advice(self.address, "Check the station file's port and the cable."),
             ) from error
         self._port, self._open = port, True
         self._recording = new_line_recording(self.instrument, self.clock, self._baudrate, self._parity)

@@ -78,9 +78,7 @@ def emulate(
             if write_station:
                 write_station_file(write_station, bench, emulators.urls, speed)
             summary = (
-                json.dumps(emulators.urls)
-                if as_json
-                else guide(emulators.urls, bench.file, speed, write_station)
+                json.dumps(emulators.urls) if as_json else guide(emulators.urls, bench, speed, write_station)
             )
             typer.echo(summary)
         code = emulators.wait()

@@ -102,20 +102,21 @@ def _ins_section(section: dict[str, Any], url: str) -> dict[str, Any]:
     return {"interface": "socketcand", "channel": where.path.strip("/"), "options": options} | rest
 
 
-def guide(urls: Mapping[str, str], file: StationFile, speed: float, station_path: Path | None) -> str:
+def guide(urls: Mapping[str, str], station: Station, speed: float, station_path: Path | None) -> str:
     """Text with the address of each instrument, and a command to reach it.
 
     Parameters
     ----------
     urls : mapping of str to str
         Addresses of ``table``, ``chamber`` and ``ins``.
-    file : StationFile
-        Gives the dialects.
+    station : Station
+        Gives the dialects and the DBC file.
     station_path : Path, optional
         The station file that was written for them.
     """
     pace = "in real time" if speed == 1.0 else f"{speed:g} times as fast as real time"
-    table, chamber, units = urls["table"], urls["chamber"], _units(urls)
+    file, table, chamber, units = station.file, urls["table"], urls["chamber"], _units(urls)
+    frames = f"{emulated_dbc(station) or _DEFAULT_FRAMES}.dbc"
     events = {number: unit.power_event or file.unit.power_event for number, unit in enumerate(file.units, 1)}
     lines = [
         f"The emulated bench runs {pace} until Ctrl-C.",
@@ -125,11 +126,11 @@ def guide(urls: Mapping[str, str], file: StationFile, speed: float, station_path
     for number, url in units:
         event = events.get(number, _UNIT_POWER_EVENT + number - 1)
         lines += [
-            *_entry(
-                f"INS {number}" if len(units) > 1 else "INS", f"{url}  {file.ins.dbc}", *_can_clients(url)
-            ),
+            *_entry(f"INS {number}" if len(units) > 1 else "INS", f"{url}  {frames}", *_can_clients(url)),
             f"    It sends frames while event output {event} of the chamber is on.",
         ]
+    if emulated_dbc(station) is None:
+        lines += ["", f"No emulated INS sends the frames of {station.dbc_path.name}: decode with {frames}."]
     if station_path:
         command = f"gyrobench run ten_minute_check --station {station_path}"
         lines += _entry("Bench", f"{station_path}  station file", command)
@@ -167,6 +168,8 @@ def _can_clients(url: str) -> list[str]:
     ]
 
 
+#: Frames that the emulators send by default.
+_DEFAULT_FRAMES = "gyrobench_ins"
 _PROGRAM = ("-P", "-m", "gyrobench.drivers.emulators.serve", "--until-stdin-closes")
 _END_TIME_S = 10.0
 _LOOPBACK = ("127.0.0.1", "localhost")

@@ -36,7 +36,7 @@ from gyrobench.drivers.frames import (
     FrameBlock,
     concatenate,
 )
-from gyrobench.drivers.serial_line import system_reason
+from gyrobench.drivers.serial_line import port_advice, system_reason
 
 _READ_PERIOD_S = 0.005
 _MAX_READ = 1 << 16
@@ -398,6 +398,9 @@ _TEXT_BUSES: dict[str, Callable[..., can.BusABC]] = {"slcan": _SlcanBus, "socket
 _MAX_FRAMES = 100_000
 
 
+_BUS_ADVICE = "Check the station file's interface, channel and options, and the adapter."
+
+
 def open_bus(
     interface: str, channel: str | int | None, clock: Clock, bitrate: int | None = None, **options: Any
 ) -> can.BusABC:
@@ -420,7 +423,7 @@ def open_bus(
         raise ConnectionFailedError(
             INSTRUMENT,
             f"can't open the CAN interface '{interface}', channel {channel}: {system_reason(error)}. "
-            "Check the station file's interface, channel and options, and the adapter.",
+            + port_advice(str(channel), _BUS_ADVICE),
         ) from error
 
 

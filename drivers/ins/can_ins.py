@@ -25,7 +25,7 @@ from gyrobench.drivers.ins.command_map import Command, CommandMap, check_command
 from gyrobench.drivers.ins.compensation import Compensation, checksum
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
 from gyrobench.drivers.ins.ins_status import InsStatus, NewestFrames
-from gyrobench.drivers.ins.readout import InsMode
+from gyrobench.drivers.ins.readout import Alignment, InsMode
 from gyrobench.drivers.ins.signal_map import SignalMap, bind_signals
 
 #: The status is sent about once a second, and the INS needs time for a command.
@@ -322,10 +322,13 @@ class CanIns:
             if condition(status):
                 return
             if deadline.expired():
+                last = f"last frame {status.age_s:.1f} s ago" if np.isfinite(status.age_s) else "no frame yet"
+                is_aligning = status.mode is InsMode.ALIGN and status.alignment is not Alignment.FINE
+                advice = "Wait until it is aligned, or check" if is_aligning else "Check its power, the bus,"
                 raise NoReplyError(
                     self.name,
-                    f"no {what} within {_REPLY_TIMEOUT_S:g} s on {self._bus}; last frame {status.age_s:.1f} "
-                    f"s ago, mode {status.mode_text}. Check its power, the bus, the DBC and the signal map.",
+                    f"no {what} within {_REPLY_TIMEOUT_S:g} s on {self._bus}; {last}, mode "
+                    f"{status.mode_text}. {advice} the DBC and the signal map.",
                 )
             yield
 

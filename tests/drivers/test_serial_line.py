@@ -171,3 +171,10 @@ def test_a_line_that_is_never_silent_is_an_error(line, plug):
     finally:
         ended.set()
         thread.join()
+
+
+def test_for_a_pseudo_terminal_that_is_gone_the_message_names_what_serves_it(tmp_path):
+    with pytest.raises(ConnectionFailedError, match=r"Start the program that served it.*`gyrobench emulate`"):
+        SerialLine("chamber", "/dev/pts/99999", VirtualClock())
+    with pytest.raises(ConnectionFailedError, match="Check the station file's port and the cable"):
+        SerialLine("chamber", str(tmp_path / "ttyUSB0"), VirtualClock())

@@ -294,6 +294,19 @@ def test_a_command_that_is_not_confirmed_times_out(driver, unit, clock):
         driver.enter(InsMode.NAVIGATE)
 
 
+def test_a_mode_that_is_refused_during_alignment_asks_to_wait(driver, unit):
+    driver.enter(InsMode.ALIGN)
+    unit.executes = False
+    with pytest.raises(NoReplyError, match=r"mode align\. Wait until it is aligned, or check the DBC"):
+        driver.enter(InsMode.NAVIGATE)
+
+
+def test_an_ins_that_never_sent_a_frame_has_no_age_of_the_last_one(driver, unit):
+    unit.silent = True
+    with pytest.raises(NoReplyError, match="; no frame yet, mode unknown"):
+        driver.enter(InsMode.ALIGN)
+
+
 def test_a_mode_that_the_map_lacks_is_named_with_its_value(driver, unit):
     unit.executes, unit.state["MODE"] = False, 9
     with pytest.raises(
@@ -541,6 +554,11 @@ def test_a_command_that_cannot_be_sent_is_a_failed_connection(signal_map, codec,
 def test_a_bus_that_cannot_be_opened_is_a_failed_connection(interface, channel, options, clock):
     with pytest.raises(ConnectionFailedError, match=f"INS: can't open the CAN interface '{interface}'"):
         open_bus(interface, channel, clock, bitrate=500_000, **options)
+
+
+def test_for_a_pseudo_terminal_that_is_gone_the_message_names_what_serves_it(clock):
+    with pytest.raises(ConnectionFailedError, match=r"Start the program that served it.*`gyrobench emulate`"):
+        open_bus("slcan", "/dev/pts/99999", clock)
 
 
 def test_closing_twice_is_harmless(driver, buses):
