@@ -46,6 +46,9 @@ _HELD = 0.1
 #: needed, and the change of a gyro's temperature for each kelvin of the chamber in a unit: 0.86 to 1.06 in
 #: simulated ones.
 _SETTLED_C_PER_H, _MIN_SETTLED, _MIN_RANGE_K, _FOLLOWING = 12.0, 4, 20.0, (0.7, 1.3)
+#: Optics this much warmer than their electronics, K, are unusual: in simulated units they are 5 K colder or
+#: more. Gyros may be this much warmer than declared, or colder than the chamber's air.
+_SELF_HEATING, _USUAL_HEATING_K, _ABOVE_BOARD_K, _OFFSET_K = "self_heating_c", 15.0, 2.0, 5.0
 #: Noise that is larger than declared by the first factor, or smaller by the second, is named; data sheets
 #: state upper limits.
 _LARGER, _SMALLER = 1.3, 3.0
@@ -172,7 +175,7 @@ def run_findings(
     """
     found = {
         "Many dwells are flagged.": flags_sentence(rows, reason),
-        "Temperatures of the gyros.": temperatures_sentence(rows),
+        "Temperatures of the gyros.": temperatures_sentence(rows, station),
         "Drifting accelerometers.": accelerometers_sentence(rows, station),
         "Declared noise.": noise_sentence(noise, station),
         "Held heading.": heading_sentence(noise),
@@ -200,28 +203,52 @@ def flags_sentence(rows: Sequence[DwellRow], reason: str = "") -> str:
     return f"Flagged, and not in the results: {left_out}. The most frequent flag ({len(most)}): {most[0]}"
 
 
-def temperatures_sentence(rows: Iterable[DwellRow]) -> str:
-    """That a gyro's temperature does not follow the chamber's as one in a settled unit does; else empty."""
+def temperatures_sentence(rows: Iterable[DwellRow], station: Mapping[str, Any]) -> str:
+    """What no settled unit's temperatures do, and a wrong scale, offset or map of signals does; else empty.
+
+    ``station``: content of the station file.
+    """
     settled = [
-        (row.chamber_c, *row.gyro_c)
+        row
         for row in rows
         if math.isfinite(row.chamber_c) and np.abs(row.gyro_rate_c_per_h).max() < _SETTLED_C_PER_H
     ]
-    if len(settled) < _MIN_SETTLED or np.ptp([chamber_c for chamber_c, *_ in settled]) < _MIN_RANGE_K:
+    if len(settled) < _MIN_SETTLED:
         return ""
-    chamber_c, *of_gyros = np.array(settled).T
-    slopes = [float(np.polyfit(chamber_c, gyro_c, 1)[0]) for gyro_c in of_gyros]
-    least, most = _FOLLOWING
-    wrong = [
-        f"that of the {axis} gyro by {slope:.2f} K"
-        for axis, slope in zip(AXES, slopes, strict=True)
-        if not least < slope < most
-    ]
-    if not wrong:
+    chamber_c = np.array([row.chamber_c for row in settled])
+    gyro_c, board_c = (np.array([getattr(row, name) for row in settled]) for name in ("gyro_c", "board_c"))
+    if np.ptp(chamber_c) >= _MIN_RANGE_K:
+        least, most = _FOLLOWING
+        slopes = np.polyfit(chamber_c, gyro_c, 1)[0]
+        wrong = [
+            f"that of the {axis} gyro by {slope:.2f} K"
+            for axis, slope in zip(AXES, slopes, strict=True)
+            if not least < slope < most
+        ]
+        if wrong:
+            return (
+                f"In settled dwells temperatures change for each kelvin of the chamber: {listed(wrong)}. "
+                "Check scale and unit of the temperature signals in the DBC file: bins and plateaus are at "
+                "wrong temperatures."
+            )
+    # Signals that are not sent are NaN, and compare as False.
+    least_k = (gyro_c - board_c).min(axis=0)
+    if exchanged := [axis for axis, above_k in zip(AXES, least_k, strict=True) if above_k > _ABOVE_BOARD_K]:
+        return (
+            f"In all settled dwells the optics are warmer than the electronics, by {np.nanmax(least_k):.1f} "
+            f"K or more ({agreeing(len(exchanged), 'gyro', 'gyros')} {listed(exchanged)}). Unless the optics "
+            "are heated, the two signals are exchanged in signal map or DBC file, and bins are at the "
+            "temperatures of the electronics."
+        )
+    above_k = gyro_c - chamber_c[:, np.newaxis]
+    declared_k = station.get("unit", {}).get("thermal", {}).get(_SELF_HEATING, _USUAL_HEATING_K)
+    too_warm, too_cold = above_k.min() > declared_k + _OFFSET_K, above_k.max() < -_OFFSET_K
+    if not (too_warm or too_cold):
         return ""
     return (
-        f"In settled dwells temperatures change for each kelvin of the chamber: {listed(wrong)}. Check scale "
-        "and unit of the temperature signals in the DBC file: bins and plateaus are at wrong temperatures."
+        f"In all settled dwells the gyros are {above_k.min():.1f} to {above_k.max():.1f} K above the "
+        f"chamber's air; unit.thermal.{_SELF_HEATING} of the station is {declared_k:g} K. Correct it if that "
+        "is so; else check the offset of the temperature signals in the DBC file and the chamber's sensor."
     )
 
 
