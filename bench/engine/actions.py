@@ -16,6 +16,7 @@ import numpy as np
 
 from gyrobench.bench.dwells.setup_check import latitude_fault
 from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.engine.live_unit import BUS_SILENCE_S
 from gyrobench.bench.engine.measured_unit import MeasuredUnit
 from gyrobench.bench.engine.operator import ask_operator
 from gyrobench.bench.engine.run_context import RunContext
@@ -26,6 +27,7 @@ from gyrobench.bench.foundations.errors import (
     FaultError,
     InstrumentError,
     InvalidDwellError,
+    RefusedError,
     RunStoppedError,
     SignalMapError,
 )
@@ -60,6 +62,8 @@ _OVERSHOOT_S = 10.0
 #: A bus on which the INS stays silent for this long after power-on is reopened.
 _REOPEN_AFTER_S = 15.0
 _POWER_CYCLE_S = 5.0
+#: An INS sends for no longer after its supply was switched off, from what its supply has stored.
+_MAX_SENDS_OFF_S = 30.0
 #: Period of the estimates of the dwell in progress.
 _ESTIMATE_PERIOD_S = 30.0
 #: Pause before a failed exchange is tried again.
@@ -92,7 +96,6 @@ def _power_on(step: PowerOn, context: StepContext) -> Ticks:
     if bench.station.file.unit.power == "chamber_event":
         # An INS that is on already is switched off first: the time since power-on has to be known.
         yield from _switched_off(context)
-        yield from _lasting(bench, _POWER_CYCLE_S)
     for unit in context.units.running:
         unit.live.forget()
     yield from _tried(context, lambda: bench.instruments.power_unit(True, context.units.dropped_events))
@@ -121,8 +124,26 @@ def _sending(unit: MeasuredUnit, bench: LiveBench) -> Ticks:
 
 
 def _switched_off(context: StepContext) -> Ticks:
-    context.bench.units_switched_off()
-    yield from _tried(context, lambda: context.bench.instruments.power_unit(False))
+    """Switch the supplies off, and wait until each INS is silent, but that is on always."""
+    bench, power = context.bench, context.bench.station.file.unit.power
+    bench.units_switched_off()
+    yield from _tried(context, lambda: bench.instruments.power_unit(False))
+    if power == "always_on":
+        return
+    begin_s = bench.clock.now()
+    yield from _lasting(bench, _POWER_CYCLE_S)
+    yield from context.units.each(lambda unit: _silent(unit, bench, begin_s))
+
+
+def _silent(unit: MeasuredUnit, bench: LiveBench, since_s: float) -> Ticks:
+    while unit.live.status().age_s < BUS_SILENCE_S:
+        if bench.clock.now() - since_s > _MAX_SENDS_OFF_S:
+            raise RefusedError(
+                unit.live.name,
+                f"still sends {_MAX_SENDS_OFF_S:.0f} s after its supply was switched off. Check the supply's "
+                "wiring, whether the output is inverted, and unit.power_event of the station",
+            )
+        yield
 
 
 @perform.register

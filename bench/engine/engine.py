@@ -204,9 +204,10 @@ class Engine:
         late = f"did not end within {planned.timeout_s:.0f} s"
         if not self._units.drop_late(f"step {planned.number}: {planned.step.describe()} {late}"):
             place = self._run.job.document.place(planned.location)
+            what = ": ".join(filter(None, (planned.label, planned.step.describe())))
             raise StepTimeoutError(
-                f"{place}: step {planned.number} ({planned.label}: {planned.step.describe()}) {late}. Check "
-                "the instrument that it waits for, or increase the step's timeout_s"
+                f"{place}: step {planned.number} ({what}) {late}. Check the instrument that it waits for, "
+                "or increase the step's timeout_s"
             )
 
     def _finish_step(self, planned: PlannedStep, took_s: float, is_approach: bool) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import partial
@@ -88,6 +88,8 @@ def _running(
         if not ins.sends_frames(_FIRST_FRAME_S):
             _switch_on(station, outputs, switched)
             _await_start(station, ins, clock)
+        else:
+            yield from _supply(station, outputs)
         yield answered(_SUBJECT, ins.identify(), station.file.ins.identity)
     except InstrumentError as error:
         yield _silent(station, error)
@@ -118,6 +120,16 @@ def _switch_on(station: Station, outputs: Outputs, switched: ExitStack) -> None:
     if unit.power == "chamber_event" and not outputs.chamber.is_event_on(unit.power_event):
         switched.callback(outputs.chamber.switch_event, unit.power_event, False)
         outputs.chamber.switch_event(unit.power_event, True)
+
+
+def _supply(station: Station, outputs: Outputs) -> Iterator[Check]:
+    """Fail where the INS sends although its supply is off."""
+    unit = station.file.unit
+    with suppress(InstrumentError):  # the checks of the chamber report it
+        if unit.power == "chamber_event" and not outputs.chamber.is_event_on(unit.power_event):
+            found = f"sends although its output {unit.power_event} of the chamber is off"
+            advice = "Check its wiring, unit.power_event of the station, and whether the output is inverted."
+            yield _check("supply", False, found, advice)
 
 
 def _await_start(station: Station, ins: CanIns, clock: Clock) -> None:

@@ -8,7 +8,7 @@ from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
-from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
+from gyrobench.drivers.emulators.bench import BenchAddress, EmulatedBench, bench_at
 from tests.bench.engine.test_resumption import Watcher
 
 MOVE = """procedure: move
@@ -112,3 +112,20 @@ def test_late_replies_of_the_table_trip_nothing(tmp_path, delay_s):
     outcome, entries, _ = run(tmp_path, late)
     assert outcome.ended == "finished", outcome.reason
     assert trips(entries) == []
+
+
+@pytest.mark.parametrize("is_inverted", [False, True])
+def test_an_ins_that_sends_although_it_was_switched_off_holds_the_run(tmp_path, monkeypatch, is_inverted):
+    switch = EmulatedBench.chamber_event
+    monkeypatch.setattr(
+        EmulatedBench,
+        "chamber_event",
+        lambda bench, number, on: switch(bench, number, not (on and is_inverted)),
+    )
+    (tmp_path / "power.yaml").write_text("procedure: power\nsteps: [power_on, power_off]\n")
+    job = prepare_job(str(tmp_path / "power.yaml"), "quick", Emulation("quick", 0))
+    folder, outcome = run_job(job, tmp_path / "run", Watcher(), ConsentingOperator(patience=0))
+    assert outcome.ended != "finished"
+    entries = list(read_journal(folder.journal))
+    assert trips(entries)[-1] == ["ins_fault"]
+    assert "still sends 30 s after its supply was switched off" in str(entries)

@@ -72,6 +72,16 @@ def test_a_unit_that_is_on_stays_on(tmp_path):
     assert bench.world.unit.powered
 
 
+def test_a_unit_that_sends_although_its_supply_is_off_fails(tmp_path):
+    clock = VirtualClock()
+    bench = bench_at(BenchAddress(clock.name, str(find_document("worlds", "ideal")), 0))
+    bench.world.power_unit(True)
+    clock.sleep(60.0)
+    checks = check_bench("emulated", None, Emulation("ideal"), tmp_path, clock)
+    (failed,) = [each for each in checks if each.verdict is CheckVerdict.FAIL]
+    assert (failed.what, failed.found) == ("supply", "sends although its output 2 of the chamber is off")
+
+
 def test_without_a_procedure_what_depends_on_it_is_skipped(tmp_path):
     checks = check_bench("emulated", None, Emulation("ideal"), tmp_path)
     skipped = [each for each in checks if each.verdict is CheckVerdict.SKIPPED]
