@@ -109,7 +109,7 @@ class LiveUnit:
         self._telemetry = telemetry
         self._watch = InterlockWatch(station, bench.clock, {RATE_TABLE, CHAMBER, *absent})
         self._mode = InsMode.UNKNOWN
-        self._epochs: tuple[float, int] | None = None
+        self._epochs: tuple[float, int, float] | None = None  #: When read, count, and age of the last frame.
         self._other_period_s = math.nan  #: by the last count that did not match
         ins.on_frames = self._received
 
@@ -192,7 +192,7 @@ class LiveUnit:
         if mode is not InsMode.UNKNOWN:
             self._mode = mode
         if epochs is not None:
-            self._epochs = (readings.asked_s, epochs)
+            self._epochs = (readings.asked_s, epochs, readings.ins.age_s)
 
     def _has_count_jumped(self, readings: Readings) -> bool:
         """Whether the count of epochs does not match the time since the last reading.
@@ -206,7 +206,7 @@ class LiveUnit:
         epochs = (ins.epochs - before[1]) % ins.epoch_modulus
         wrap_s = ins.epoch_modulus * ins.epoch_period_s
         off_s = (epochs * ins.epoch_period_s - passed_s + wrap_s / 2.0) % wrap_s - wrap_s / 2.0
-        tolerance_s = _EPOCH_COUNT_TOLERANCE_S + ins.age_s
+        tolerance_s = _EPOCH_COUNT_TOLERANCE_S + ins.age_s + before[2]
         if abs(off_s) <= tolerance_s:
             self._other_period_s = self._other_period_s if passed_s < _CLEAR * tolerance_s else math.nan
             return False

@@ -89,6 +89,21 @@ def test_a_bus_that_gives_nothing_but_invalid_bytes_is_reopened(monkeypatch):
         assert reported[-1] == ("INS", None)
 
 
+def test_a_bus_that_was_away_when_the_bench_was_read_is_no_restart_of_the_ins():
+    with live_bench() as (bench, _):
+        bus, unit = bench_at(BenchAddress(bench.clock.name, "quick")).units[0].connection, bench.units[0]
+        unit.state.powered()
+        bus.disconnect()
+        bench.clock.sleep(4.5)
+        bench.read_instruments()
+        assert 4.0 < bench.readings.ins.age_s < 5.0
+        bus.reconnect()
+        bench.clock.sleep(2.0)
+        while bench.silent or bench.readings.ins.age_s > 1.0:
+            bench.tick()
+        assert not unit.state.has_restarted
+
+
 def test_a_faulty_sensor_of_the_chamber_is_an_alarm_and_its_last_temperature_grows_old():
     with live_bench() as (bench, _):
         before = bench.readings

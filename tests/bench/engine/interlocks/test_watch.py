@@ -136,6 +136,13 @@ def test_values_that_are_too_old_trip(watched, silent):
     assert bench.poll(1.0) == {}
 
 
+def test_a_chamber_that_reports_a_faulty_sensor_is_not_called_silent(watched):
+    bench = watched()
+    bench.poll()
+    bench.chamber = replace(bench.chamber, alarms=("error of the sensor",))  # its last temperature
+    assert list(bench.poll(100.0, ["table"])) == ["chamber_alarm"]
+
+
 def test_everything_trips_without_polls(watched):
     bench = watched()
     bench.poll()
