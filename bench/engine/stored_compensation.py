@@ -31,6 +31,7 @@ class StoredCompensation:
         self._unit = unit
         self._required = run.job.compensation
         self._agreed: InsStatus | None = None
+        self._loaded: int | None = None  #: Checksum of the run's, which may be in use without confirmation.
 
     def settle(self, after_power_on: bool) -> Iterator[None]:
         """Compare, ask and load; yields once a tick until the operator answers.
@@ -47,14 +48,14 @@ class StoredCompensation:
         if found.compensation is None and before is None:
             unit.note("the INS does not report whether it compensates its gyros (ins.signals.compensation)")
         clears = self._required is not None  # no term of an earlier one may stay
-        if found.compensation:
+        if found.compensation and (self._loaded is None or found.compensation_in_use != self._loaded):
             clears = yield from self._decide(found, appeared=before is not None)
         if clears and ins.supports("clear_compensation"):
             ins.clear_compensation()
         if self._required is not None:
-            checksum = ins.load_compensation(self._required)
-            ins.apply_compensation(checksum)
-            unit.note(f"the compensation {checksum:08x} is loaded into the INS")
+            self._loaded = ins.load_compensation(self._required)
+            ins.apply_compensation(self._loaded)
+            unit.note(f"the compensation {self._loaded:08x} is loaded into the INS")
             load = unit.live.station.file.ins.commands.load_compensation
             if before is None and load and (note := load.extrapolation(self._required)):
                 unit.note(note)

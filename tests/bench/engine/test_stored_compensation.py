@@ -8,12 +8,13 @@ import pytest
 from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.run import run_job
-from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.errors import DocumentError, NoReplyError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.compensation_file import read_compensation
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.bench.station.station import Station
+from gyrobench.drivers.ins.can_ins import CanIns
 from gyrobench.drivers.ins.compensation import Compensation
 from tests.bench.engine.intervention import Intervention
 
@@ -158,6 +159,34 @@ def test_nothing_is_compensated_twice(run):
         f"The INS applies a stored compensation ({events[0]['found']['checksum']}). "
         "Clear it before the run's compensation is loaded?"
     ]
+    np.testing.assert_allclose(biases_dph(outcome), np.zeros((2, 3)), atol=3e-4)
+
+
+def test_the_runs_own_compensation_that_was_applied_without_confirmation_is_not_asked_about(run, monkeypatch):
+    def keeps_what_is_loaded(bench, clock):
+        unit, power = bench.world.unit, bench.world.unit.power
+
+        def power_with_memory(on):
+            table = unit.loaded_table.copy()
+            power(on)
+            unit.loaded_table[:] = table
+            if table[:, 0].any():
+                unit.apply_compensation()
+
+        unit.power = power_with_memory
+
+    apply, lost = CanIns.apply_compensation, []
+
+    def apply_unconfirmed_at_first(ins, loaded=None):
+        apply(ins, loaded)
+        if not lost:
+            lost.append(loaded)
+            raise NoReplyError("INS", "no confirmation")
+
+    monkeypatch.setattr(CanIns, "apply_compensation", apply_unconfirmed_at_first)
+    _, outcome, questions, _, (event,) = run(action=keeps_what_is_loaded, compensation=WHOLE)
+    assert event["found"] == event["in_use"] == {"active": True, "checksum": f"{lost[0]:08x}"}
+    assert questions == []
     np.testing.assert_allclose(biases_dph(outcome), np.zeros((2, 3)), atol=3e-4)
 
 
