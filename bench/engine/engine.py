@@ -121,7 +121,7 @@ class Engine:
                 index, retained = self._execute_command(index, error.given, retained)
 
     def _check_interlocks_before_motion(self) -> None:
-        """Stop while anything is tripped, or for faults from before the run, which are not cleared unseen.
+        """Stop while anything is tripped, or for faults from before run or hold, not to be cleared unseen.
 
         Raises TrippedError if an interlock is tripped, a safe action has failed, or the table reports faults
         that the operator has not seen.
@@ -136,7 +136,7 @@ class Engine:
         faults, self._unseen_faults = self._unseen_faults, ()
         if faults:
             rule = self._bench.station.file.interlocks.table_fault
-            problem = f"the rate table reported {', '.join(faults)} before the run began"
+            problem = f"the rate table reported {', '.join(faults)} before its servos were switched on"
             found = InterlockFinding("table_fault", problem, "Find the cause.")
             trips = [*trips, Trip("table_fault", (found,), rule)]
         if trips:
@@ -308,6 +308,8 @@ class Engine:
             self._holding.hold(why, trips)
         except TrippedError as error:  # everything has to be good, and safe values may be lost
             return self._recover(index, [*trips, *error.trips])
+        if "table_fault" not in names:
+            self._unseen_faults = self._bench.readings.table.faults
         return self._retained(self._units.are_on, is_at_temperature=False)
 
     def _execute_command(

@@ -8,6 +8,7 @@ from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
+from gyrobench.drivers.emulators.acl_axis import SoftwareFault
 from gyrobench.drivers.emulators.bench import BenchAddress, EmulatedBench, bench_at
 from tests.bench.engine.test_resumption import Watcher
 
@@ -74,6 +75,18 @@ def test_a_table_whose_port_was_gone_in_a_move_is_stopped_as_soon_as_it_answers(
     )
     assert ("rate table stopped", False) in failed
     assert repeated == [("rate table stopped", True), ("rate table's servos off", True)]
+
+
+def test_a_fault_of_a_table_whose_port_was_gone_is_not_cleared_before_the_operator_has_seen_it(tmp_path):
+    def trip(emulated, now_s):
+        if 120.0 <= now_s < 125.0:
+            emulated.table.trip(1, SoftwareFault.RATE_TRIP, now_s)
+
+    gone = "fault: port_gone, target: table, at_s: 100, for_s: 100"
+    outcome, entries, _ = run(tmp_path, gone, trip)
+    assert outcome.ended == "finished", outcome.reason
+    assert trips(entries) == [["table_silence"], ["table_fault"]]
+    assert "reported axis 1: rate trip before its servos were switched on" in str(entries)
 
 
 def test_a_table_that_moves_although_it_was_stopped_trips(tmp_path):
