@@ -325,16 +325,16 @@ def test_no_reply_that_stalled_for_many_time_outs_is_taken_for_another(serve, di
     chamber.set_temperature(23.0, None)
     right = {
         chamber.read: chamber.read(),
-        chamber.alarms: [],
+        chamber.running_profile: "",
         chamber.set_point_c: 23.0,
         lambda: chamber.is_event_on(1): False,
     }
-    read, alarms, set_point_c, is_event_on = right
+    read, running_profile, set_point_c, is_event_on = right
     stalled = 0
     for asked in (
-        [alarms, read],
-        [read, alarms],
-        [read, read, read, alarms],
+        [running_profile, read],
+        [read, running_profile],
+        [read, read, read, running_profile],
         [is_event_on, set_point_c],
         3 * [is_event_on] + [set_point_c],
         4 * [set_point_c] + [read],
