@@ -6,7 +6,7 @@ import json
 import math
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -22,6 +22,7 @@ from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.resume import prepare_resumption
 from gyrobench.bench.engine.run import resume_run, run_job
 from gyrobench.bench.engine.verification_runs import new_emulation
+from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.monitor.terminal import RunConsole
 from gyrobench.bench.monitor.terminal_view import LinesView
 from gyrobench.bench.procedure.plan import Plan
@@ -30,6 +31,7 @@ from gyrobench.bench.report.estimator_sections import noise_section
 from gyrobench.bench.report.run_content import read_run
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
+from gyrobench.bench.runs.marks import DwellMarks
 from gyrobench.bench.runs.tables.calibration_check_table import CHECK_COLUMNS, read_calibration_check
 from gyrobench.bench.runs.tables.joint_table import read_joint_biases, read_joint_plateaus
 from gyrobench.bench.runs.tables.noise_file import read_noise
@@ -79,7 +81,7 @@ def use_journal(run: Path) -> Callable[[Path, bytes], None]:
 
 
 #: A part after the last dwell, as a kill leaves one of a dwell that was under way.
-_PART_OF_NO_DWELL = "can/part-00009.blf"
+_PART_OF_NO_DWELL = "can/part-00099.blf"
 
 
 def use_can_log(run: Path) -> Callable[[Path, bytes], None]:
@@ -115,6 +117,14 @@ def _frames(run: Path, part: str) -> list[tuple[int, bytes]]:
     """Identifiers and bytes of the frames of one part."""
     parts = {f"can/part-{number:05}.blf": frames for number, frames in read_can_log(run / "can")}
     return [(frame.arbitration_id, bytes(frame.data)) for frame in parts[part].messages()]
+
+
+def _has_marks(entry: Mapping[str, Any]) -> bool:
+    try:
+        DwellMarks.from_json(entry["marks"])
+    except (KeyError, RunFolderError):
+        return False
+    return True
 
 
 def use_telemetry(run: Path) -> Callable[[Path, bytes], None]:
@@ -163,7 +173,7 @@ def use_cut_journal(run: Path) -> Callable[[Path, bytes], None]:
         finished = {
             each["marks"]["dwell"]
             for each in entries
-            if each.get("event") == "dwell_finished" and "dwell" in (each.get("marks") or {})
+            if each.get("event") == "dwell_finished" and _has_marks(each)  # others are measured again
         }
         if resumption.state.finished != finished:
             raise WrongResultError(

@@ -116,8 +116,8 @@ def _run_files(run: Path) -> dict[str, Target]:
         use: Callable[[Path], Callable[[Path, bytes], None]],
         base: tuple[bytes, ...] = (),
     ) -> Target:
-        folder = rf"/input/run/{name.split('/')[0]}"
-        return Target(share, base or ((run / name).read_bytes(),), damage, use(run), folder)
+        place = rf"/input/run(/|: ){name.split('/')[0]}"
+        return Target(share, base or ((run / name).read_bytes(),), damage, use(run), place)
 
     part, readings = run_folders.PART, "telemetry/part-00001.parquet"
     journals = run_folders.cut_journals(run)
