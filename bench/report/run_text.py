@@ -209,17 +209,16 @@ def temperatures_sentence(rows: Iterable[DwellRow], station: Mapping[str, Any]) 
     ``station``: content of the station file.
     """
     settled = [
-        row
+        (row.chamber_c, *row.gyro_c, *row.board_c)  # not the row: those of long runs are read one by one
         for row in rows
         if math.isfinite(row.chamber_c) and np.abs(row.gyro_rate_c_per_h).max() < _SETTLED_C_PER_H
     ]
     if len(settled) < _MIN_SETTLED:
         return ""
-    chamber_c = np.array([row.chamber_c for row in settled])
-    gyro_c, board_c = (np.array([getattr(row, name) for row in settled]) for name in ("gyro_c", "board_c"))
+    chamber_c, gyro_c, board_c = np.split(np.array(settled), [1, 4], axis=1)
     if np.ptp(chamber_c) >= _MIN_RANGE_K:
         least, most = _FOLLOWING
-        slopes = np.polyfit(chamber_c, gyro_c, 1)[0]
+        slopes = np.polyfit(chamber_c[:, 0], gyro_c, 1)[0]
         wrong = [
             f"that of the {axis} gyro by {slope:.2f} K"
             for axis, slope in zip(AXES, slopes, strict=True)
@@ -240,7 +239,7 @@ def temperatures_sentence(rows: Iterable[DwellRow], station: Mapping[str, Any]) 
             "are heated, the two signals are exchanged in signal map or DBC file, and bins are at the "
             "temperatures of the electronics."
         )
-    above_k = gyro_c - chamber_c[:, np.newaxis]
+    above_k = gyro_c - chamber_c
     declared_k = station.get("unit", {}).get("thermal", {}).get(_SELF_HEATING, _USUAL_HEATING_K)
     too_warm, too_cold = above_k.min() > declared_k + _OFFSET_K, above_k.max() < -_OFFSET_K
     if not (too_warm or too_cold):
