@@ -132,7 +132,7 @@ class Acutrol3000:
         """Read the absolute limits of each axis."""
         count = len(fields(AxisLimits))
         query = ":Limit:" + ";".join(f"Absolute? {n}" for n in self._axes)
-        values = self._numbers(query, count)
+        values = self._exchange(query, lambda text: _finite_numbers(text, count * len(self._axes)))
         return tuple(AxisLimits(*values[i : i + count]) for i in range(0, len(values), count))
 
     def move_to(self, angles_deg: Mapping[int, float], rate_dps: float) -> None:
@@ -151,7 +151,7 @@ class Acutrol3000:
 
     def in_position(self) -> bool:
         """Whether the position profile of every axis last moved is complete."""
-        values = self._registers(self._done_query, 2)
+        values = self._progress()
         if not all(state & _STATE_SERVOED for state, _ in values.values()):
             raise self._no_servo()
         return all(values[n][1] & _DYNAMICS_POSITION_COMPLETE for n in self._moved)
@@ -209,7 +209,7 @@ class Acutrol3000:
     def _await_servo(self) -> None:
         clock = self._line.clock
         deadline = Deadline(clock, _MAX_SERVO_CLOSE_S)
-        while not all(state & _STATE_SERVOED for state, _ in self._registers(self._done_query, 2).values()):
+        while not all(state & _STATE_SERVOED for state, _ in self._progress().values()):
             if deadline.expired():
                 raise self._no_servo()
             clock.sleep(_POLL_S)
@@ -221,13 +221,9 @@ class Acutrol3000:
             f"an axis is not under servo control ({causes}). Clear the cause and prepare the table again.",
         )
 
-    def _numbers(self, query: str, count: int) -> tuple[float, ...]:
-        """Finite numbers in the reply to a query, ``count`` for each axis."""
-        return self._exchange(query, lambda text: _finite_numbers(text, count * len(self._axes)))
-
-    def _registers(self, query: str, count: int) -> dict[int, tuple[int, ...]]:
-        """Status registers of each axis, ``count`` of each."""
-        return self._exchange(query, lambda text: self._by_axis(text, count))
+    def _progress(self) -> dict[int, tuple[int, ...]]:
+        """State and dynamics of each axis."""
+        return self._exchange(self._done_query, lambda text: self._by_axis(text, 2))
 
     def _by_axis(self, text: str, count: int) -> dict[int, tuple[int, ...]]:
         numbers = _whole_numbers(text, count * len(self._axes))
