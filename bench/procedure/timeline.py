@@ -68,8 +68,8 @@ def is_cycle_unnumbered(plan: Plan) -> bool:
         each for each in plan.steps if each.phase is Phase.ALIGN and each.purpose is DwellPurpose.CALIBRATION
     ]
     places = [(each.before.set_point_c, each.before.position, each.before.azimuth_deg) for each in starts]
-    plateaus = itertools.groupby(places, key=lambda place: place[0])
-    visits = Counter(place for _, plateau in plateaus for place in {*plateau})
+    plateaus = itertools.groupby(places, key=lambda condition: condition[0])
+    visits = Counter(condition for _, plateau in plateaus for condition in {*plateau})
     return len({each.cycle for each in starts}) == 1 and min(visits.values()) > 1
 
 
