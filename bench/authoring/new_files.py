@@ -29,11 +29,10 @@ from gyrobench.bench.closure.effects.effect_file import EffectFile
 from gyrobench.bench.foundations.documents import parse_document, read_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.json_schema import Schema
-from gyrobench.bench.foundations.packages import CHAMBERS, RATE_TABLES, installed
 from gyrobench.bench.foundations.shipped import TEMPLATES, find_document
-from gyrobench.bench.foundations.text import did_you_mean
 from gyrobench.bench.procedure.procedure_file import STEP_KINDS, checked_procedure, resolve
 from gyrobench.bench.procedure.steps import Step
+from gyrobench.bench.station.instrument_sections import section_of
 from gyrobench.bench.station.station import FILL_IN
 from gyrobench.bench.station.station_file import StationFile
 
@@ -253,15 +252,7 @@ def new_station(name: str, path: Path, table: str | None = None, chamber: str | 
     """
     values = read_document(find_document("stations", _EXAMPLE_STATION)).data
     values |= {"station": name, "description": _NOT_FILLED_IN}
-    for section, dialect, names in (
-        ("rate_table", table, installed(RATE_TABLES)),
-        ("chamber", chamber, installed(CHAMBERS)),
-    ):
-        if dialect is not None and dialect not in names:
-            raise DocumentError(
-                f"no dialect {dialect!r} of a {section.replace('_', ' ')} is installed"
-                f"{did_you_mean(dialect, names)}; installed: {', '.join(names)}"
-            )
+    for section, dialect in (("rate_table", table), ("chamber", chamber)):
         if dialect is not None and dialect != values[section]["dialect"]:
             values[section] = _of_dialect(values[section], dialect, section)
         values[section] = {**values[section], "port": FILL_IN}
@@ -328,13 +319,10 @@ def new_effect(name: str, path: Path) -> str:
 
 def _of_dialect(section: Mapping[str, Any], dialect: str, name: str) -> dict[str, Any]:
     """The section for another dialect, with the keys that all dialects have."""
-    kept = {key: value for key, value in section.items() if key in _common_keys(name)}
-    return {**kept, "dialect": dialect}
-
-
-def _common_keys(section: str) -> set[str]:
-    annotation: Any = StationFile.model_fields[section].annotation
-    return set(annotation.model_fields) - {"baudrate", "parity"}
+    common: Any = StationFile.model_fields[name].annotation
+    section_of(common, dialect)  # raises DocumentError where it is not installed
+    keys = common.model_fields.keys() - {"baudrate", "parity"}
+    return {**{key: value for key, value in section.items() if key in keys}, "dialect": dialect}
 
 
 def _text(kind: FileKind, path: Path, *parts: Iterable[str]) -> str:

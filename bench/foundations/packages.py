@@ -19,6 +19,7 @@ from gyrobench.bench.foundations.text import did_you_mean
 RATE_TABLES, CHAMBERS, EMULATORS = "gyrobench.rate_tables", "gyrobench.chambers", "gyrobench.emulators"
 CAN_FORMATS, EFFECTS = "gyrobench.can_formats", "gyrobench.effects"
 _NOUNS = {CAN_FORMATS: "set of CAN frames", EFFECTS: "effect"}
+_INSTRUMENTS = {RATE_TABLES: " of a rate table", CHAMBERS: " of a chamber"}
 #: Extra of pyproject.toml that installs each optional package.
 _EXTRAS = {
     "dask": "fleet",
@@ -77,9 +78,9 @@ def load(group: str, name: str, kind: type[_ObjectT]) -> _ObjectT:
     noun = _NOUNS.get(group, "dialect")
     found = [entry for entry in _entries(group) if entry.name == name]
     if not found:
-        names = installed(group)
+        names, of = installed(group), _INSTRUMENTS.get(group, "")
         raise DocumentError(
-            f"no {noun} {name!r} is installed{did_you_mean(name, names)}; installed: {', '.join(names)}"
+            f"no {noun} {name!r}{of} is installed{did_you_mean(name, names)}; installed: {', '.join(names)}"
         )
     if len(found) > 1:
         packages = " and ".join(sorted(map(_package, found)))

@@ -45,7 +45,8 @@ def test_own_dialects_of_chambers_can_be_imported(name, tcp_port):
 def test_an_unknown_name_is_reported_with_the_installed_ones():
     with pytest.raises(
         DocumentError,
-        match=r"no dialect 'watlow_f5' is installed \(did you mean 'watlow_f4'\?\); installed: ther",
+        match=r"no dialect 'watlow_f5' of a chamber is installed \(did you mean 'watlow_f4'\?\); "
+        "installed: ther",
     ):
         load(CHAMBERS, "watlow_f5", ChamberDialect)
 

@@ -36,7 +36,7 @@ def test_a_dialect_has_keys_of_its_own(changed):
         ("dialect: watlow_f4\n", "dialect: watlow_f5\n", r"did you mean 'watlow_f4'\?\); installed: .*f4t"),
         ("dialect: watlow_f4\n", "dialect: 4\n", "a dialect is a name; installed: thermotron_8800, "),
         ("  dialect: watlow_f4\n", "", "the key 'dialect' is missing; installed: thermotron_8800, "),
-        ("dialect: acutrol3000", "dialect: watlow_f4", "no dialect 'watlow_f4' is installed"),
+        ("dialect: acutrol3000", "dialect: watlow_f4", "no dialect 'watlow_f4' of a rate table is installed"),
         ("dialect: acutrol3000", "dialect: ideal_aerosmith", "has a single axis: leave out outer_axis"),
         ("  outer_axis: east\n", "", "outer_axis is missing; a table with a single axis"),
         ("    outer_deg: [-200, 200]\n", "", "limits.outer_deg is missing"),
