@@ -6,8 +6,6 @@ between and enforces the step's time limit.
 
 from __future__ import annotations
 
-import math
-from collections import defaultdict
 from collections.abc import Callable, Generator, Iterator, Sequence
 from functools import cache, singledispatch
 from typing import TypeVar
@@ -20,7 +18,7 @@ from gyrobench.bench.engine.live_unit import BUS_SILENCE_S
 from gyrobench.bench.engine.measured_unit import MeasuredUnit
 from gyrobench.bench.engine.operator import ask_operator
 from gyrobench.bench.engine.run_context import RunContext
-from gyrobench.bench.engine.soak import SoakTemperatures
+from gyrobench.bench.engine.soak import until_settled
 from gyrobench.bench.engine.units import Units
 from gyrobench.bench.foundations.errors import (
     ConnectionFailedError,
@@ -47,8 +45,8 @@ from gyrobench.bench.procedure.steps import (
     Step,
     Turn,
     Wait,
-    span,
 )
+from gyrobench.bench.station.instruments import CHECK_SUPPLY
 from gyrobench.drivers.ins.attitude import EulerSequence
 from gyrobench.drivers.ins.can_ins import POLL_PERIOD_S
 from gyrobench.drivers.ins.readout import Alignment, InsMode
@@ -140,8 +138,7 @@ def _silent(unit: MeasuredUnit, bench: LiveBench, since_s: float) -> Ticks:
         if bench.clock.now() - since_s > _MAX_SENDS_OFF_S:
             raise RefusedError(
                 unit.live.name,
-                f"still sends {_MAX_SENDS_OFF_S:.0f} s after its supply was switched off. Check the supply's "
-                "wiring, whether the output is inverted, and unit.power_event of the station",
+                f"still sends {_MAX_SENDS_OFF_S:.0f} s after its supply was switched off. {CHECK_SUPPLY}",
             )
         yield
 
@@ -185,46 +182,11 @@ def _chamber_off(step: ChamberOff, context: StepContext) -> Ticks:  # noqa: ARG0
 
 @perform.register
 def _soak(step: Soak, context: StepContext) -> Ticks:
-    yield from _soaking(step, context)
-    context.bench.check_set_point_reached()
-
-
-def _soaking(step: Soak, context: StepContext) -> Ticks:
-    bench = context.bench
     if step.for_s is not None:
-        yield from _lasting(bench, step.for_s)
-        return
-    begin_s, asked_s, is_new = bench.clock.now(), -np.inf, False
-    histories: dict[MeasuredUnit, SoakTemperatures] = defaultdict(SoakTemperatures)
-    while (elapsed_s := bench.clock.now() - begin_s) < (step.at_most_s or np.inf):
-        if asked_s < bench.readings.asked_s:
-            asked_s, is_new = bench.readings.asked_s, True
-            for unit in context.units.measuring:
-                try:
-                    histories[unit].add(unit.live.name, unit.live.readings)
-                except InstrumentError as error:
-                    context.units.fail(unit, error)
-        if is_new and elapsed_s >= step.at_least_s:
-            is_new = False
-            rates = [histories[unit].rate_c_per_h for unit in context.units.measuring]
-            if max(rates, default=np.inf) < (step.until_gyro_rate_below_c_per_h or 0.0):
-                return
-        yield
-    _record_unsettled(step, context, max((each.rate_c_per_h for each in histories.values()), default=np.inf))
-
-
-def _record_unsettled(step: Soak, context: StepContext, rate_c_per_h: float) -> None:
-    """Record that a soak ended by its time: what follows is measured all the same."""
-    is_known = math.isfinite(rate_c_per_h)
-    rate = f"a gyro still changes by {rate_c_per_h:.3g} degC/h" if is_known else "the rate is not known yet"
-    limit_c_per_h = step.until_gyro_rate_below_c_per_h
-    text = (
-        f"soak not settled after at_most_s ({span(step.at_most_s)}): {rate}, limit {limit_c_per_h:g} degC/h"
-    )
-    context.run.journal.record(
-        "soak_not_settled", text=text, rate_c_per_h=rate_c_per_h, limit_c_per_h=limit_c_per_h
-    )
-    context.run.observers.noted(text)
+        yield from _lasting(context.bench, step.for_s)
+    else:
+        yield from until_settled(step, context.run, context.units)
+    context.bench.check_set_point_reached()
 
 
 @perform.register

@@ -1,21 +1,58 @@
-"""How fast the temperatures of the gyros still change in a soak."""
+"""A soak that ends when the temperatures of the gyros have settled."""
 
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import defaultdict, deque
+from collections.abc import Iterator
 
 import numpy as np
 
 from gyrobench.bench.dwells.temperatures import slopes_c_per_h
 from gyrobench.bench.engine.bench_state import Readings
+from gyrobench.bench.engine.measured_unit import MeasuredUnit
+from gyrobench.bench.engine.run_context import RunContext
+from gyrobench.bench.engine.units import Units
 from gyrobench.bench.foundations.errors import InstrumentError
+from gyrobench.bench.procedure.steps import Soak, span
 
 #: Span over which the rate is fitted.
 _FIT_S = 600.0
 
 
-class SoakTemperatures:
+def until_settled(step: Soak, run: RunContext, units: Units) -> Iterator[None]:
+    """Wait until no gyro's temperature changes faster than the step's limit, or its time is over.
+
+    Yields once a tick. What follows a soak that ended by its time is measured all the same, and noted.
+    """
+    bench = run.bench
+    begin_s, asked_s, is_new = bench.clock.now(), -math.inf, False
+    histories: dict[MeasuredUnit, _GyroTemperatures] = defaultdict(_GyroTemperatures)
+    while (elapsed_s := bench.clock.now() - begin_s) < (step.at_most_s or math.inf):
+        if asked_s < bench.readings.asked_s:
+            asked_s, is_new = bench.readings.asked_s, True
+            for unit in units.measuring:
+                try:
+                    histories[unit].add(unit.live.name, unit.live.readings)
+                except InstrumentError as error:
+                    units.fail(unit, error)
+        if is_new and elapsed_s >= step.at_least_s:
+            is_new = False
+            rates = [histories[unit].rate_c_per_h for unit in units.measuring]
+            if max(rates, default=math.inf) < (step.until_gyro_rate_below_c_per_h or 0.0):
+                return
+        yield
+    rate_c_per_h = max((each.rate_c_per_h for each in histories.values()), default=math.inf)
+    is_known, limit_c_per_h = math.isfinite(rate_c_per_h), step.until_gyro_rate_below_c_per_h
+    rate = f"a gyro still changes by {rate_c_per_h:.3g} degC/h" if is_known else "the rate is not known yet"
+    text = (
+        f"soak not settled after at_most_s ({span(step.at_most_s)}): {rate}, limit {limit_c_per_h:g} degC/h"
+    )
+    run.journal.record("soak_not_settled", text=text, rate_c_per_h=rate_c_per_h, limit_c_per_h=limit_c_per_h)
+    run.observers.noted(text)
+
+
+class _GyroTemperatures:
     """Temperatures of the gyros of one unit over the last ten minutes."""
 
     def __init__(self) -> None:

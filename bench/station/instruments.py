@@ -87,6 +87,10 @@ def within(
 
 #: Names of the instruments in error messages and for :meth:`Instruments.reopen`.
 RATE_TABLE, CHAMBER = "rate table", "chamber"
+#: What to do where an INS sends although its supply is off.
+CHECK_SUPPLY = (
+    "Check the supply's wiring, whether the output is inverted, and unit.power_event of the station"
+)
 
 _EMULATOR = "emulator"
 _OPENING_TIME_S = 15.0

@@ -5,13 +5,15 @@ Every interlock has defaults; a station file gives only what differs.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import ClassVar, Literal, Self
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import ClassVar, Literal, NamedTuple, Self
 
 from pydantic import Field, model_validator
 
 from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.station.instrument_sections import NotNegative, Positive
+from gyrobench.drivers.ins.ins_status import InsStatus
+from gyrobench.drivers.ins.signal_map import SignalMap
 
 #: Margins of the defaults beyond the limits of the station.
 _AIR_MARGIN_C = 5.0
@@ -190,6 +192,16 @@ class ChamberCommandInterlock(InterlockRule):
     )
 
 
+class InsTemperature(NamedTuple):
+    """A temperature that the INS sends, and its interlocks."""
+
+    what: str
+    read: Callable[[InsStatus], float]
+    interlock: str
+    level: TemperatureInterlock
+    rate: TemperatureRateInterlock
+
+
 class Interlocks(StrictModel):
     """What is monitored at every tick, in every step."""
 
@@ -249,6 +261,21 @@ class Interlocks(StrictModel):
         found = ((name, getattr(self, name)) for name in type(self).model_fields)
         return {name: rule for name, rule in found if isinstance(rule, InterlockRule)}
 
+    def ins_temperatures(self, signals: SignalMap) -> Iterator[InsTemperature]:
+        """Yield the temperatures in a signal map."""
+        if signals.case_temperature is not None:
+            yield InsTemperature(
+                "case", lambda ins: ins.case_c, "case", self.case_temperature, self.case_rate
+            )
+        for part, mapped in (
+            ("optics", signals.gyro_optics_temperature),
+            ("electronics", signals.gyro_electronics_temperature),
+        ):
+            for index, axis in enumerate("xyz" if mapped is not None else ""):
+                read = _gyro_temperature(f"{part}_c", index)
+                name = f"{part} of gyro {axis}"
+                yield InsTemperature(name, read, "gyro", self.gyro_temperature, self.gyro_rate)
+
     def inside_limits(
         self,
         chamber_c: Sequence[float],
@@ -277,3 +304,7 @@ class Interlocks(StrictModel):
             for name, trips, limit, unit in highest
             if trips is not None and trips < limit
         ]
+
+
+def _gyro_temperature(attribute: str, index: int) -> Callable[[InsStatus], float]:
+    return lambda ins: getattr(ins, attribute)[index]

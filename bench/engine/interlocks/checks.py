@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 from gyrobench.bench.engine.bench_state import ExpectedState, Readings
-from gyrobench.bench.station.interlocks import TemperatureInterlock, TemperatureRateInterlock
+from gyrobench.bench.station.interlocks import InsTemperature
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.chamber import ChamberReading
 from gyrobench.drivers.ins.ins_status import InsStatus
@@ -256,7 +256,7 @@ class _UnitInAir:
         thermal = station.file.unit.thermal
         self._margin_c = station.file.interlocks.chamber_sensor.margin_c
         self._self_heating_c = max(0.0, thermal.self_heating_c)
-        sent = list(ins_temperatures(station))
+        sent = list(station.file.interlocks.ins_temperatures(station.file.ins.signals))
         has_case = bool(sent) and sent[0].interlock == "case"
         self._temperatures = [each.read for each in (sent[:1] if has_case else sent)]
         self._lag_s = _CASE_LAG_S if has_case else max(_CASE_LAG_S, _LAG * thermal.time_constant_s)
@@ -388,35 +388,6 @@ def _on_off(on: bool) -> str:
     return "on" if on else "off"
 
 
-class InsTemperature(NamedTuple):
-    """A temperature that the INS sends, and its interlocks."""
-
-    what: str
-    read: Callable[[InsStatus], float]
-    interlock: str
-    level: TemperatureInterlock
-    rate: TemperatureRateInterlock
-
-
-def ins_temperatures(station: Station) -> Iterator[InsTemperature]:
-    """Yield the temperatures in the station's signal map."""
-    signals, rules = station.file.ins.signals, station.file.interlocks
-    if signals.case_temperature is not None:
-        yield InsTemperature("case", lambda ins: ins.case_c, "case", rules.case_temperature, rules.case_rate)
-    for part, mapped in (
-        ("optics", signals.gyro_optics_temperature),
-        ("electronics", signals.gyro_electronics_temperature),
-    ):
-        for index, axis in enumerate("xyz" if mapped is not None else ""):
-            read = _gyro_temperature(f"{part}_c", index)
-            name = f"{part} of gyro {axis}"
-            yield InsTemperature(name, read, "gyro", rules.gyro_temperature, rules.gyro_rate)
-
-
-def _gyro_temperature(attribute: str, index: int) -> Callable[[InsStatus], float]:
-    return lambda ins: getattr(ins, attribute)[index]
-
-
 class _WatchedTemperature:
     """A temperature with its newest value and its rate of change."""
 
@@ -461,7 +432,10 @@ class InsChecks:
     def __init__(self, station: Station) -> None:
         self._silence_s = station.file.interlocks.ins_silence.limit_s
         self._period_s = station.file.instruments_period_s + 2.0 * station.file.tick_s
-        self._temperatures = [_WatchedTemperature(each, station) for each in ins_temperatures(station)]
+        self._temperatures = [
+            _WatchedTemperature(each, station)
+            for each in station.file.interlocks.ins_temperatures(station.file.ins.signals)
+        ]
         self._observed_s = -math.inf
         self._on = False
         self._on_s = -math.inf

@@ -13,13 +13,12 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell import MAX_ATTITUDE_DISAGREEMENT
 from gyrobench.bench.dwells.setup_check import latitude_fault
-from gyrobench.bench.engine.interlocks.checks import ins_temperatures
 from gyrobench.bench.engine.preflight.instruments import answered, failed, unanswered
 from gyrobench.bench.foundations.clock import Clock, Deadline
 from gyrobench.bench.foundations.errors import InstrumentError, NoReplyError
 from gyrobench.bench.navigation.attitude import angle_between
 from gyrobench.bench.station.check_result import Check
-from gyrobench.bench.station.instruments import Outputs
+from gyrobench.bench.station.instruments import CHECK_SUPPLY, Outputs
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.frames import FrameBlock, concatenate
 from gyrobench.drivers.ins.can_ins import CanIns
@@ -128,8 +127,7 @@ def _supply(station: Station, outputs: Outputs) -> Iterator[Check]:
     with suppress(InstrumentError):  # the checks of the chamber report it
         if unit.power == "chamber_event" and not outputs.chamber.is_event_on(unit.power_event):
             found = f"sends although its output {unit.power_event} of the chamber is off"
-            advice = "Check its wiring, unit.power_event of the station, and whether the output is inverted."
-            yield _check("supply", False, found, advice)
+            yield _check("supply", False, found, f"{CHECK_SUPPLY}.")
 
 
 def _await_start(station: Station, ins: CanIns, clock: Clock) -> None:
@@ -199,7 +197,10 @@ def _states(station: Station, status: InsStatus) -> Iterator[Check]:
 
 
 def _temperatures(station: Station, status: InsStatus) -> Check:
-    values = [(each.what, each.read(status), each.level) for each in ins_temperatures(station)]
+    values = [
+        (each.what, each.read(status), each.level)
+        for each in station.file.interlocks.ins_temperatures(station.file.ins.signals)
+    ]
     if not values:
         return Check.skipped(
             _SUBJECT, "temperatures", "the signal map has none", "Map them if the INS sends them."
