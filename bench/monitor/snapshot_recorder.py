@@ -48,9 +48,9 @@ from gyrobench.bench.monitor.snapshot import (
     UnitStatus,
     WindowTrace,
 )
-from gyrobench.bench.procedure.plan import Phase, Plan, PlannedStep
+from gyrobench.bench.procedure.plan import Plan, PlannedStep
 from gyrobench.bench.procedure.rotation_steps import RotatingStep
-from gyrobench.bench.procedure.steps import GoTo, Turn
+from gyrobench.bench.procedure.steps import Align, GoTo, Navigate, Turn
 from gyrobench.bench.procedure.timeline import position_spans, temperature_profile
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.drivers.ins.ins_status import InsStatus
@@ -389,11 +389,11 @@ class SnapshotRecorder(RunObserver):
     def _follow_dwell(self, planned: PlannedStep, now_s: float) -> None:
         if planned.dwell is None:
             self._dwell = None
-        elif planned.phase is Phase.ALIGN:
+        elif isinstance(planned.step, Align):
             self._dwell = DwellTrace(planned, self._plan.dwell_count)
         elif self._dwell:
             self._dwell.end_window()
-            if planned.phase is Phase.NAVIGATE:
+            if isinstance(planned.step, Navigate):
                 self._dwell.begin_window(planned.duration_s, now_s)
 
     def beat(self, bench: LiveBench) -> None:

@@ -6,24 +6,13 @@ import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from types import MappingProxyType
 
 from gyrobench.bench.foundations.documents import Document, KeyPath
 from gyrobench.bench.navigation.table_axes import TurnOrMove
 from gyrobench.bench.procedure.estimate import BenchEstimate
 from gyrobench.bench.procedure.procedure_file import Procedure, ResolvedStep, resolve
-from gyrobench.bench.procedure.rotation_steps import Rotate, RotatingStep, Spin
+from gyrobench.bench.procedure.rotation_steps import RotatingStep
 from gyrobench.bench.procedure.steps import Align, GoTo, Navigate, Step, Turn, Wait
-
-
-class Phase(StrEnum):
-    """What a step is to the dwell that it belongs to."""
-
-    ALIGN = "align"
-    NAVIGATE = "navigate"
-    TURN = "turn"
-    PAUSE = "pause"
-    ROTATE = "rotate"
 
 
 class DwellPurpose(StrEnum):
@@ -43,13 +32,8 @@ class DwellPurpose(StrEnum):
 #: Purposes of dwells with one navigation.
 SINGLE_NAVIGATION = (DwellPurpose.CALIBRATION_CHECK, DwellPurpose.NOISE)
 
-#: Steps that a dwell may contain.
-_PHASES: Mapping[type[Step], Phase] = MappingProxyType(
-    {
-        Align: Phase.ALIGN, Navigate: Phase.NAVIGATE, Turn: Phase.TURN, Wait: Phase.PAUSE,
-        Rotate: Phase.ROTATE, Spin: Phase.ROTATE,
-    }
-)  # fmt: skip
+#: Steps that a dwell may have after its alignment.
+_AFTER_ALIGNMENT = (Navigate, Turn, Wait, RotatingStep)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,12 +50,9 @@ class PlannedStep:
     duration_s: float
     timeout_s: float
     before: BenchEstimate  #: Expected state of the bench at the start.
-    #: dwell, phase: Number of the dwell that the step belongs to, from 1, and role in it. A dwell is an
-    #: alignment with the navigations before, between and after the turns that follow it.
+    #: Number of the dwell that the step belongs to, from 1. A dwell is an alignment with the navigations
+    #: before, between and after the turns that follow it.
     dwell: int | None = None
-    phase: Phase | None = None
-    #: Index of a navigation in its dwell: 0 before the first turn, 1 after it, and so on.
-    window: int | None = None
     purpose: DwellPurpose = DwellPurpose.CALIBRATION  #: Of its dwell.
     #: Places of the values that came from loop variables, by their keys.
     value_places: Mapping[KeyPath, KeyPath] = field(default_factory=dict, repr=False)
@@ -182,36 +163,22 @@ def _with_dwells(steps: Sequence[PlannedStep]) -> Iterator[PlannedStep]:
         navigating = (index for index, each in enumerate(group) if isinstance(each.step, _NAVIGATING))
         end = max(navigating, default=0)
         if end:
-            yield from _as_dwell(group[: end + 1], next(dwells))
-            yield from group[end + 1 :]
-        else:
-            yield from group
+            dwell, purpose = next(dwells), _purpose([each.step for each in group[: end + 1]])
+            group[: end + 1] = [replace(each, dwell=dwell, purpose=purpose) for each in group[: end + 1]]
+        yield from group
 
 
 def _groups(steps: Sequence[PlannedStep]) -> Iterator[list[PlannedStep]]:
     """Split before each alignment and around all that can't belong to a dwell."""
     group: list[PlannedStep] = []
     for step in steps:
-        is_in_dwell = isinstance(step.step, tuple(_PHASES)) and not isinstance(step.step, Align)
+        is_in_dwell = isinstance(step.step, _AFTER_ALIGNMENT)
         if group and not (isinstance(group[0].step, Align) and is_in_dwell):
             yield group
             group = []
         group.append(step)
     if group:
         yield group
-
-
-def _as_dwell(group: Sequence[PlannedStep], dwell: int) -> Iterator[PlannedStep]:
-    windows = itertools.count()
-    purpose = _purpose([planned.step for planned in group])
-    for planned in group:
-        yield replace(
-            planned,
-            dwell=dwell,
-            phase=_PHASES[type(planned.step)],
-            window=next(windows) if isinstance(planned.step, Navigate) else None,
-            purpose=purpose,
-        )
 
 
 def _purpose(steps: Sequence[Step]) -> DwellPurpose:

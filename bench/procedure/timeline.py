@@ -12,8 +12,8 @@ import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.text import hours_minutes
-from gyrobench.bench.procedure.plan import DwellPurpose, Phase, Plan, PlannedStep
-from gyrobench.bench.procedure.steps import GoTo, Soak, span
+from gyrobench.bench.procedure.plan import DwellPurpose, Plan, PlannedStep
+from gyrobench.bench.procedure.steps import Align, GoTo, Soak, span
 
 #: In place of a position where the table rotates.
 ROTATIONS = "rotations"
@@ -65,7 +65,9 @@ def is_cycle_unnumbered(plan: Plan) -> bool:
     A profile up and down in one cycle repeats all but its ends.
     """
     starts = [
-        each for each in plan.steps if each.phase is Phase.ALIGN and each.purpose is DwellPurpose.CALIBRATION
+        each
+        for each in plan.steps
+        if each.dwell and isinstance(each.step, Align) and each.purpose is DwellPurpose.CALIBRATION
     ]
     places = [(each.before.set_point_c, each.before.position, each.before.azimuth_deg) for each in starts]
     plateaus = itertools.groupby(places, key=lambda condition: condition[0])

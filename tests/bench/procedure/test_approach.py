@@ -6,7 +6,7 @@ from gyrobench.bench.foundations.documents import parse_document
 from gyrobench.bench.procedure.approach import RetainedState, approach, end_of_dwell, restart_of
 from gyrobench.bench.procedure.plan import expand
 from gyrobench.bench.procedure.procedure_file import checked_procedure
-from gyrobench.bench.procedure.steps import Align, GoTo, PowerOn, SetChamber, Soak, Wait
+from gyrobench.bench.procedure.steps import Align, GoTo, PowerOn, SetChamber, Soak, Turn, Wait
 
 PROCEDURE = """
 procedure: there_and_back
@@ -63,7 +63,7 @@ def test_after_a_power_cut_unit_chamber_soak_and_position_come_first(plan):
 
 
 def test_a_dwell_that_begins_turned_is_approached_turned(plan):
-    turned = next(i for i in range(len(plan.steps)) if plan.steps[i].window == 1)
+    turned = index_of(plan, 1, Turn) + 1
     (go_to,) = approach(plan, turned, RetainedState(True, True, 60.0))
     assert go_to.step.azimuth_deg == 270
 

@@ -5,7 +5,7 @@ import pytest
 
 from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.procedure.estimate import BenchEstimate, ThermalEstimate
-from gyrobench.bench.procedure.plan import DwellPurpose, Phase, Plan, expand, turn_steps_after, turns_after
+from gyrobench.bench.procedure.plan import DwellPurpose, Plan, expand, turn_steps_after, turns_after
 from gyrobench.bench.procedure.procedure_file import load_procedure
 
 PlanOf = Callable[[str], tuple[Document, Plan]]
@@ -27,13 +27,13 @@ def test_steps_are_numbered_and_follow_one_another_in_time(planned: PlanOf) -> N
 
 def test_a_pair_of_navigations_around_a_turn_is_a_dwell(planned: PlanOf) -> None:
     _, plan = planned(START + PAIR)
-    assert [(one.dwell, one.phase, one.window) for one in plan.steps] == [
-        (None, None, None),
-        (None, None, None),
-        (1, Phase.ALIGN, None),
-        (1, Phase.NAVIGATE, 0),
-        (1, Phase.TURN, None),
-        (1, Phase.NAVIGATE, 1),
+    assert [(one.dwell, one.step.name) for one in plan.steps] == [
+        (None, "power_on"),
+        (None, "go_to"),
+        (1, "align"),
+        (1, "navigate"),
+        (1, "turn"),
+        (1, "navigate"),
     ]
     assert plan.dwell_count == 1
 
@@ -45,11 +45,11 @@ def test_four_azimuths_are_one_dwell_with_four_windows(
     quarter = f"- turn: {{angle_deg: {angle_deg}, rate_dps: 10}}\n- navigate: {{duration_s: 600}}\n"
     _, plan = planned(START + "- align: {duration_s: 300}\n- navigate: {duration_s: 600}\n" + 3 * quarter)
     assert {one.dwell for one in plan.steps[2:]} == {1}
-    windows = [one for one in plan.steps if one.phase is Phase.NAVIGATE]
-    assert [one.window for one in windows] == [0, 1, 2, 3]
+    windows = [one for one in plan.steps if one.step.name == "navigate"]
+    assert len(windows) == 4
     assert [one.before.azimuth_deg for one in windows] == pytest.approx(azimuths_deg)
     assert [one.start_s for one in windows] == pytest.approx([383 + 614 * count for count in range(4)])
-    assert [one.phase for one in plan.steps[2:]].count(Phase.TURN) == 3
+    assert [one.step.name for one in plan.steps[2:]].count("turn") == 3
     assert turns_after(plan, plan.steps[1]) == (angle_deg,) * 3
 
 
@@ -64,7 +64,7 @@ def test_the_turns_of_a_position_are_those_before_the_next_go_to(planned: PlanOf
 
 def test_dwells_are_numbered_in_time_order(planned: PlanOf) -> None:
     _, plan = planned(START + PAIR + "- go_to: {position: y_up}\n" + PAIR + PAIR)
-    assert [one.dwell for one in plan.steps if one.phase is Phase.ALIGN] == [1, 2, 3]
+    assert [one.dwell for one in plan.steps if one.step.name == "align"] == [1, 2, 3]
 
 
 def test_a_wait_before_the_last_navigation_belongs_to_the_dwell_and_one_after_it_does_not(
@@ -74,15 +74,16 @@ def test_a_wait_before_the_last_navigation_belongs_to_the_dwell_and_one_after_it
     _, plan = planned(
         START + PAIR.replace("- navigate", wait + "- navigate") + wait + "- turn: {angle_deg: 180}\n"
     )
-    assert [one.phase for one in plan.steps[2:]] == [
-        Phase.ALIGN, Phase.PAUSE, Phase.NAVIGATE, Phase.TURN, Phase.PAUSE, Phase.NAVIGATE, None, None,
+    assert [(one.dwell, one.step.name) for one in plan.steps[2:]] == [
+        (1, "align"), (1, "wait"), (1, "navigate"), (1, "turn"), (1, "wait"), (1, "navigate"),
+        (None, "wait"), (None, "turn"),
     ]  # fmt: skip
 
 
 def test_an_alignment_without_navigation_is_no_dwell(planned: PlanOf) -> None:
     _, plan = planned(START + "- align: {duration_s: 300}\n- wait: {duration_s: 5}\n")
     assert plan.dwell_count == 0
-    assert {one.phase for one in plan.steps} == {None}
+    assert {one.dwell for one in plan.steps} == {None}
 
 
 def test_a_soak_ends_a_dwell(planned: PlanOf) -> None:
@@ -94,11 +95,10 @@ def test_one_navigation_straight_from_the_alignment_is_a_dwell_with_its_purpose(
     verify = "- align: {duration_s: 600}\n- navigate: {duration_s: 600, purpose: calibration_check}\n"
     _, plan = planned(START + verify + "- go_to: {position: z_up, azimuth_deg: 180}\n" + verify + PAIR)
     check, calibration = DwellPurpose.CALIBRATION_CHECK, DwellPurpose.CALIBRATION
-    assert [(one.dwell, one.purpose, one.window) for one in plan.steps[2:]] == [
-        (1, check, None), (1, check, 0), (None, calibration, None), (2, check, None), (2, check, 0),
-        (3, calibration, None), (3, calibration, 0), (3, calibration, None), (3, calibration, 1),
+    assert [(one.dwell, one.purpose) for one in plan.steps[2:]] == [
+        *[(1, check)] * 2, (None, calibration), *[(2, check)] * 2, *[(3, calibration)] * 4,
     ]  # fmt: skip
-    azimuths = {one.dwell: one.before.azimuth_deg for one in plan.steps if one.phase is Phase.ALIGN}
+    azimuths = {one.dwell: one.before.azimuth_deg for one in plan.steps if one.step.name == "align"}
     assert azimuths == {1: 0.0, 2: 180.0, 3: 180.0}
 
 
@@ -106,7 +106,7 @@ def test_a_navigation_that_may_end_early_is_planned_at_its_longest(planned: Plan
     until = "- navigate: {until: {bias_sigma_below_dph: 0.002}, at_most_s: 900}\n"
     _, plan = planned(START + PAIR + "- turn: {angle_deg: 180, rate_dps: 10, settle_s: 5}\n" + until)
     last = plan.steps[-1]
-    assert (last.start_s, last.duration_s, last.window) == (pytest.approx(1629), 900, 2)
+    assert (last.start_s, last.duration_s, last.dwell) == (pytest.approx(1629), 900, 1)
     assert last.timeout_s > 900
     assert plan.duration_s == pytest.approx(2529)
 
