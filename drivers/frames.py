@@ -119,6 +119,10 @@ class FrameBlock:
         chosen = frames.compress(rows) if np.asarray(rows).dtype == np.bool_ else frames.take(rows)
         return FrameBlock(chosen.view(FRAME_DTYPE))
 
+    def in_order(self) -> FrameBlock:
+        """Sort by the time stamps; frames with the same one stay in order."""
+        return self.take(np.argsort(self.timestamp_s, kind="stable"))
+
     def rows_with_id(self, arbitration_id: int) -> IntArray:
         """Rows of the frames of one identifier, with :data:`EXTENDED_ID` set if it has 29 bits."""
         if self._ids is None:

@@ -106,12 +106,8 @@ _TIMEOUT_S = 120.0
 _WRONG_FILE = 2
 
 
-def _check_emulator_file(kind: str, path: Path) -> None:
-    """Check a ``world`` or ``faults`` file; a DocumentError lists all problems with their places."""
-    _emulator_documents("check", kind, str(path))
-
-
 def _emulator_documents(*arguments: str) -> str:
+    """Output of the emulators' program; raises DocumentError with all problems of a file that it checks."""
     # -P: imports nothing from the present folder
     command = [sys.executable, "-P", "-m", _PROGRAM, *arguments]
     try:
@@ -313,7 +309,7 @@ def _summary(document: Document, kind: FileKind, station: Station | None) -> str
     elif kind.model is not None:
         validate(document, kind.model)
     else:
-        _check_emulator_file(kind.name, document.path)
+        _emulator_documents("check", kind.name, str(document.path))
     return ""
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gyrobench.bench.cli.options import OperatorOption, complete_run
+from gyrobench.bench.cli.options import OperatorOption, OptionalRunArgument
 from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, print_json, print_unfinished
 from gyrobench.bench.foundations.errors import DocumentError
 
@@ -16,9 +16,7 @@ if TYPE_CHECKING:
 
 
 def certificate(
-    run_folder: Annotated[
-        Path | None, typer.Argument(metavar="RUN", help="Run folder.", autocompletion=complete_run)
-    ] = None,
+    run_folder: OptionalRunArgument = None,
     formats: Annotated[str, typer.Option("--format", help="dcc, pdf, or both with a comma.")] = "dcc,pdf",
     out: Annotated[Path | None, typer.Option(help="Output folder; default: certificate in the run.")] = None,
     number: Annotated[str, typer.Option(help="Number; default: from unit, run and seal.")] = "",

@@ -32,7 +32,7 @@ def control(
     from gyrobench.bench.engine.operator import COMMAND_MEANINGS, send_command
     from gyrobench.bench.foundations.operator_name import operator_name
     from gyrobench.bench.runs.folder import RunFolder
-    from gyrobench.bench.runs.provenance import read_provenance
+    from gyrobench.bench.runs.provenance import run_options
     from gyrobench.bench.station.locks import holder_of, is_held_by
 
     if not run_folder.is_dir():
@@ -62,7 +62,7 @@ def control(
     typer.echo(f"Sent to process {holder.pid}: {command} ({COMMAND_MEANINGS[command]}).")
     if command in (RunCommand.PAUSE, RunCommand.HOLD, RunCommand.SKIP) and _holds(RunFolder(run_folder).live):
         typer.echo(f"At its last snapshot the run was holding: it accepts continue or abort, not {command}.")
-    is_virtual = read_provenance(RunFolder(run_folder)).get("options", {}).get("clock") == "virtual"
+    is_virtual = run_options(RunFolder(run_folder)).get("clock") == "virtual"
     if is_virtual and command in (RunCommand.PAUSE, RunCommand.HOLD):
         typer.echo("The run is on virtual time, where it waits for no operator: it continues at once.")
 

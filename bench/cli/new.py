@@ -87,7 +87,7 @@ def world(
     """
     from gyrobench.bench.authoring.new_files import new_world
 
-    _write(name, out, lambda path: new_world(name, like, path), "Edit it. Next: gyrobench validate")
+    _write(name, out, lambda path: new_world(name, like, path))
 
 
 @new.command("import")
@@ -102,7 +102,7 @@ def import_map(
     """
     from gyrobench.bench.authoring.new_files import new_import_map
 
-    _write(name, out, lambda path: new_import_map(like, path), "Edit it. Next: gyrobench validate")
+    _write(name, out, lambda path: new_import_map(like, path))
 
 
 @new.command()
@@ -117,10 +117,15 @@ def effect(name: _Name, out: _Out = None) -> None:
 
     if out is not None and out.parent == Path("effects"):
         out.parent.mkdir(exist_ok=True)
-    _write(name, out, lambda path: new_effect(name, path), "Edit it. Next: gyrobench validate")
+    _write(name, out, lambda path: new_effect(name, path))
 
 
-def _write(name: str, out: Path | None, make: Callable[[Path], str], next_step: str) -> None:
+def _write(
+    name: str,
+    out: Path | None,
+    make: Callable[[Path], str],
+    next_step: str = "Edit it. Next: gyrobench validate",
+) -> None:
     """Write a new file and print the next step; existing files are not overwritten."""
     if name.startswith("-"):  # a file so named would be an option to every command
         raise DocumentError(

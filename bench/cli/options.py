@@ -121,7 +121,9 @@ FaultsOption = Annotated[
         help="Faults of the emulated instruments: file or shipped name.", autocompletion=complete_faults
     ),
 ]
-RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.", autocompletion=complete_run)]
+_RUN = typer.Argument(metavar="RUN", help="Run folder.", autocompletion=complete_run)
+RunArgument = Annotated[Path, _RUN]
+OptionalRunArgument = Annotated[Path | None, _RUN]
 AcknowledgeOption = Annotated[
     list[str] | None,
     typer.Option(

@@ -7,15 +7,13 @@ from typing import Annotated
 
 import typer
 
-from gyrobench.bench.cli.options import OperatorOption, complete_run
+from gyrobench.bench.cli.options import OperatorOption, OptionalRunArgument
 from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, print_json
 from gyrobench.bench.foundations.errors import DocumentError
 
 
 def seal(
-    run_folder: Annotated[
-        Path | None, typer.Argument(metavar="RUN", help="Run folder.", autocompletion=complete_run)
-    ] = None,
+    run_folder: OptionalRunArgument = None,
     verify: Annotated[
         bool, typer.Option("--verify", help="Compare the folder with its seals; writes nothing.")
     ] = False,

@@ -18,7 +18,7 @@ from gyrobench.bench.procedure.plan import DwellPurpose, Plan, expand
 from gyrobench.bench.procedure.procedure_file import Procedure, load_procedure
 from gyrobench.bench.runs.compensation_file import read_compensation
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.runs.provenance import read_provenance
+from gyrobench.bench.runs.provenance import run_options
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.ins.compensation import Compensation
@@ -45,12 +45,21 @@ class Job:
             return self.plan
         return unit.plan(self.document, self.plan.procedure)
 
+    def calibration_of(self, number: str) -> list[DwellRow]:
+        """The calibration of one unit by its number, of several; else all of it."""
+        return [row for row in self.calibration if not number or row.unit == number]
+
     def emulated_world(self) -> dict[str, str | int]:
         """Options of the emulated instruments; empty where none is emulated."""
         if not self.station.file.is_emulated():
             return {}
         faults = {"faults": self.emulation.faults} if self.emulation.faults else {}
         return {"world": self.emulation.world, "seed": self.emulation.seed, **faults}
+
+    def has_world_of(self, folder: RunFolder) -> bool:
+        """Whether a run had the same world, seed and faults; always where nothing is emulated."""
+        options = run_options(folder)
+        return all(options.get(key) == value for key, value in self.emulated_world().items())
 
     @property
     def is_virtual(self) -> bool:
@@ -81,7 +90,7 @@ def emulation_of(folder: RunFolder, options: Mapping[str, Any] | None = None) ->
 
     ``options``: those of the run, by default from its provenance.
     """
-    options = read_provenance(folder).get("options", {}) if options is None else options
+    options = run_options(folder) if options is None else options
     return Emulation(
         str(options.get("world", Emulation.world)),
         int(options.get("seed", Emulation.seed)),
@@ -148,7 +157,7 @@ def job_in(folder: RunFolder, options: Mapping[str, Any] | None = None) -> Job:
     """The job of a run as its folder holds it; ``options`` as in :func:`emulation_of`."""
     compensation = read_compensation(folder.compensation) if folder.compensation.exists() else None
     calibration = folder.calibration if folder.calibration.exists() else None
-    options = read_provenance(folder).get("options", {}) if options is None else options
+    options = run_options(folder) if options is None else options
     job = prepare_job(
         str(folder.procedure), str(folder.station), emulation_of(folder, options), calibration, compensation
     )

@@ -7,7 +7,6 @@ from dataclasses import asdict
 import numpy as np
 
 from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
-from gyrobench.bench.bias.dwell_table import write_dwells
 from gyrobench.bench.dwells.live_estimate import LiveEstimate
 from gyrobench.bench.dwells.measure_dwell import MeasuredDwell, measure_check_dwell, measure_dwell
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
@@ -78,7 +77,7 @@ class MeasuredUnit:
         if isinstance(measured, MeasuredDwell):
             dwells = outcome.dwells
             add_dwell(dwells, measured)
-            write_dwells(self.run.folder.dwells, [each.row for each in dwells])
+            self.run.write_dwells()
             self._context.observers.dwell_measured(dwells[-1].row)
             if dwells[-1].setup_fault and not measured.setup_fault:  # by all dwells together
                 raise SignalMapError(dwells[-1].setup_fault)

@@ -109,7 +109,7 @@ def resume_run(
     def prepare(folder: RunFolder, identities: Mapping[str, str]) -> tuple[UnitRun, ...]:  # noqa: ARG001
         resumption.check_unchanged()
         for unit in units:  # the journal may have more dwells
-            write_dwells(unit.folder.dwells, [dwell.row for dwell in unit.outcome.dwells])
+            unit.write_dwells()
         return units
 
     known = {} if other_instruments else identities_in(folder)
@@ -128,9 +128,7 @@ def _remeasured(resumption: Resumption) -> tuple[RunOutcome, tuple[UnitRun, ...]
         if why := resumption.state.dropped.get(station.number):
             outcome.fail(why)
         units.append(UnitRun(station.number, part.plan, setup, part.folder, part.state, outcome))
-    if not units[0].number:
-        return units[0].outcome, tuple(units)
-    return RunOutcome(), tuple(units)
+    return RunOutcome() if units[0].number else units[0].outcome, tuple(units)
 
 
 def is_whole(folder: RunFolder) -> bool:
@@ -158,7 +156,7 @@ def _finish(resumption: Resumption) -> RunOutcome:
         resumption.check_unchanged()
         outcome, units = _remeasured(resumption)
         for unit in units:
-            write_dwells(unit.folder.dwells, [dwell.row for dwell in unit.outcome.dwells])
+            unit.write_dwells()
             _evaluate(unit, job)
             outcome.units |= {unit.number: unit.outcome} if unit.number else {}
     return outcome
@@ -192,8 +190,7 @@ def _write_inputs(job: Job, clock: Clock, folder: RunFolder, identities: Mapping
         write_whole(inside.procedure, job.document.path.read_bytes())
         write_whole(inside.station, station.text.encode())
         if job.calibration:
-            of_unit = [row for row in job.calibration if not station.number or row.unit == station.number]
-            write_dwells(inside.calibration, of_unit)
+            write_dwells(inside.calibration, job.calibration_of(station.number))
         if job.compensation is not None:
             write_compensation(inside.compensation, job.compensation, job.unit)
         write_whole(inside.path / station.dbc_path.name, station.dbc_path.read_bytes())
@@ -342,14 +339,13 @@ def _flush(
 def _evaluate(unit: UnitRun, job: Job) -> None:
     """Compute and write the results of all dwells of a unit; raises what :func:`evaluate_run` does."""
     outcome = unit.outcome
-    calibration = [row for row in job.calibration if not unit.number or row.unit == unit.number]
     outcome.results = evaluate_run(
         unit.folder,
         unit.plan,
         unit.setup,
         outcome.dwells,
         outcome.check_dwells,
-        calibration,
+        job.calibration_of(unit.number),
         outcome.rotations,
     )
     outcome.dwells = outcome.results.dwells

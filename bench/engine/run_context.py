@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from gyrobench.bench.bias.dwell_table import write_dwells
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.engine.job import Job
 from gyrobench.bench.engine.live_bench import LiveBench
@@ -32,6 +33,10 @@ class UnitRun:
 
     def __post_init__(self) -> None:
         self.outcome.finished = self.state.finished
+
+    def write_dwells(self) -> None:
+        """Write the table of its dwells."""
+        write_dwells(self.folder.dwells, [each.row for each in self.outcome.dwells])
 
     def named(self, text: str) -> str:
         """A message about the unit, with its number where there are several."""

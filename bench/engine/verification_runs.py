@@ -34,7 +34,6 @@ from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.runs.compensation_file import compensations_in_use, read_compensation
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import facts_of, read_journal
-from gyrobench.bench.runs.provenance import read_provenance
 from gyrobench.bench.runs.tables.coefficient_table import (
     PlateauCoefficientRow,
     plateau_findings,
@@ -316,9 +315,7 @@ def _check_uncompensated(run: RunFolder) -> None:
 
 
 def _check_new(run: RunFolder, job: Job) -> None:
-    options = read_provenance(run).get("options", {})
-    emulated = job.emulated_world()
-    if emulated and all(options.get(key) == value for key, value in emulated.items()):
+    if job.emulated_world() and job.has_world_of(run):
         raise DocumentError(
             f"--seed {job.emulation.seed} is the seed of {run.path}, so the noise would be the same. Choose "
             "another seed, or leave --seed out"
@@ -327,13 +324,11 @@ def _check_new(run: RunFolder, job: Job) -> None:
 
 def is_run_of(folder: RunFolder, job: Job) -> bool:
     """Whether a run has the same procedure, world and compensation as a job."""
-    options = read_provenance(folder).get("options", {})
-    same_world = all(options.get(key) == value for key, value in job.emulated_world().items())
     same_files = (folder.procedure.read_bytes(), folder.station.read_bytes()) == (
         job.document.path.read_bytes(),
         job.station.path.read_bytes(),
     )
-    if not (same_world and same_files):
+    if not (same_files and job.has_world_of(folder)):
         return False
     if job.compensation is None or not folder.compensation.exists():
         return job.compensation is None and not folder.compensation.exists()

@@ -197,8 +197,7 @@ def _mf4_frames(path: Path) -> FrameBlock:
     """Data frames of all groups, as of several buses, in the order of time; those of FD are left out."""
     with require("asammdf").MDF(path) as log:
         blocks = [_mf4_block(log.get(group=group, index=index)) for group, index in log.whereis(_FRAMES)]
-    frames = concatenate(blocks)
-    return frames.take(np.argsort(frames.timestamp_s, kind="stable"))
+    return concatenate(blocks).in_order()
 
 
 def _mf4_block(frames: Any) -> FrameBlock:

@@ -16,11 +16,13 @@ from types import MappingProxyType
 from typing import Any, TypeVar
 
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.files import read_limited, read_lines, write_whole
+from gyrobench.bench.foundations.files import decoded, read_limited, read_lines, write_whole
 from gyrobench.bench.foundations.text import WRITE_POINT, did_you_mean, format_cell, has_decimal_comma
 
 _RowT = TypeVar("_RowT")
 
+#: UTF-8, where some spreadsheets put a mark in front.
+_ENCODING = "utf-8-sig"
 #: Some hundred thousand dwells.
 _MAX_TABLE_BYTES = 100_000_000
 #: Beyond anything measured; squares and sums of values within stay finite.
@@ -295,7 +297,7 @@ def each_row(
     while (part := list(islice(lines, _PART_LINES))) or not left_out:
         while sum(line.count(b'"') for line in part) % 2 and (line := next(lines, b"")):
             part.append(line)  # of a cell with line ends
-        text = _decoded(path, b"".join([header, *part]))
+        text = decoded(path, b"".join([header, *part]), _ENCODING)
         yield from _read(CsvTable(text, str(path), list(names.values()), left_out), kind, readers, names)
         left_out += max(len(part), 1)
 
@@ -317,14 +319,7 @@ def read_text(path: Path) -> str:
 
     Raises DocumentError if the file can't be read, is too large, or is not UTF-8.
     """
-    return _decoded(path, read_limited(path, _MAX_TABLE_BYTES, DocumentError))
-
-
-def _decoded(path: Path, content: bytes) -> str:
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise DocumentError(f"{path}: is not UTF-8 text: {error.reason} at byte {error.start}") from error
+    return decoded(path, read_limited(path, _MAX_TABLE_BYTES, DocumentError), _ENCODING)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -22,7 +22,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.files import read_limited
+from gyrobench.bench.foundations.files import decoded, read_limited
 from gyrobench.bench.foundations.shipped import USES
 from gyrobench.bench.foundations.text import WRITE_POINT, did_you_mean, has_decimal_comma
 
@@ -134,11 +134,7 @@ def read_document(path: Path) -> Document:
 
     Raises DocumentError if the file can't be read, is too large, or is not valid YAML.
     """
-    try:
-        text = read_limited(path, MAX_DOCUMENT_BYTES, DocumentError).decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise DocumentError(f"{path}: is not UTF-8 text: {error.reason} at byte {error.start}") from error
-    return parse_document(text, path)
+    return parse_document(decoded(path, read_limited(path, MAX_DOCUMENT_BYTES, DocumentError)), path)
 
 
 def parse_document(text: str, path: Path) -> Document:

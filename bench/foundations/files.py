@@ -31,6 +31,14 @@ def read_limited(path: Path, max_bytes: int, error_type: type[DocumentError | Ru
         return stream.read()
 
 
+def decoded(path: Path, content: bytes, encoding: str = "utf-8") -> str:
+    """Text of a file's content; raises DocumentError if it is not UTF-8."""
+    try:
+        return content.decode(encoding)
+    except UnicodeDecodeError as error:
+        raise DocumentError(f"{path}: is not UTF-8 text: {error.reason} at byte {error.start}") from error
+
+
 def read_lines(
     path: Path, max_bytes: int, error_type: type[DocumentError | RunFolderError]
 ) -> Iterator[bytes]:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import getpass
 import os
+import shlex
 import signal
+import sys
+from pathlib import Path
 
 #: Environment variable with the operator's name.
 OPERATOR_VARIABLE = "GYROBENCH_OPERATOR"
@@ -30,6 +33,11 @@ def login_name() -> str:
         return getpass.getuser()
     except (KeyError, OSError):
         return "unknown"
+
+
+def command_line() -> str:
+    """Command line of this process, with its program's name alone."""
+    return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
 
 
 def source_in_words(by: str) -> str:

@@ -128,6 +128,11 @@ def read_provenance(folder: RunFolder) -> dict[str, Any]:
     return dict(content)
 
 
+def run_options(folder: RunFolder) -> dict[str, Any]:
+    """Options of a run; empty where provenance.json lacks them. Raises as :func:`read_provenance`."""
+    return dict(read_provenance(folder).get("options", {}))
+
+
 def is_emulated(provenance: Mapping[str, Any], options: Mapping[str, Any] | None = None) -> bool:
     """Whether instruments were emulated: by the run's options, or an instrument's identification.
 

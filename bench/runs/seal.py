@@ -13,8 +13,6 @@ import hashlib
 import json
 import os
 import platform
-import shlex
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -39,7 +37,7 @@ from gyrobench.bench.foundations.files import (
     read_limited,
     write_whole,
 )
-from gyrobench.bench.foundations.operator_name import login_name, operator_name
+from gyrobench.bench.foundations.operator_name import command_line, login_name, operator_name
 from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.runs.fingerprint import find_change, fingerprint_of
@@ -196,7 +194,7 @@ def _seal_folder(
         login=login_name(),
         host=platform.node(),
         utc=WallClock().utc().isoformat(),
-        command=shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])[:_MAX_COMMAND_CHARACTERS],
+        command=command_line()[:_MAX_COMMAND_CHARACTERS],
         program=f"gyrobench {__version__}",
         previous_sha256=file_sha256(folder.path / last.where) if last else "",
         changes=changes,

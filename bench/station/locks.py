@@ -19,7 +19,6 @@ import re
 import shlex
 import socket
 import stat
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, fields
@@ -31,6 +30,7 @@ from filelock import lock_descriptor
 
 from gyrobench.bench.foundations.clock import Clock, Deadline, WallClock
 from gyrobench.bench.foundations.errors import BenchInUseError, GyrobenchError
+from gyrobench.bench.foundations.operator_name import command_line
 from gyrobench.bench.runs.folder import LOCK
 from gyrobench.bench.station.station import Station
 from gyrobench.bench.station.station_file import InsSection
@@ -378,8 +378,7 @@ def _can_not_lock(path: Path, why: str) -> GyrobenchError:
 
 
 def _identity(run_path: Path, command: str | None) -> Holder:
-    if command is None:
-        command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+    command = command_line() if command is None else command
     return Holder(
         os.getpid(), _user(), socket.gethostname(), command[:_MAX_COMMAND_CHARACTERS],
         str(run_path.absolute())[:_MAX_PATH_CHARACTERS], WallClock().utc().isoformat(timespec="seconds"),

@@ -135,6 +135,4 @@ class CanChannel:
     def in_order(self, blocks: list[FrameBlock]) -> FrameBlock:
         """Join blocks from all units in order of time."""
         frames = concatenate(blocks)
-        if len(self.units) > 1:
-            frames = frames.take(np.argsort(frames.timestamp_s, kind="stable"))
-        return frames
+        return frames.in_order() if len(self.units) > 1 else frames

@@ -15,7 +15,7 @@ from pydantic import Field
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.documents import Document, StrictModel, parse_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.files import cant_be_written, make_folder, read_limited
+from gyrobench.bench.foundations.files import cant_be_written, decoded, make_folder, read_limited
 
 _MAX_RECORDING_BYTES = 200_000_000
 _END_OF_HEADER = "---\n"
@@ -121,10 +121,7 @@ def read_recording(path: Path) -> Recording:
         raise DocumentError(
             f"{path}: is a folder. Give a recording, a file that `gyrobench record` wrote (*.rec)"
         )
-    try:
-        text = read_limited(path, _MAX_RECORDING_BYTES, DocumentError).decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise DocumentError(f"{path}: is not UTF-8 text: {error.reason} at byte {error.start}") from error
+    text = decoded(path, read_limited(path, _MAX_RECORDING_BYTES, DocumentError))
     head, end, body = text.partition(f"\n{_END_OF_HEADER}")
     if not end:
         raise DocumentError(

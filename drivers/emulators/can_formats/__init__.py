@@ -75,5 +75,4 @@ def empty_frames(
 
 def in_order(*groups: NDArray[np.void]) -> FrameBlock:
     """All frames in order of sending."""
-    frames = concatenate([FrameBlock(group.ravel()) for group in groups])
-    return frames.take(np.argsort(frames.timestamp_s, kind="stable"))
+    return concatenate([FrameBlock(group.ravel()) for group in groups]).in_order()

@@ -28,7 +28,7 @@ from gyrobench.drivers.emulators.faults.fault import (
 )
 from gyrobench.drivers.emulators.world.undeclared_effects import Positive
 
-LineName = Literal["table", "chamber"]
+Target = Annotated[Literal["table", "chamber"], Field(description="affected line: table or chamber")]
 _CRC_BYTES = 2
 
 
@@ -38,7 +38,7 @@ class LineFault(Fault):
     immediate = False
     persistence = Persistence.UNTIL_USED
 
-    target: LineName = Field(description="affected line: table or chamber")
+    target: Target
     replies: Count = Field(1, description="without for_s: number of affected replies")
 
     def _disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
@@ -181,7 +181,7 @@ class PortGone(Fault):
     """The port is unplugged; clients must reopen it when it is back."""
 
     fault: Literal["port_gone"]
-    target: LineName = Field(description="affected line: table or chamber")
+    target: Target
 
     def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         connection = bench.lines[self.target].connection
@@ -197,7 +197,7 @@ class InstrumentRestarts(Fault):
     """
 
     fault: Literal["instrument_restarts"]
-    target: LineName = Field(description="affected line: table or chamber")
+    target: Target
     for_s: Positive = Field(10.0, description="boot time, s")
 
     @override
