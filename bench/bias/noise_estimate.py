@@ -42,6 +42,7 @@ from gyrobench.bench.foundations.arrays import (
     UG_PER_SQRT_HZ_TO_SI,
     BoolArray,
     FloatArray,
+    integral,
 )
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import rotation_vector_enu
@@ -360,14 +361,8 @@ def estimate_noise(windows: Sequence[NavigationWindow | RestMotion], gravity: fl
 def _angles_and_velocities(motion: RestMotion, gravity: float) -> FloatArray:
     """Columns (n, 6): turned since the first epoch about x, y, z and Up; velocity E, N without feedback."""
     rotation, velocity, time_s = motion.rotation_enu, motion.velocity_mps, motion.time_s
-    feedback = _integral(_integral(velocity, time_s), time_s) * gravity / MEAN_RADIUS
+    feedback = integral(integral(velocity, time_s), time_s) * gravity / MEAN_RADIUS
     return np.hstack([rotation @ motion.C_nb, rotation[:, 2:], velocity + feedback])
-
-
-def _integral(values: FloatArray, time_s: FloatArray) -> FloatArray:
-    """Integral (n, k) of values (n, k) by the trapezoidal rule, from zero."""
-    steps = 0.5 * (values[1:] + values[:-1]) * np.diff(time_s)[:, np.newaxis]
-    return np.vstack([np.zeros_like(values[:1]), np.cumsum(steps, axis=0)])
 
 
 def _channel(segments: list[FloatArray], interval: float, step: float) -> ChannelNoise:

@@ -64,16 +64,7 @@ def measure_rotations(marks: DwellMarks, frames: FrameBlock, setup: MeasurementS
     check_signal_map(marks, frames, navigation, setup)
     first, end = marks.span
     temperatures = dwell_temperatures(navigation, first, end)
-    increments = setup.decode_increments(frames)
-    is_sent = increments is not None and len(increments.row) > 0
-    if increments is None or not is_sent:
-        increments = navigated_increments(navigation, setup.site)
-    else:
-        inside = slice(*np.searchsorted(increments.row, [first, end]))
-        arrival_s = frames.timestamp_s[increments.row[inside]]
-        if fault := increments_fault(increments.sent[:, inside], arrival_s, increments.interval_s):
-            raise SignalMapError(fault)
-        _check_axes(increments, navigated_increments(navigation, setup.site, _CHECKED_S), marks)
+    increments, is_sent = _increments(marks, frames, navigation, setup)
     at_rest = [] if is_sent else [rest_output(navigation, mark) for mark in marks.windows]
     velocity_rounding, angle_rounding = setup.rounding(at_rest)
     begin, stop = np.searchsorted(increments.row, [first, end])
@@ -103,6 +94,24 @@ def measure_rotations(marks: DwellMarks, frames: FrameBlock, setup: MeasurementS
     return RotatedDwell(
         marks, pieces, temperatures.gyro_c, temperatures.gyro_rate_c_per_h, temperatures.case_c
     )
+
+
+def _increments(
+    marks: DwellMarks, frames: FrameBlock, navigation: NavigationData, setup: MeasurementSetup
+) -> tuple[Increments, bool]:
+    """Increments as the INS sent them, else by its navigation output; and whether it sent them.
+
+    Raises MeasurementError if they do not fit the signal map.
+    """
+    sent = setup.decode_increments(frames)
+    if sent is None or not len(sent.row):
+        return navigated_increments(navigation, setup.site), False
+    inside = slice(*np.searchsorted(sent.row, marks.span))
+    arrival_s = frames.timestamp_s[sent.row[inside]]
+    if fault := increments_fault(sent.sent[:, inside], arrival_s, sent.interval_s):
+        raise SignalMapError(fault)
+    _check_axes(sent, navigated_increments(navigation, setup.site, _CHECKED_S), marks)
+    return sent, True
 
 
 def _check_axes(sent: Increments, navigated: Increments, marks: DwellMarks) -> None:

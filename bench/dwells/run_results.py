@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain, islice
 from pathlib import Path
@@ -13,7 +13,7 @@ from gyrobench.bench.bias.bins import BiasBin, bin_biases, write_bins
 from gyrobench.bench.bias.budget import BiasBudget, BudgetedDwell, bin_budgets, dwell_budgets, with_budgets
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells, write_dwells
 from gyrobench.bench.bias.error_sources import SOURCES
-from gyrobench.bench.bias.error_split import SharedErrors, shared_errors, split_errors
+from gyrobench.bench.bias.error_split import ErrorPart, shared_errors, split_errors
 from gyrobench.bench.bias.joint_solution import JointDwell, JointSolution, pooled_up_rate, solve_jointly
 from gyrobench.bench.bias.noise_estimate import NoiseEstimate, estimate_noise
 from gyrobench.bench.bias.plateaus import PlannedDwell, group_plateaus
@@ -126,13 +126,14 @@ def evaluate(
             limits,
             planned,
             bin_width_c,
-            _shared(evaluated, _SHARED_SOURCES),
+            shared_errors(_errors(evaluated), _SHARED_SOURCES),
         ),
     )
 
 
-def _shared(dwells: Iterable[MeasuredDwell], sources: Sequence[str]) -> SharedErrors:
-    return shared_errors({each.row.dwell: each.estimate.parts for each in dwells if each.estimate}, sources)
+def _errors(dwells: Iterable[MeasuredDwell]) -> dict[int, Mapping[str, ErrorPart]]:
+    """Errors of the biases by source, of each dwell that has some by its number."""
+    return {each.row.dwell: each.estimate.parts for each in dwells if each.estimate}
 
 
 def planned_dwells(plan: Plan) -> list[PlannedDwell]:
@@ -235,9 +236,9 @@ def evaluate_run(
     with_spins = procedure.tests.scale_factor_stability is not None
     records = noise_records(folder, setup) if procedure.tests.allan_variance else []
     spins = [spin_record(*each, setup) for each in rotated_dwells(folder)] if with_spins else []
-    shared = _shared(results.dwells, ["accelerometer_slope"])
-    errors = split_errors({each.row.dwell: each.estimate.parts for each in results.dwells if each.estimate})
-    characteristics = procedure.tests.evaluate(rows, records, spins, shared, errors)
+    errors = _errors(results.dwells)
+    shared = shared_errors(errors, ["accelerometer_slope"])
+    characteristics = procedure.tests.evaluate(rows, records, spins, shared, split_errors(errors))
     results = replace(results, coefficients=coefficients, characteristics=characteristics)
     if results.dwells:
         write_dwells(folder.dwells, rows)

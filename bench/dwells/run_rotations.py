@@ -29,6 +29,7 @@ from gyrobench.drivers.frames import FrameBlock
 #: Slopes of a gyro's temperature by which dwells with rotations of one plateau may differ: after the soaks of
 #: the shipped procedures they are up to 4 K/h.
 _MAX_RATE_APART_C_PER_H = 5.0
+_NO_COEFFICIENTS = "the rotations give no coefficients: {}"
 #: Mean temperatures of the gyros and their slopes, of dwells and rotations alike.
 OF_GYROS = ("gyro_c", "gyro_rate_c_per_h")
 
@@ -91,7 +92,7 @@ class RunRotations:
         try:
             dwell = measure_rotations(marks, frames, setup)
         except MeasurementError as error:
-            self._groups, self._finding = [], f"the rotations give no coefficients: {error}"
+            self._groups, self._finding = [], _NO_COEFFICIENTS.format(error)
             return (*found, self._finding)
         if not (self._groups and _is_alike(self._groups[-1], dwell)):
             self._groups.append([])
@@ -127,7 +128,7 @@ def _calibrated_rotations(dwells: Sequence[RotatedDwell], setup: MeasurementSetu
         if not all(each.has_vertical for each in found.recordings):
             with_force = _with_force(found, setup.site)
     except MeasurementError as error:
-        return replace(rotations, finding=f"the rotations give no coefficients: {error}")
+        return replace(rotations, finding=_NO_COEFFICIENTS.format(error))
     parts = covariances_by_source(found, setup.site)
     # The increments themselves are no longer needed, nor what was estimated beside the coefficients.
     found = replace(

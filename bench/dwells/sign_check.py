@@ -26,7 +26,7 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell import MAX_ATTITUDE_DISAGREEMENT, MIN_EPOCHS
 from gyrobench.bench.bias.window_filter import EPOCH_S
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, integral
 from gyrobench.bench.foundations.errors import SignalMapError
 from gyrobench.bench.navigation.attitude import rotation_vector_enu
 from gyrobench.bench.navigation.earth import earth_rate_enu
@@ -222,9 +222,8 @@ class SignCheck:
         One for each change of the velocities, then what the tilt leads to, and last their integral, all less
         polynomials of this degree in time.
         """
-        steps = np.diff(time_s)[:, np.newaxis]
         integrals = [
-            np.vstack([np.zeros(2), np.cumsum(0.5 * steps * (each[1:] + each[:-1]), axis=0)])
+            integral(each, time_s)
             for each in (self.site.gravity * np.stack([rotation[:, 1], -rotation[:, 0]], axis=-1), velocity)
         ]
         line = np.linalg.qr(np.vander((time_s - time_s.mean()) / np.ptp(time_s), degree + 1))[0]

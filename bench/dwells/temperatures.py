@@ -116,8 +116,8 @@ _STEP_K, _STEP_K_PER_S = 1.0, 0.25
 _SPREAD_K = 0.5
 #: A sensor that stands still to the bit is stuck if a neighbour moves by this much, K.
 _STUCK_K = 3.0
-#: Readings that may be missing: their share, and the longest time without any as a share of all.
-_MIN_FINITE_READINGS, _MAX_GAP = 0.9, 0.25
+#: Longest time without any reading, as a share of all.
+_MAX_GAP = 0.25
 
 
 def valid_temperatures(
@@ -171,7 +171,7 @@ def _fault(time_s: FloatArray, values_c: FloatArray, begin_s: float, end_s: floa
     valid = np.isfinite(values_c)
     if not valid.any():
         return "gives no reading, or is at the end of its range"
-    if np.count_nonzero(valid) < _MIN_FINITE_READINGS * len(valid):
+    if np.count_nonzero(valid) < _MIN_FINITE * len(valid):
         return f"gives a number in {np.count_nonzero(valid)} of {len(valid)} readings only"
     time_s, values_c = time_s[valid], values_c[valid]
     low_c, high_c = _PLAUSIBLE_C

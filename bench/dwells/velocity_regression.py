@@ -25,7 +25,7 @@ from gyrobench.bench.bias.dwell import Dwell, NavigationWindow
 from gyrobench.bench.bias.noise_model import NoiseModel, rounding_sigma
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.bias.window_filter import EPOCH_S, TRANSIENT_S
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.arrays import FloatArray, integral
 from gyrobench.bench.navigation.attitude import rotation_vector_enu
 from gyrobench.bench.navigation.earth import EARTH_RATE
 from gyrobench.bench.navigation.error_model import Site
@@ -168,9 +168,8 @@ def _moments(
     def means(values: FloatArray) -> FloatArray:
         return np.asarray(values[: count * every].reshape(count, every, -1).mean(axis=1))
 
-    def integral(values: FloatArray) -> FloatArray:
-        steps = 0.5 * np.diff(time_s)[:, np.newaxis] * (values[1:] + values[:-1])
-        return means(np.vstack([np.zeros(2), np.cumsum(steps, axis=0)]))
+    def integrated(values: FloatArray) -> FloatArray:
+        return means(integral(values, time_s))
 
     begin_s, middle_s = time_s[: count * every : every], means(time_s)[:, 0]
     length_s = time_s[-1] / len(time_s) * every
@@ -182,18 +181,18 @@ def _moments(
         warmed_k = window.accelerometer_c - window.accelerometer_c[0]
     known = (
         prior.accelerometer_transient * TRANSIENT_S * np.exp(-middle_s / TRANSIENT_S),
-        prior.accelerometer_slope * integral(np.column_stack([warmed_k, warmed_k]))[:, 0],
+        prior.accelerometer_slope * integrated(np.column_stack([warmed_k, warmed_k]))[:, 0],
     )
     white = max(noise.velocity_white, _MIN_WHITE_MPS) ** 2 / every * np.eye(count)
     others = sum(np.outer(each, each) for each in known) + white
     of_tilt = np.array([gravity**2 * EPOCH_S * _angle_noise(rotation[:, of], step_rad) for of in (1, 0)])
-    signals = integral(turned), -integral(velocity)
+    signals = integrated(turned), -integrated(velocity)
     moments, added = np.zeros((_OF_WINDOW + 1,) * 2), np.zeros(4)
     line = np.stack([np.ones(count), middle_s / middle_s[-1]], axis=-1)
     for axis in range(2):
         root = np.linalg.cholesky((noise.velocity_random_walk**2 + of_tilt[axis]) * walk + others)
         rows = np.zeros((count, _OF_WINDOW + 1))
-        rows[:, 2 * axis : 2 * axis + 2] = integral(tilt)
+        rows[:, 2 * axis : 2 * axis + 2] = integrated(tilt)
         rows[:, 4:6] = np.stack([each[:, axis] for each in signals], axis=-1)
         rows[:, _DRIFT.start + axis] = 0.5 * prior.accelerometer_drift * middle_s**2
         rows[:, -1] = means(velocity)[:, axis]

@@ -80,3 +80,9 @@ def b_splines(values: FloatArray, knots: FloatArray, degree: int) -> FloatArray:
         rise = (values[:, None] - knots[:-each]) / np.where(widths > 0.0, widths, 1.0)
         splines = rise[:, :-1] * splines[:, :-1] + (1.0 - rise[:, 1:]) * splines[:, 1:]
     return splines
+
+
+def integral(values: FloatArray, time_s: FloatArray) -> FloatArray:
+    """Integral (n, k) of values (n, k) at times (n,) by the trapezoidal rule, from zero."""
+    steps = 0.5 * (values[1:] + values[:-1]) * np.diff(time_s)[:, np.newaxis]
+    return np.vstack([np.zeros_like(values[:1]), np.cumsum(steps, axis=0)])

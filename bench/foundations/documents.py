@@ -103,6 +103,11 @@ class DocumentProblem:
     location: KeyPath
     message: str
 
+    @property
+    def text(self) -> str:
+        """Keys of the place, and the message."""
+        return f"{'.'.join(map(str, self.location))}: {self.message}"
+
 
 @dataclass(frozen=True)
 class Document:

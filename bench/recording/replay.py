@@ -132,7 +132,5 @@ def _open_driver(recording: Recording, line: SerialLine) -> RateTable | Chamber:
             return chamber.open(line, chamber.options.model_validate(header.options))
     except ValidationError as error:
         problems: list[DocumentProblem] = problems_of(error, ("options",))
-        raise DocumentError(
-            "\n".join(f"{recording.path}: {'.'.join(map(str, p.location))}: {p.message}" for p in problems)
-        ) from error
+        raise DocumentError("\n".join(f"{recording.path}: {problem.text}" for problem in problems)) from error
     raise DocumentError(f"{recording.path}: no driver for an {header.instrument} on a serial line")

@@ -96,7 +96,7 @@ class WatlowF4:
         self._chamber_event = chamber_event
         self._end_profiles = end_profiles
         self._modbus = ModbusRtu(line, address, reply_timeout_s)
-        (self._decimals,) = self._modbus.read(_Register.INPUT_1_DECIMALS)
+        self._decimals = self._read(_Register.INPUT_1_DECIMALS)
         if not 0 <= self._decimals <= _MAX_DECIMALS:
             raise ReplyError(
                 line.instrument, f"register 606 reads {self._decimals} decimals; is it a Watlow F4?"
@@ -106,13 +106,13 @@ class WatlowF4:
             raise self._refused("the controller works in °F; set it to °C in its setup menu")
         self.can_ramp = self._optional(_Register.RAMP_MODE) is not None  #: The model F4P alone does.
         # All temperatures depend on it, and a late reply from before the line was opened may have come first.
-        (again,) = self._modbus.read(_Register.INPUT_1_DECIMALS)
+        again = self._read(_Register.INPUT_1_DECIMALS)
         if again != self._decimals:
             raise ReplyError(line.instrument, f"register 606 reads {self._decimals}, then {again} decimals")
 
     def identify(self) -> str:
         """Model number, Modbus address and kind of ramps."""
-        (model,) = self._modbus.read(_Register.MODEL_NUMBER)
+        model = self._read(_Register.MODEL_NUMBER)
         ramps = "ramps to set points" if self.can_ramp else "ramps by profiles only"
         return f"Watlow F4, model number {model}, Modbus address {self._address}, {ramps}"
 
@@ -122,7 +122,7 @@ class WatlowF4:
         Raises FaultError: the temperature sensor is faulty.
         """
         value, error, alarm_1 = self._modbus.read(_Register.PROCESS_VALUE_1, 3)
-        (alarm_2,) = self._modbus.read(_Register.ALARM_2)
+        alarm_2 = self._read(_Register.ALARM_2)
         alarms = tuple(
             f"alarm {register.name[-1]} (register {int(register)} reads {status})"
             for register, status in ((_Register.ALARM_1, alarm_1), (_Register.ALARM_2, alarm_2))
@@ -168,8 +168,7 @@ class WatlowF4:
 
     def set_point_c(self) -> float:
         """Temperature last commanded (register 300)."""
-        (number,) = self._modbus.read(_Register.SET_POINT_1)
-        return from_register(number, self._decimals)
+        return from_register(self._read(_Register.SET_POINT_1), self._decimals)
 
     def running_profile(self) -> str:
         """Describe a profile that runs or is held (register 200)."""
@@ -196,8 +195,7 @@ class WatlowF4:
 
     def is_event_on(self, number: int) -> bool:
         """Whether an event output, 1 to 8, is on; raises RefusedError where there is none."""
-        (state,) = self._modbus.read(self._event(number))
-        return bool(state)
+        return bool(self._read(self._event(number)))
 
     def close(self) -> None:
         """Close the line; the controller continues unchanged."""
@@ -205,8 +203,8 @@ class WatlowF4:
 
     def _require_same_numbers(self) -> None:
         """Raise RefusedError, with the chamber switched off, if decimals or unit were changed."""
-        (decimals,) = self._modbus.read(_Register.INPUT_1_DECIMALS)
-        unit = None if self._unit is None else self._modbus.read(_Register.TEMPERATURE_UNIT)[0]
+        decimals = self._read(_Register.INPUT_1_DECIMALS)
+        unit = None if self._unit is None else self._read(_Register.TEMPERATURE_UNIT)
         if (decimals, unit) == (self._decimals, self._unit):
             return
         self.switch_event(self._chamber_event, False)
@@ -247,10 +245,13 @@ class WatlowF4:
             raise self._refused(f"there is no event output {number}, only 1 to {len(_EVENTS)}")
         return _EVENTS[number - 1]
 
+    def _read(self, register: _Register) -> int:
+        (number,) = self._modbus.read(register)
+        return number
+
     def _write(self, register: _Register, number: int) -> None:
         self._modbus.write(register, number)
-        (held,) = self._modbus.read(register)
-        if held != number:
+        if (held := self._read(register)) != number:
             raise self._refused(
                 f"register {int(register)} holds {held} although {number} was written and accepted"
             )
@@ -258,10 +259,9 @@ class WatlowF4:
     def _optional(self, register: _Register) -> int | None:
         """Read a register that not every model has."""
         try:
-            (number,) = self._modbus.read(register)
+            return self._read(register)
         except UnknownRegisterError:
             return None
-        return number
 
     def _refused(self, message: str) -> RefusedError:
         return RefusedError(self._line.instrument, message)

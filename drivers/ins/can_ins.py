@@ -64,10 +64,8 @@ class CanIns:
         self.signal_map = signal_map
         self._signals = bind_signals(signal_map, self.codec)
         self._commands = commands or CommandMap()
-        problems = check_commands(self._commands, self.codec)
-        if problems:
-            lines = (f"ins.commands.{'.'.join(map(str, p.location))}: {p.message}" for p in problems)
-            raise DocumentError("\n".join(lines))
+        if problems := check_commands(self._commands, self.codec):
+            raise DocumentError("\n".join(f"ins.commands.{problem.text}" for problem in problems))
         self._bus = bus
         self._receive = block_receiver(bus)
         self._clock = clock

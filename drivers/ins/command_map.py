@@ -118,6 +118,17 @@ class CorrectionIndices(StrictModel):
         """First indices of all coefficients of a sensor's axis, in the order of the keys."""
         return [*self.gyro, self.accelerometer_bias, *self.accelerometer]
 
+    def indices(self) -> list[int]:
+        """Indices of all numbers of these coefficients but their limits."""
+        return [first + place for first in self.firsts() for place in range(CORRECTION_NUMBERS)]
+
+    def limits_of(self, compensation: Compensation) -> dict[int, int]:
+        """Index of the lowest temperature of each coefficient, by its first index; none where unused."""
+        is_used = any(each.range_c is not None for each in compensation.coefficients.values())
+        if self.limits is None or not is_used:
+            return {}
+        return {first: self.limits + 2 * place for place, first in enumerate(self.firsts())}
+
 
 def _as_list(index: int | list[int] | None) -> list[int]:
     return [] if index is None else index if isinstance(index, list) else [index]
@@ -155,7 +166,7 @@ class CoefficientCommand(Command):
         indices = {"lowest_index": self.lowest_index, "highest_index": self.highest_index, **dict(self.terms)}
         named = [(key, each) for key, index in indices.items() for each in _as_list(index)]
         if self.others is not None:
-            named += [("others", each) for each in self._indices_of_others(self.others)]
+            named += [("others", each) for each in self.others.indices()]
             first = self.others.limits
             named += [("others.limits", first + each) for each in range(_LIMITS) if first is not None]
         for key, index in named:
@@ -245,8 +256,8 @@ class CoefficientCommand(Command):
                 values = np.atleast_1d(getattr(compensation, name)[axis])
                 numbers.update(zip(np.atleast_1d(index).tolist(), values.tolist(), strict=True))
         if self.others is not None and compensation.corrected():
-            numbers |= dict.fromkeys(self._indices_of_others(self.others), 0.0)
-            limits = self._limits(self.others, compensation)
+            numbers |= dict.fromkeys(self.others.indices(), 0.0)
+            limits = self.others.limits_of(compensation)
             numbers |= dict.fromkeys(limits.values(), 0.0) | dict.fromkeys(
                 (i + 1 for i in limits.values()), 0.0
             )
@@ -258,18 +269,6 @@ class CoefficientCommand(Command):
                     if each.range_c is not None and first in limits:
                         numbers |= dict(enumerate(each.range_c, limits[first]))
         return dict(sorted(numbers.items()))
-
-    @staticmethod
-    def _indices_of_others(others: CorrectionIndices) -> list[int]:
-        return [first + place for first in others.firsts() for place in range(CORRECTION_NUMBERS)]
-
-    @staticmethod
-    def _limits(others: CorrectionIndices, compensation: Compensation) -> dict[int, int]:
-        """Index of the lowest temperature of each coefficient, by its first index; none where unused."""
-        is_used = any(each.range_c is not None for each in compensation.coefficients.values())
-        if others.limits is None or not is_used:
-            return {}
-        return {first: others.limits + 2 * place for place, first in enumerate(others.firsts())}
 
 
 class CommandMap(StrictModel):

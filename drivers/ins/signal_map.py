@@ -394,8 +394,7 @@ def bind_signals(signal_map: SignalMap, codec: DbcCodec) -> dict[str, BoundSigna
     """
     bound, problems = _bind(signal_map, codec)
     if problems:
-        lines = [f"ins.signals.{'.'.join(map(str, p.location))}: {p.message}" for p in problems]
-        raise DocumentError("\n".join(lines))
+        raise DocumentError("\n".join(f"ins.signals.{problem.text}" for problem in problems))
     return bound
 
 
