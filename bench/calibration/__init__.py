@@ -2,7 +2,8 @@
 
 ``increment_recording`` finds rests and rotations in the increments, ``section`` cuts them into epochs between
 rests, ``strapdown`` turns these into white rows of a least-squares problem, ``information`` gathers the rows,
-and ``estimator`` solves for the ``coefficients``; ``spins`` adds the gyros' scale factors from whole turns.
+``problem`` solves it, and ``estimator`` finds the ``coefficients`` with it; ``spins`` adds the gyros' scale
+factors from whole turns, ``joint_coefficients`` are those that dwells without rotations show.
 ``rotation_list`` predicts what a list of rotations determines, and ``list_search`` finds the shortest one.
 ``mission`` is the position error that remains.
 """

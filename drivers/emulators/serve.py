@@ -46,11 +46,7 @@ class _Server:
     """
 
     def __init__(
-        self,
-        bench: EmulatedBench,
-        make_port: Callable[[str], Port],
-        socketcand: bool = False,
-        daemon_port: int = 0,
+        self, bench: EmulatedBench, make_port: Callable[[str], Port], socketcand: bool, daemon_port: int
     ) -> None:
         self._bench = bench
         self._lines: list[_Line | _Daemon] = []

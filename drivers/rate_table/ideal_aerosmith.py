@@ -45,10 +45,10 @@ class IdealAerosmith:
     ``axis`` is the bench's number of the axis; the controller has none.
     """
 
-    def __init__(self, line: SerialLine, axis: int = 1, reply_timeout_s: float = 1.0) -> None:
+    def __init__(self, line: SerialLine, axis: int = 1) -> None:
         self._line = line
         self._axis = axis
-        self._text = TextLine(line, b"\r", _PROMPT, reply_timeout_s)
+        self._text = TextLine(line, b"\r", _PROMPT)
         self._owes_prompt = True  # the program that used the line before may have left the table turning
         self._acceleration_dps2: float | None = None
         self._target_deg = math.nan

@@ -105,7 +105,7 @@ class InjectionLog(list[Injection]):
     Raises DocumentError if the file can't be written.
     """
 
-    def __init__(self, path: Path | None = None) -> None:
+    def __init__(self, path: Path | None) -> None:
         self._path = path
         self._write("")
 
