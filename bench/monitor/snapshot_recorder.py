@@ -6,7 +6,7 @@ import contextlib
 import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import astuple, fields
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -47,6 +47,7 @@ from gyrobench.bench.monitor.snapshot import (
     SnapshotDwell,
     UnitStatus,
     WindowTrace,
+    read_snapshot,
 )
 from gyrobench.bench.procedure.plan import Plan, PlannedStep
 from gyrobench.bench.procedure.rotation_steps import RotatingStep
@@ -353,8 +354,16 @@ class SnapshotRecorder(RunObserver):
             self._dwell.estimated(bench.clock.now(), estimate)
 
     def begun(self, folder: RunFolder, bench: LiveBench, outcome: RunOutcome) -> None:
-        """Start with the dwells measured before a resume."""
+        """Start with the dwells, readings and messages from before a resume."""
         self._folder, self._bench, self._outcome = folder, bench, outcome
+        new = [Note(bench.clock.now(), note.text) for note in self._messages]  # noted before the clock ran
+        with contextlib.suppress(RunFolderError):  # of a new run there is none
+            before = read_snapshot(folder.live)
+            for row in zip(*astuple(before.measured), strict=True):
+                self._readings.add(row)
+            self._readings.add((bench.clock.now(), *[math.nan] * (len(fields(MeasuredProfile)) - 1)))
+            new = [*before.messages, *new]
+        self._messages = deque(new, maxlen=MAX_MESSAGES)
         self._write()
 
     def noted(self, text: str) -> None:

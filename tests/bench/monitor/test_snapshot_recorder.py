@@ -11,7 +11,8 @@ from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.observers import ObserverGroup, RunObserver
 from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.run import run_job
+from gyrobench.bench.engine.resume import prepare_resumption
+from gyrobench.bench.engine.run import resume_run, run_job
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.monitor.snapshot import RunSnapshot, RunState, read_snapshot
 from gyrobench.bench.monitor.snapshot_recorder import SnapshotRecorder, Thinned
@@ -19,6 +20,7 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.emulators.acl_axis import SoftwareFault
 from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
+from tests.bench.engine.intervention import KilledError
 from tests.bench.monitor.conftest import recorded_run
 
 
@@ -281,3 +283,33 @@ def test_what_is_wrong_is_an_alarm_as_long_as_it_lasts(witnessed):
     assert {"chamber_alarm"} in alarms
     assert seen[RunState.RUNNING][-1].alarms == ()
     assert last.state is RunState.FINISHED
+
+
+def killed(bench):
+    raise KilledError
+
+
+def test_a_resumed_run_shows_what_it_read_and_noted_before_the_kill(tmp_path):
+    job = prepare_job("ten_minute_check", "quick", Emulation("quick", 0))
+    first, again = SnapshotRecorder(job.plan), SnapshotRecorder(job.plan)
+    first.noted("noted at the start")
+    with pytest.raises(KilledError):
+        run_job(
+            job, tmp_path / "run", ObserverGroup(first, Witness(first, "turn", killed)), ConsentingOperator()
+        )
+    before = first.snapshot()
+    (tmp_path / "run" / "live.json").write_bytes(before.to_json())
+    resumption = prepare_resumption(tmp_path / "run")
+    again.noted("noted before the bench is ready")
+    folder, _ = resume_run(resumption, again, ConsentingOperator())
+    last = read_snapshot(folder.live)
+    times_s = [note.time_s for note in last.messages]
+    early = ["noted at the start", "noted before the bench is ready"]
+    assert [note.text for note in last.messages][:2] == early
+    assert times_s == sorted(times_s)
+    assert times_s[1] >= before.now_s
+    read_s = np.array(last.measured.time_s)
+    assert (np.diff(read_s) >= 0.0).all()
+    assert read_s[0] == before.measured.time_s[0] < before.now_s < read_s[-1]
+    gap = np.isnan(last.measured.chamber_c)
+    assert before.now_s <= read_s[gap].min() <= read_s[gap].max() < read_s[-1]
