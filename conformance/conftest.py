@@ -8,9 +8,12 @@ from typing import Any
 
 import pytest
 import yaml
+from pydantic import ValidationError
 
-from gyrobench.bench.foundations.packages import CHAMBERS, RATE_TABLES, installed
+from gyrobench.bench.foundations.packages import CHAMBERS, RATE_TABLES, installed, load
 from gyrobench.conformance.instruments import ChamberUnderTest, Noise, TableUnderTest
+from gyrobench.drivers.chamber import ChamberDialect
+from gyrobench.drivers.rate_table import TableDialect
 
 _GROUPS = {"test_chamber.py": CHAMBERS, "test_rate_table.py": RATE_TABLES}
 
@@ -43,7 +46,10 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Run each test with each dialect."""
     for fixture, group in (("chamber", CHAMBERS), ("table", RATE_TABLES)):
         if fixture in metafunc.fixturenames:
-            metafunc.parametrize(fixture, _under_test(metafunc.config, group), indirect=True)
+            names = _under_test(metafunc.config, group)
+            for name in names if metafunc.config.getoption("dialect") else ():
+                _check_options(metafunc.config, group, name)
+            metafunc.parametrize(fixture, names, indirect=True)
 
 
 def _under_test(config: pytest.Config, group: str) -> list[str]:
@@ -56,6 +62,18 @@ def _under_test(config: pytest.Config, group: str) -> list[str]:
             f"--dialect {unknown[0]}: no installed package offers it; installed: {', '.join(known)}"
         )
     return [name for name in offered[group] if name in chosen or not chosen]
+
+
+def _check_options(config: pytest.Config, group: str, name: str) -> None:
+    is_chamber = group == CHAMBERS
+    options = (load(group, name, ChamberDialect) if is_chamber else load(group, name, TableDialect)).options
+    try:
+        options.model_validate(_options(config))
+    except ValidationError as error:
+        problems = "; ".join(each["msg"] for each in error.errors())
+        raise pytest.UsageError(
+            f"--dialect {name}: {problems}. Give its keys by --dialect-option KEY=VALUE"
+        ) from error
 
 
 def _options(config: pytest.Config) -> dict[str, Any]:

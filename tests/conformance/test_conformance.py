@@ -61,3 +61,11 @@ def test_a_dialect_that_no_package_offers_is_named(tmp_path):
     done, _ = suite(tmp_path, "--dialect", "acme_glacier")
     assert done.returncode != 0
     assert "--dialect acme_glacier: no installed package offers it; installed: acutrol3000" in done.stdout
+
+
+def test_a_wrong_key_of_the_dialect_ends_the_suite_with_what_is_allowed(tmp_path):
+    options = ("--dialect", "watlow_f4", "--dialect-option", "adress=2")
+    done, _ = suite(tmp_path, *options, path=(ROOT / "src",))
+    assert done.returncode != 0
+    assert "--dialect watlow_f4: unknown key 'adress' (did you mean 'address'?); allowed here:" in done.stdout
+    assert "Give its keys by --dialect-option KEY=VALUE" in done.stdout
