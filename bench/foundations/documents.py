@@ -51,6 +51,7 @@ _PLAIN_WORDS = tuple(
         (r"should have at least 1 character", "must not be empty"),
         (r"should have at (least|most) (\d+) characters?", r"must have at \1 \2 characters"),
         (r"should match pattern '\^\[A-Za-z0-9_-\]\{1,80\}\$'", "may have letters, digits, _ and - only"),
+        (r"should match pattern '\^\[a-z0-9_\]\{1,\d+\}\$'", "may have a to z, digits and _ only"),
         (r"should match pattern", "must match the pattern"),
         (r"should be greater than or equal to", "must be at least"),
         (r"should be less than or equal to", "must be at most"),
@@ -319,6 +320,8 @@ def _in_words(error: yaml.MarkedYAMLError, text: str) -> str:
         return f"the indentation differs from that of line {begin.line + 1}, where the list or the keys begin"
     if problem.startswith(("expected ',' or '}'", "expected ',' or ']'")):
         return f"{problem}. Is the bracket of line {begin.line + 1}, column {begin.column + 1} closed?"
+    if problem == "expected the node content, but found '<stream end>'":
+        return "the file ends where a value is expected. Is each bracket closed?"
     return problem
 
 

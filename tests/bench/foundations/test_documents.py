@@ -132,6 +132,7 @@ def test_the_place_of_something_missing_is_that_of_what_it_is_missing_from() -> 
         ("", "1:1: the file is empty"),
         ("# only a comment", "1:1: the file is empty"),
         ("title: [a", "not valid YAML"),
+        ("title: [", "not valid YAML: the file ends where a value is expected. Is each bracket closed?"),
         ("title: a\n  count: 2", "2:8: not valid YAML"),
         ("a:\n\tb: 1", "2:1: not valid YAML: found a tab. Indent with spaces"),
         ("a:\n  - b\n   - c: 1", "mapping values are not allowed here"),
