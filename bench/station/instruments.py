@@ -9,6 +9,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from concurrent.futures import Future, InvalidStateError, wait
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any, Self, TypeVar, cast
 from urllib.parse import urlencode
 from uuid import uuid4
@@ -105,10 +106,17 @@ _DriverT = TypeVar("_DriverT", bound=RateTable | Chamber | CanIns)
 class Emulation:
     """Simulated world behind emulated instruments, which alone read it; real ones ignore it."""
 
-    #: world, faults: World file and list of faults (empty: none), by path or shipped name.
+    #: world, faults: World file and list of faults (empty: none), by path or shipped name. Paths become
+    #: absolute: a run is resumed and verified from any folder.
     world: str = DEFAULT_WORLD
     seed: int = 0  #: Seed of everything random in the world.
     faults: str = ""
+
+    def __post_init__(self) -> None:
+        for name in ("world", "faults"):
+            path = Path(getattr(self, name))
+            if path.suffix and path.is_file():
+                object.__setattr__(self, name, str(path.resolve()))
 
     @classmethod
     def of(cls, station: str, world: str | None = None, seed: int = 0, faults: str | None = None) -> Self:

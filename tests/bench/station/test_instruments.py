@@ -36,6 +36,13 @@ def test_one_port_that_can_not_be_opened_leaves_the_other_in_use(changed):
         assert outputs.chamber.set_point_c() == 30.0
 
 
+def test_a_world_given_by_path_is_found_from_any_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "hidden.yaml").touch()
+    assert Emulation("hidden.yaml").world == str(tmp_path / "hidden.yaml")
+    assert Emulation("ideal").world == "ideal"
+
+
 @pytest.mark.parametrize("instrument", [RATE_TABLE, CHAMBER, INS])
 def test_a_closed_port_is_reopened_and_works(station, instrument):
     clock = VirtualClock()
