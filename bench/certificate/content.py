@@ -250,7 +250,11 @@ class Certificate:
         noise = self.station.ins.noise
         declared = {"noise": noise} if isinstance(noise, str) else noise.model_dump()
         values = {**declared, **sections}
-        return {_plain(name): f"{value}" for name, value in values.items() if value is not None}
+        return {
+            _plain(name.replace("_output_", "_output_beyond_its_resolution_")): f"{value}"
+            for name, value in values.items()
+            if value is not None
+        }
 
     @property
     def traceability(self) -> list[tuple[str, ...]]:
@@ -329,7 +333,12 @@ def _plain(name: str) -> str:
     if match is None:
         return plain_name(name)
     unit = (
-        match[1].replace("_per_", "/").replace("/sqrt_", "/√").replace("mps", "m/s").replace("dph", "deg/h")
+        match[1]
+        .replace("_per_", "/")
+        .replace("/sqrt_", "/√")
+        .replace("mps", "m/s")
+        .replace("dph", "deg/h")
+        .replace("ug", "µg")
     )
     return f"{plain_name(name[: match.start()])} ({unit.replace('hz', 'Hz').replace('/c', '/K')})"
 
@@ -384,7 +393,7 @@ def _model(folder: RunFolder, run: RunContent) -> tuple[list[ModelNumber], str]:
     ]
     rows = [_with_power(row) for row in rows]
     notes = f" Notes: {'; '.join(model.notes)}." if model.notes else ""
-    effects = ", ".join(map(plain_name, model.effects)) or "none"
+    effects = ", ".join(map(closure.label, model.effects)) or "none"
     return rows, f"{_LOADABLE} Effects found beyond the temperature: {effects}.{notes}"
 
 

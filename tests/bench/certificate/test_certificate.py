@@ -12,11 +12,13 @@ import pytest
 from gyrobench.bench.bias.budget import NORMAL_K, Budget, Contribution, coverage_factor
 from gyrobench.bench.bias.dwell_table import read_dwells, write_dwells
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS
+from gyrobench.bench.certificate import content
 from gyrobench.bench.certificate.content import Order, certificate_of
 from gyrobench.bench.certificate.dcc import certificate_dcc, validate_dcc
 from gyrobench.bench.certificate.issue import file_names
 from gyrobench.bench.certificate.signatures import load_signing_key, sign_dcc, sign_pdf, verify_file
 from gyrobench.bench.cli.output import EXIT_WRONG_INPUT
+from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
 from gyrobench.bench.foundations.operator_name import OPERATOR_VARIABLE
 from gyrobench.bench.runs.folder import RunFolder
@@ -30,6 +32,7 @@ from gyrobench.bench.runs.tables.budget_table import (
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, write_coefficients
 from tests.bench.certificate.conftest import LABEL, PIN
 from tests.bench.command_line import gyrobench
+from tests.bench.report.made_up_closure import explained
 
 etree = pytest.importorskip("lxml.etree")
 
@@ -66,6 +69,8 @@ def test_a_certificate_states_order_laboratory_conditions_and_traceability(measu
     assert made.deviations == ["None."]
     assert made.conditions["room"] == "23 °C, 45 % RH"
     assert made.inputs["angle random walk (deg/√h)"] == "0.0006"
+    assert made.inputs["velocity random walk (µg/√Hz)"] == "5.0"
+    assert made.inputs["velocity output beyond its resolution (m/s)"] == "0.0"
     assert made.traceability[0][:3] == ("rate table", "RT-17", "2026-0815")
     assert made.conformity == ("No statement of conformity: the procedure states no limits.", "")
 
@@ -119,6 +124,14 @@ def test_a_polynomial_whose_scatter_is_estimated_has_its_degrees_of_freedom(meas
     model = certificate_of(measured_run, SIGNED_BY).model
     assert len(model) == 3 * 4
     assert {each.k for each in model} == {coverage_factor(9 - 4)}
+
+
+def test_an_effect_has_the_label_that_the_report_gives_it(measured_run, monkeypatch):
+    monkeypatch.setattr(content, "holds_search", lambda folder: True)
+    monkeypatch.setattr(content, "repeat_search", lambda folder: explained())
+    monkeypatch.setattr(Closure, "label", lambda self, name: f"label of {name}")
+    note = certificate_of(measured_run, SIGNED_BY).model_note
+    assert "Effects found beyond the temperature: label of temperature_rate." in note
 
 
 def test_a_run_that_changed_or_has_no_name_to_authorise_it_gets_none(measured_run):
