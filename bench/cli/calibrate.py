@@ -16,7 +16,7 @@ from gyrobench.bench.foundations.errors import DocumentError
 def calibrate(
     logs: Annotated[
         list[Path],
-        typer.Argument(metavar="LOG...", help="Log of rates or increments; several in order of time."),
+        typer.Argument(metavar="LOG", help="Log of rates or increments; several in order of time."),
     ],
     mapping: Annotated[
         str,

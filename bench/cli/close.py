@@ -16,7 +16,7 @@ def close(
     tables: Annotated[
         list[Path],
         typer.Argument(
-            metavar="DWELLS_OR_RUN...",
+            metavar="DWELLS_OR_RUN",
             help="Dwell tables or run folders of one unit.",
             autocompletion=complete_run,
         ),

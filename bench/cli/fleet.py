@@ -27,7 +27,7 @@ fleet = typer.Typer(
 
 _RunsArgument = Annotated[
     list[str] | None,
-    typer.Argument(metavar="RUNS...", help="Run folders, folders that contain some, patterns in quotes."),
+    typer.Argument(metavar="RUNS", help="Run folders, folders that contain some, patterns in quotes."),
 ]
 _FromIndexOption = Annotated[
     str | None, typer.Option(metavar="ROOT", help="Take the runs of ROOT's index that the options select.")

@@ -12,7 +12,7 @@ from gyrobench.bench.cli.options import complete_import_map
 
 def import_log(
     logs: Annotated[
-        list[Path], typer.Argument(metavar="LOG...", help="Log of a real IMU; several in order of time.")
+        list[Path], typer.Argument(metavar="LOG", help="Log of a real IMU; several in order of time.")
     ],
     mapping: Annotated[
         str,

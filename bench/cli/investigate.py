@@ -38,7 +38,7 @@ def investigate(
     sources: Annotated[
         list[str],
         typer.Argument(
-            metavar="PROCEDURE|RUN...|TABLE",
+            metavar="PROCEDURE|RUN|TABLE",
             help="Procedure to measure first, or run folders of one unit; with --bench a dwell table.",
             autocompletion=complete_procedure,
         ),

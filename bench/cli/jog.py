@@ -14,7 +14,7 @@ def jog(
     station: StationArgument = EMULATED,
     commands: Annotated[
         list[str] | None,
-        typer.Argument(metavar="COMMAND...", help="Commands to execute; default: typed interactively."),
+        typer.Argument(metavar="COMMAND", help="Commands to execute; default: typed interactively."),
     ] = None,
     leave: Annotated[
         bool,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -124,12 +125,21 @@ FaultsOption = Annotated[
 _RUN = typer.Argument(metavar="RUN", help="Run folder.", autocompletion=complete_run)
 RunArgument = Annotated[Path, _RUN]
 OptionalRunArgument = Annotated[Path | None, _RUN]
+
+
+class TracedInstrument(StrEnum):
+    """Instruments of the section ``traceability`` of a station file."""
+
+    RATE_TABLE = "rate_table"
+    CHAMBER_SENSORS = "chamber_sensors"
+    REFERENCE_CLOCK = "reference_clock"
+
+
 AcknowledgeOption = Annotated[
-    list[str] | None,
+    list[TracedInstrument] | None,
     typer.Option(
-        metavar="INSTRUMENT",
-        help="Use an instrument although its calibration is past due (rate_table, chamber_sensors, "
-        "reference_clock), in the operator's name; may be repeated.",
+        help="Use this instrument although its calibration is past due, in the operator's name; may be "
+        "repeated."
     ),
 ]
 FailOnOption = Annotated[

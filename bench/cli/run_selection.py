@@ -7,10 +7,11 @@ import inspect
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from gyrobench.bench.bias.verdicts import RunVerdict
 from gyrobench.bench.cli.output import console
 from gyrobench.bench.runs.index.selection import Selection
 
@@ -18,12 +19,12 @@ if TYPE_CHECKING:
     from gyrobench.bench.runs.index.run_index import RunIndex
 
 _DAYS = ["%Y-%m-%d"]
+_Search = Literal["clean", "explained", "ambiguous", "unexplained", "stale"]
+_Verdict = Literal[_Search, RunVerdict]
 
 RootArgument = Annotated[
     str,
-    typer.Argument(
-        metavar="[ROOT]", help="Folder or URL (s3://..., memory://...) that contains run folders."
-    ),
+    typer.Argument(metavar="ROOT", help="Folder or URL (s3://..., memory://...) that contains run folders."),
 ]
 IndexOption = Annotated[
     Path | None,
@@ -47,11 +48,15 @@ def _selection(
         datetime | None, typer.Option(formats=_DAYS, metavar="DATE", help="Last day (UTC) of the start.")
     ] = None,
     verdict: Annotated[
-        str | None,
-        typer.Option(help="Verdict of the search for effects (clean ...) or of acceptance (accepted ...)."),
+        _Verdict | None,
+        typer.Option(
+            metavar="VERDICT",
+            help="Verdict of the search for effects (clean, explained, ambiguous, unexplained, stale) or of "
+            "acceptance (accepted, marginal, rejected, 'not judged').",
+        ),
     ] = None,
     ended: Annotated[
-        str | None, typer.Option(help="End of the run: finished, failed, stopped or 'not ended'.")
+        Literal["finished", "failed", "stopped", "not ended"] | None, typer.Option(help="End of the run.")
     ] = None,
 ) -> Selection:
     first, last = (None if day is None else day.date() for day in (since, until))

@@ -21,7 +21,7 @@ FileKindName = Literal[
 
 
 def validate(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="YAML files.")],
+    files: Annotated[list[Path], typer.Argument(metavar="FILE", help="YAML files.")],
     as_kind: Annotated[
         FileKindName | None,
         typer.Option("--as", help="Kind of the files; default: detected from their keys."),

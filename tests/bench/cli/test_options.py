@@ -7,12 +7,13 @@ import typer
 
 from gyrobench.bench.authoring.file_kinds import KINDS
 from gyrobench.bench.cli import app
-from gyrobench.bench.cli.options import FailOnOption
+from gyrobench.bench.cli.options import FailOnOption, TracedInstrument
 from gyrobench.bench.cli.validate import FileKindName
 from gyrobench.bench.closure import inputs, loop
 from gyrobench.bench.engine.run_outcome import FailOn
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.report import closure_page
+from gyrobench.bench.station.instrument_sections import Traceability
 from tests.bench.command_line import gyrobench
 
 OPTIONS = [
@@ -43,6 +44,9 @@ def test_no_option_that_is_a_number_takes_one_without_an_end(name, command, opti
         (("monitor", "runs", "--port", "x"), "'--port': the value must be a whole number.\n"),
         (("fleet", "close", "runs", "--workers", "0"), "'--workers': the value must be at least 1.\n"),
         (("plan", "rotations", "--target-dph", "inf"), "'--target-dph': inf is not a finite number.\n"),
+        (("runs", "--verdict", "acepted"), "'not judged' (did you mean 'accepted'?).\n"),
+        (("runs", "--ended", "finshed"), "'not ended' (did you mean 'finished'?).\n"),
+        (("run", "rotations", "--acknowledge", "table"), "'table' is not one of 'rate_table', 'chamber_"),
         (("calibrate", "log.csv"), "Missing option '--map'.\n"),
     ],
 )
@@ -51,6 +55,10 @@ def test_a_wrong_value_is_reported_in_plain_words_with_the_nearest_one(command, 
     assert answer.returncode == 2
     assert message in answer.stderr
     assert "Value error" not in answer.stderr
+
+
+def test_every_traced_instrument_can_be_acknowledged():
+    assert set(TracedInstrument) == set(Traceability.model_fields)
 
 
 def test_an_infinite_budget_is_refused_before_anything_is_measured(tmp_path):
