@@ -41,10 +41,10 @@ class OtherForm:
 
     @property
     def text(self) -> str:
-        """Form, probability and parameters: "or, with 12 %, one width: half width 5.8 ± 0.5 degC"."""
+        """Form, probability and parameters: "or, with P = 0.12, one width: half width 5.8 ± 0.5 degC"."""
         parameters = "; ".join(_parameter_texts(self.candidate, self.values_sigma, self.values_range))
         stated = f"{self.candidate.form.name}{f': {parameters}' if parameters else ''}"
-        return f"or, with {100.0 * self.probability:.0f} %, {stated}"
+        return f"or, with P = {self.probability:.2f}, {stated}"
 
 
 @dataclass(frozen=True)

@@ -158,7 +158,7 @@ def _branch(campaign: Campaign) -> FloatArray:
 
 _PROCESSES: dict[str, Callable[[Campaign], FloatArray | None]] = {
     "time": lambda campaign: _hours(campaign, 16, 0.5),
-    "time, irregularly": lambda campaign: _hours(campaign, _ORDERS, 0.1),
+    "time irregularly": lambda campaign: _hours(campaign, _ORDERS, 0.1),
     "time as a random walk": lambda campaign: _power_law(campaign, 2.0),
     "time as flicker noise": lambda campaign: _power_law(campaign, 1.0),
     "time since power-on": lambda campaign: _each_gyro(

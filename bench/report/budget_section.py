@@ -126,7 +126,7 @@ def _contributions(own: Mapping[str, ContributionSummary], kind: str) -> Section
 
 
 def _bins(rows: Sequence[BudgetRow]) -> SectionTable:
-    scale = BiasScale.of([], [row.expanded for row in rows])
+    scale = BiasScale.of([], [row.expanded / row.k for row in rows])
     positions = [name for name in POSITIONS if any(row.position == name for row in rows)]
     by_bin: dict[tuple[str, float, float], dict[str, str]] = defaultdict(dict)
     for row in rows:

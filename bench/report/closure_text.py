@@ -282,7 +282,8 @@ def power_sentence(closure: Closure) -> str:
     low, high = min(sizes, key=lambda name: sizes[name]), max(sizes, key=lambda name: sizes[name])
     unit = closure.quantity.unit
     least, most = size_text(sizes[low]), size_text(sizes[high])
-    on = "" if least == most else f" if it follows {low}, one of {most} {unit} or more if it follows {high}"
+    others = f", and one of {most} {unit} or more if it follows {high}"
+    on = "" if least == most else f" if it follows {low}{others}"
     effect = "A further effect" if closure.effects else "An effect"
     return (
         f"{effect} of {least} {unit} rms or more would have been detected with "

@@ -173,7 +173,7 @@ def _finding_sentence(plateaus: Sequence[JointPlateauRow]) -> str:
     where = "Over all plateaus" if last.plateau == 0 else "At this plateau"
     if finding is Finding.NO_PAIR:
         return f"{where}: {finding.value}."
-    rate = f"{1e3 * last.up_rate_dph:+.2f} ± {1e3 * last.up_rate_sigma_dph:.2f} · 10⁻³ deg/h"
+    rate = f"({1e3 * last.up_rate_dph:+.2f} ± {1e3 * last.up_rate_sigma_dph:.2f}) · 10⁻³ deg/h"
     latitude = f"{last.latitude_error_arcmin:+.2f} ± {last.latitude_error_sigma_arcmin:.2f} arcmin"
     p_value = p_in_brackets(last.up_rate_p_value)
     text = f"{where} the half-difference is {rate}{p_value}: {finding.value}."

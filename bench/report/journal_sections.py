@@ -170,7 +170,7 @@ def events_section(journal: Sequence[Entry]) -> Section:
     counts: Counter[str] = Counter()
     for each in events:
         counts[each.kind] += each.count
-    summary = listed([f"{kind}: {counts[kind]}" for kind in _KINDS if counts[kind]])
+    summary = ", ".join(f"{kind} ({counts[kind]})" for kind in _KINDS if counts[kind])
     rows = [
         (
             each.time,
@@ -187,7 +187,7 @@ def events_section(journal: Sequence[Entry]) -> Section:
         words=4,
         marks=[_MARKS.get(each.kind, "") for each in events],
     )
-    texts = [f"{summary}.", *_unsettled_sentence(journal)]
+    texts = [f"Events: {summary}.", *_unsettled_sentence(journal)]
     return Section("Flags, holds and retries", texts, tables=[table])
 
 

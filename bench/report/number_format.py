@@ -76,9 +76,8 @@ def p_text(p_value: float) -> str:
 
 
 def p_in_brackets(p_value: float) -> str:
-    """Text as " (p = 0.012)" or " (p <1e-9)"; empty for NaN."""
-    text = p_text(p_value)
-    return text and f" (p {text if text.startswith('<') else f'= {text}'})"
+    """Text as " (p = 0.012)" or " (p < 1e-9)"; empty for NaN."""
+    return "" if math.isnan(p_value) else f" ({p_phrase(p_value)})"
 
 
 def p_phrase(p_value: float) -> str:

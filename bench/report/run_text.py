@@ -26,7 +26,7 @@ from gyrobench.bench.navigation.positions import AXES, gyro_label, position_labe
 from gyrobench.bench.report.number_format import (
     dph_with_sigma,
     p_in_brackets,
-    p_text,
+    p_phrase,
     size_text,
     temperature_ranges,
 )
@@ -144,8 +144,8 @@ def setup_sentences(plateaus: Sequence[JointPlateauRow]) -> dict[str, str]:
         is_clear = abs(last.up_rate_dph) > _CLEAR_SIGMAS * last.up_rate_sigma_dph
         if Finding[last.finding.upper()] is Finding.NOT_LATITUDE and is_clear:
             found["Rate Up."] = (
-                f"Vertical gyros up and down differ as by a rate Up of {1e3 * last.up_rate_dph:+.2f} ± "
-                f"{1e3 * last.up_rate_sigma_dph:.2f} · 10⁻³ deg/h, alike in all gyros, that no latitude "
+                f"Vertical gyros up and down differ as by a rate Up of ({1e3 * last.up_rate_dph:+.2f} ± "
+                f"{1e3 * last.up_rate_sigma_dph:.2f}) · 10⁻³ deg/h, alike in all gyros, that no latitude "
                 "explains. Their biases contain it. Check that table, fixture and pier do not turn slowly; "
                 "biases that follow gravity alike in all gyros look the same."
             )
@@ -432,12 +432,12 @@ def fit_sentence(rows: Iterable[DwellRow]) -> str:
         size, verdict = "as expected", f"{_AS_EXPECTED}{_outlier_sentence(tested)}"
     ratios = [row.fit_ratio for row in tested]
     if len(tested) == 1:
-        size = f"{ratios[0]:.2f} times as large as expected (p {_equals(p_values[0])})"
+        size = f"{ratios[0]:.2f} times as large as expected ({p_phrase(p_values[0])})"
         return f"Residuals of the only dwell tested are {size}. {verdict}"
     return (
         f"Residuals of {len(tested)} dwells are {min(ratios):.2f} to {max(ratios):.2f} times as large as "
-        f"expected, median {median(ratios):.2f}; their p-values are {size} (Kolmogorov-Smirnov p "
-        f"{_equals(chance)}). {verdict}"
+        f"expected, median {median(ratios):.2f}; their p-values are {size} (Kolmogorov-Smirnov "
+        f"{p_phrase(chance)}). {verdict}"
     )
 
 
@@ -447,12 +447,7 @@ def _outlier_sentence(rows: Sequence[DwellRow]) -> str:
         return ""
     which = f"dwell{'s' if len(outliers) > 1 else ''} {listed([str(row.dwell) for row in outliers])}"
     smallest = min(row.fit_p_value for row in outliers)
-    return f" Outlying: {which} (smallest p {_equals(smallest)})."
-
-
-def _equals(p_value: float) -> str:
-    text = p_text(p_value)
-    return text if text.startswith("<") else f"= {text}"
+    return f" Outlying: {which} (smallest {p_phrase(smallest)})."
 
 
 #: Colours of the template's box, by verdict.

@@ -82,7 +82,7 @@ def test_a_solution_that_gains_nothing_says_so(joint: float) -> None:
 def test_rate_of_all_plateaus_is_stated_in_words() -> None:
     section = section_of([plateau_row(), plateau_row(2), plateau_row(0, up_rate_p_value=1.4e-6)])
     assert (
-        "Over all plateaus the half-difference is -3.28 ± 0.49 · 10⁻³ deg/h (p = 1e-6): the "
+        "Over all plateaus the half-difference is (-3.28 ± 0.49) · 10⁻³ deg/h (p = 1e-6): the "
         "half-differences of up and down disagree: biases differ up and down" in section.paragraphs[1]
     )
     assert "latitude error of" not in section.paragraphs[1]
@@ -112,7 +112,7 @@ def test_plateaus_whose_dwells_do_not_agree_are_named() -> None:
     wrong = plateau_row(2, fit_p_value=1e-12, any_north_p_value=1e-12)
     section = section_of([plateau_row(), wrong, plateau_row(3, fit_p_value=2e-4)])
     assert [text[: text.index(":")] for text in section.paragraphs[2:]] == [
-        "At plateau 2 dwells disagree on shared parameters (p <1e-9)",
+        "At plateau 2 dwells disagree on shared parameters (p < 1e-9)",
         "At plateau 3 dwells disagree on shared parameters (p = 2e-4)",
     ]
     assert "are invalid" in section.paragraphs[2]

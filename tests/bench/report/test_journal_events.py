@@ -100,7 +100,7 @@ def test_soaks_that_did_not_settle_are_counted_with_the_largest_rate():
     ]
     section = events_section(journal)
     assert section.paragraphs == [
-        "soak not settled: 3.",
+        "Events: soak not settled (3).",
         "3 soaks ended by at_most_s before the gyros had settled; the largest rate of a gyro was 7.21 °C/h.",
     ]
     assert [(each.kind, each.what) for each in run_events(journal)][1] == (

@@ -322,7 +322,7 @@ def test_dwells_solved_together_and_noise_have_their_sections(page: Page) -> Non
     for words in (
         "Joint solution of each plateau",
         "level gyros by 10.0 % and of vertical gyros by 10.0 %",
-        "Over all plateaus the half-difference is +2.10 ± 0.30",
+        "Over all plateaus the half-difference is (+2.10 ± 0.30)",
         "1 62 6 +24.0 ± 1.8 -15.5 ± 1.8 +8.1 ± 5.8 +0.30 ± 0.80 +2.10 ± 0.30 0.400",
         "all 71",
         "Noise of the INS Allan deviation of the rates and accelerations at rest",

@@ -137,7 +137,7 @@ def test_dwells_that_do_not_fit_are_named(dwells: list[DwellRow]) -> None:
     bad = [replace(row, fit_p_value=1e-7) if row.dwell in (3, 5) else row for row in dwells]
     assert fit_sentence(bad).endswith("Outlying: dwells 3 and 5 (smallest p = 1e-7).")
     bad[9] = replace(dwells[9], fit_p_value=0.0)
-    assert fit_sentence(bad).endswith("Outlying: dwells 3, 5 and 10 (smallest p <1e-9).")
+    assert fit_sentence(bad).endswith("Outlying: dwells 3, 5 and 10 (smallest p < 1e-9).")
 
 
 def test_single_dwell_and_none_have_their_sentences(
