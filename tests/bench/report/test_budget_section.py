@@ -117,6 +117,12 @@ def test_the_tables_hold_contributions_sums_and_what_was_not_evaluated():
     assert bins.rows[0][1:] == ["20 to 25", "2.0 (1.96)"]
 
 
+def test_u_of_a_bin_has_the_decimals_that_its_bias_has():
+    of_bin = BiasBudget("x", "z_up", budget(0.0029, 0.0), None, 20.0, 25.0)
+    *_, bins = budget_section(summary([*BUDGETS[:6], of_bin])).tables
+    assert bins.rows[0][1:] == ["20 to 25", "5.7 (1.96)"]
+
+
 def test_the_first_page_of_the_report_shows_the_figure_before_the_contents(empty_folder):
     write_budget(empty_folder.budget, budget_rows(BUDGETS))
     page = write_report(empty_folder).read_text()
