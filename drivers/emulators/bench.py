@@ -25,6 +25,7 @@ from urllib.parse import parse_qsl, urlsplit
 from pydantic import TypeAdapter, ValidationError
 
 from gyrobench.bench.foundations.clock import Clock, VirtualClock, WallClock, clock_named
+from gyrobench.bench.foundations.documents import in_plain_words
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
 from gyrobench.bench.foundations.kernels import Kernel
 from gyrobench.bench.foundations.packages import EMULATORS, load
@@ -178,8 +179,9 @@ class EmulatedBench:
             try:
                 given[key] = TypeAdapter(parameters[key].annotation).validate_python(text)
             except (KeyError, ValidationError) as error:
-                unknown = f"no such option; there are {', '.join(known)}"
-                why = error.errors()[0]["msg"] if isinstance(error, ValidationError) else unknown
+                why = f"no such option; there are {', '.join(known)}"
+                if isinstance(error, ValidationError):
+                    why = in_plain_words(error.errors()[0]["msg"])
                 raise DocumentError(f"emulated chamber {dialect}: {key}={text}: {why}") from error
         return make(self.world.air, self.chamber_event, **given)
 

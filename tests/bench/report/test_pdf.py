@@ -16,6 +16,14 @@ def test_a_report_becomes_a_pdf(empty_folder: RunFolder, journal_writer):
     assert len(content) > 5000
 
 
+def test_the_contents_stay_on_one_page(empty_folder: RunFolder, journal_writer):
+    journal_writer(empty_folder)
+    text = write_report(empty_folder).read_text()
+    low = text.replace("<nav>", '<div style="break-before: page; height: 23cm"></div><nav>', 1)
+    pages = pytest.importorskip("weasyprint").HTML(string=low).render().pages
+    assert sum(any("part-" in target for _, target, *_ in page.links) for page in pages) == 1
+
+
 def test_nothing_is_fetched_from_outside(tmp_path):
     (tmp_path / "secret.png").write_bytes(b"not to be read")
     page = tmp_path / "page.html"

@@ -121,7 +121,8 @@ def test_options_select_a_model_of_the_chamber_and_wrong_ones_end_it(serve, caps
         assert chamber.read().temperature_c == pytest.approx(23.0, abs=0.005)
     for option, why in (
         ("wheels=3", "no such option; there are address, model, decimals"),
-        ("decimals=x", "valid integer"),
+        ("decimals=x", "decimals=x: the value must be a whole number"),
+        ("model=F5", "model=F5: the value must be 'F4P' or 'F4S'"),
     ):
         assert why in ended_at_once(capsys, "--chamber-option", option)
 
