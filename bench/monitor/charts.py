@@ -1,4 +1,4 @@
-"""Charts of the page, as numbers that a template draws, and the unit's axes in perspective.
+"""Charts of the page, as numbers that a template draws.
 
 A chart has axes with ticks, and curves as SVG paths. It has no size: positions of ticks are percentages of
 the plot, and curves are drawn in a square of :data:`_SIDE` units that the browser stretches to the plot, so
@@ -13,10 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.text import hours_minutes
 from gyrobench.bench.monitor.snapshot import (
-    Attitude,
     CurrentDwell,
     LiveBias,
     LiveBin,
@@ -359,148 +357,3 @@ def _lanes(x: Axis, snapshot: RunSnapshot) -> dict[str, list[PositionBar]]:
         left, right = x.percent(start_s), x.percent(end_s)
         lanes.setdefault(span.position, []).append(PositionBar(left, round(right - left, 3), is_over))
     return lanes
-
-
-#: Width and height of the drawing.
-SIZE = 240.0
-
-#: The viewpoint is south-east of the unit and above it; its distance is in lengths of an axis.
-_EYE_AZIMUTH, _EYE_HEIGHT, _EYE_DISTANCE = math.radians(-55.0), math.radians(26.0), 6.0
-_ZOOM = 425.0
-_CENTRE = np.array([0.0, 0.0, 0.05])
-_WORLD_LENGTH, _BODY_LENGTH = 1.3, 1.0
-#: Labels of the world are behind the tip, those of the body beside it, where no other arrow ends.
-_BEHIND_TIP, _BESIDE_TIP = 12.0, 15.0
-_FLOOR = -0.95
-_BOX = (0.34, 0.34, 0.22)
-_HEAD_LENGTH, _HEAD_WIDTH = 11.0, 4.5
-
-
-@dataclass(frozen=True)
-class Arrow:
-    """An arrow from the middle: its ends, its head as points of a polygon, and its label."""
-
-    look: str
-    label: str
-    start: tuple[float, float]
-    tip: tuple[float, float]
-    head: str
-    label_at: tuple[float, float]
-
-
-@dataclass(frozen=True)
-class AxesDrawing:
-    """Drawing of an attitude, with its directions in words.
-
-    Lines on the ground and faces of the unit are points of polygons, the farthest first; arrows are behind
-    or before the unit.
-    """
-
-    floor: tuple[str, ...]
-    box: tuple[str, ...]
-    behind: tuple[Arrow, ...]
-    before: tuple[Arrow, ...]
-    words: str
-
-
-def axes_drawing(attitude: Attitude) -> AxesDrawing:
-    """Draw the unit's attitude."""
-    body = np.array(attitude.body_in_enu).T
-    arrows = [
-        (f"world {name}", name, axis, _WORLD_LENGTH) for name, axis in zip("ENU", np.eye(3), strict=True)
-    ]
-    arrows += [(f"body gyro-{name}", name, axis, _BODY_LENGTH) for name, axis in zip(AXES, body, strict=True)]
-    arrows.sort(key=lambda arrow: _towards_eye(arrow[2]))
-    return AxesDrawing(
-        floor=_floor(),
-        box=_box(body),
-        behind=tuple(_arrow(*each) for each in arrows if _towards_eye(each[2]) < 0.0),
-        before=tuple(_arrow(*each) for each in arrows if _towards_eye(each[2]) >= 0.0),
-        words=attitude.directions(),
-    )
-
-
-#: Directions from the eye: to the right, upwards and ahead, as columns.
-_EYE = np.array(
-    [
-        [-math.sin(_EYE_AZIMUTH), math.cos(_EYE_AZIMUTH), 0.0],
-        [
-            -math.sin(_EYE_HEIGHT) * math.cos(_EYE_AZIMUTH),
-            -math.sin(_EYE_HEIGHT) * math.sin(_EYE_AZIMUTH),
-            math.cos(_EYE_HEIGHT),
-        ],
-        [
-            -math.cos(_EYE_HEIGHT) * math.cos(_EYE_AZIMUTH),
-            -math.cos(_EYE_HEIGHT) * math.sin(_EYE_AZIMUTH),
-            -math.sin(_EYE_HEIGHT),
-        ],
-    ]
-).T
-
-
-def _towards_eye(axis: FloatArray) -> float:
-    return -float(axis @ _EYE[:, 2])
-
-
-def _seen(point: FloatArray) -> tuple[float, float]:
-    """Place of a point in the drawing."""
-    right, upward, ahead = ((point - _CENTRE) @ _EYE).tolist()
-    scale = _ZOOM / (_EYE_DISTANCE + ahead)
-    return (round(SIZE / 2.0 + scale * right, 1), round(SIZE / 2.0 - scale * upward, 1))
-
-
-def _points(points: list[tuple[float, float]]) -> str:
-    return " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
-
-
-def _arrow(look: str, label: str, axis: FloatArray, length: float) -> Arrow:
-    start, tip = _seen(np.zeros(3)), _seen(length * axis)
-    along = _direction_on_paper(start, tip)
-    is_body = length == _BODY_LENGTH
-    shift = (
-        (_BESIDE_TIP * -along[1], _BESIDE_TIP * along[0])
-        if is_body
-        else (_BEHIND_TIP * along[0], _BEHIND_TIP * along[1])
-    )
-    label_at = (round(tip[0] + shift[0], 1), round(tip[1] + shift[1], 1))
-    return Arrow(look, label, start, tip, _head(start, tip), label_at)
-
-
-def _direction_on_paper(start: tuple[float, float], tip: tuple[float, float]) -> tuple[float, float]:
-    """Unit vector from start to tip."""
-    x, y = tip[0] - start[0], tip[1] - start[1]
-    length = math.hypot(x, y) or 1.0
-    return (x / length, y / length)
-
-
-def _head(start: tuple[float, float], tip: tuple[float, float]) -> str:
-    """Arrow head as it looks from the eye; an axis seen from its end has a short one."""
-    along = _direction_on_paper(start, tip)
-    size = min(_HEAD_LENGTH, math.dist(start, tip))
-    back = (tip[0] - size * along[0], tip[1] - size * along[1])
-    side = (-along[1] * _HEAD_WIDTH, along[0] * _HEAD_WIDTH)
-    return _points([tip, (back[0] + side[0], back[1] + side[1]), (back[0] - side[0], back[1] - side[1])])
-
-
-def _floor() -> tuple[str, ...]:
-    """Lines of a grid on the ground, East-West and North-South."""
-    places = (-0.8, -0.4, 0.0, 0.4, 0.8)
-    low, high = places[0], places[-1]
-    lines = [((low, at, _FLOOR), (high, at, _FLOOR)) for at in places]
-    lines += [((at, low, _FLOOR), (at, high, _FLOOR)) for at in places]
-    return tuple(_points([_seen(np.array(end)) for end in ends]) for ends in lines)
-
-
-def _box(body: FloatArray) -> tuple[str, ...]:
-    """Faces of the unit, the farthest first."""
-    faces: list[tuple[float, str]] = []
-    for normal in range(len(body)):
-        first, second = (index for index in range(len(body)) if index != normal)
-        for sign in (-1.0, 1.0):
-            outward = sign * _BOX[normal] * body[normal]
-            corners = [
-                outward + a * _BOX[first] * body[first] + b * _BOX[second] * body[second]
-                for a, b in ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))
-            ]
-            faces.append((_towards_eye(outward), _points([_seen(corner) for corner in corners])))
-    return tuple(points for _, points in sorted(faces))

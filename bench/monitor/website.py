@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import secrets
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from datetime import datetime
 from functools import cache
@@ -18,13 +18,8 @@ from jinja2 import Environment
 from gyrobench.bench.foundations.errors import GyrobenchError, MissingPackageError, RunFolderError
 from gyrobench.bench.foundations.files import read_limited
 from gyrobench.bench.foundations.text import hours_minutes
-from gyrobench.bench.monitor.charts import (
-    axes_drawing,
-    bias_charts,
-    profile_chart,
-    temperature_charts,
-    window_charts,
-)
+from gyrobench.bench.monitor.attitude_drawing import axes_drawing
+from gyrobench.bench.monitor.charts import bias_charts, profile_chart, temperature_charts, window_charts
 from gyrobench.bench.monitor.metrics import CONTENT_TYPE as METRICS_TYPE
 from gyrobench.bench.monitor.metrics import metrics_text
 from gyrobench.bench.monitor.page_content import (
@@ -100,11 +95,6 @@ def run_fragment(
         bins=bin_tables(snapshot.bins),
         dwells=shown_dwells(snapshot.dwells),
     )
-
-
-def _list_fragment(folder: str, rows: Sequence[ListRow], left_out: int) -> str:
-    """List of the runs of a folder; ``left_out`` runs are not in ``rows``."""
-    return _rendered("runs.html.j2", title="Runs", folder=folder, rows=rows, left_out=left_out)
 
 
 def _problem_fragment(title: str, problem: str, home: str) -> str:
@@ -253,8 +243,9 @@ class Website:
             runs = runs_in(self._root)
         except RunFolderError as error:
             return _problem_fragment("Runs", str(error), "")
-        rows = [self._row(run) for run in runs[:_MAX_LISTED]]
-        return _list_fragment(str(self._root.absolute()), rows, max(0, len(runs) - _MAX_LISTED))
+        rows, left_out = [self._row(run) for run in runs[:_MAX_LISTED]], max(0, len(runs) - _MAX_LISTED)
+        folder = str(self._root.absolute())
+        return _rendered("runs.html.j2", title="Runs", folder=folder, rows=rows, left_out=left_out)
 
     def _row(self, run: Path) -> ListRow:
         try:

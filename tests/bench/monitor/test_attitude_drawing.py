@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gyrobench.bench.monitor.charts import SIZE, axes_drawing
+from gyrobench.bench.monitor.attitude_drawing import SIZE, axes_drawing
 from gyrobench.bench.monitor.snapshot import Attitude
 from gyrobench.bench.navigation.positions import POSITIONS
 
