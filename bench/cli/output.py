@@ -167,7 +167,7 @@ def print_end(
     """
     from gyrobench.bench.foundations.documents import read_document
     from gyrobench.bench.foundations.memory import free_memory
-    from gyrobench.bench.report.run_text import run_findings, signs_sentence
+    from gyrobench.bench.report.run_findings import run_findings, signs_sentence
     from gyrobench.bench.runs.tables.joint_table import read_joint_plateaus
 
     is_finished, resume = outcome.ended == "finished", _resume_text(folder, outcome)

@@ -24,7 +24,8 @@ from gyrobench.bench.report.figures.estimators import (
 )
 from gyrobench.bench.report.number_format import NO_PAPER, BiasScale, p_in_brackets, p_text
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable
-from gyrobench.bench.report.run_text import POSITION_SIGNIFICANCE, declared_noise, fit_sentence
+from gyrobench.bench.report.run_findings import declared_noise
+from gyrobench.bench.report.run_text import POSITION_SIGNIFICANCE, fit_sentence
 from gyrobench.bench.runs.tables.joint_table import JointPlateauRow, JointSigmas
 
 _STATE_SPACE = (

@@ -62,7 +62,8 @@ from gyrobench.bench.report.figures.temperatures import DRAWN, TelemetryValues, 
 from gyrobench.bench.report.journal_sections import Entry, durations_section, events_section
 from gyrobench.bench.report.page import Box, Section, SectionFigure, render_page, with_figure_files
 from gyrobench.bench.report.run_content import RunContent, read_run, with_joint
-from gyrobench.bench.report.run_text import VERDICT_COLOURS, run_findings, signs_sentence
+from gyrobench.bench.report.run_findings import run_findings, signs_sentence
+from gyrobench.bench.report.run_text import VERDICT_COLOURS
 from gyrobench.bench.runs.folder import JOURNAL, RunFolder
 from gyrobench.bench.runs.provenance import DataHash, data_hashes, note_preparer
 from gyrobench.bench.runs.seal import keep_sealed

@@ -1,0 +1,223 @@
+"""What makes the results of a run doubtful."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.noise_estimate import estimate_noise
+from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vector_enu
+from gyrobench.bench.report.run_findings import (
+    accelerometers_sentence,
+    flags_sentence,
+    heading_sentence,
+    noise_sentence,
+    run_findings,
+    setup_sentences,
+    signs_sentence,
+    temperatures_sentence,
+)
+from gyrobench.bench.runs.journal import RunFacts
+from gyrobench.bench.runs.tables.joint_table import JointPlateauRow
+from tests.bench.bias.test_noise_estimate import GRAVITY, simulated
+from tests.bench.report.made_up_noise import made_up_noise
+
+
+def test_the_flag_that_keeps_half_of_the_dwells_out_is_stated(dwells: list[DwellRow]) -> None:
+    assert flags_sentence(dwells) == ""
+    assert flags_sentence([]) == ""
+    half = [replace(row, flags=("no signal",) if number % 2 else ()) for number, row in enumerate(dwells)]
+    assert f"{len(half) // 2} of {len(half)} dwells" in flags_sentence(half)
+    assert flags_sentence(half).endswith(f"({len(half) // 2}): no signal")
+    assert flags_sentence(half, "the operator stopped it") == flags_sentence(half)
+    assert flags_sentence(half, "no signal") == ""  # stated as the reason
+    drifts = [replace(row, flags=(f"drifts by {number - 3:+.1f} ug/h",)) for number, row in enumerate(dwells)]
+    drifts[0] = replace(drifts[0], flags=("no signal",))
+    assert f"({len(drifts) - 1}): drifts by -2.0 ug/h" in flags_sentence(drifts)
+
+
+@pytest.mark.parametrize(
+    ("factor", "offset_c", "named"),
+    [
+        (1.0, 0.0, ""),
+        (0.5, 0.0, "temperature signals"),
+        (1.8, 32.0, "temperature signals"),
+        (
+            1.0,
+            15.0,
+            "23.0 to 23.0 K above the chamber's air; unit.thermal.self_heating_c of the station is 9 K",
+        ),
+        (1.0, -15.0, "-7.0 to -7.0 K above the chamber's air"),
+        (1.0, 5.0, ""),
+    ],
+)
+def test_temperatures_in_a_wrong_scale_or_with_an_offset_are_named(
+    dwells: list[DwellRow], factor: float, offset_c: float, named: str
+) -> None:
+    station = {"unit": {"thermal": {"self_heating_c": 9}}}
+    settled = [
+        replace(
+            row,
+            chamber_c=10.0 * number,
+            gyro_c=(factor * (10.0 * number + 8.0) + offset_c,) * 3,
+            gyro_rate_c_per_h=(1.0,) * 3,
+            board_c=(math.nan,) * 3,
+        )
+        for number, row in enumerate(dwells)
+    ]
+    assert named in temperatures_sentence(settled, station)
+    assert bool(named) == bool(temperatures_sentence(settled, station))
+    assert temperatures_sentence(settled[:3], station) == ""
+    moving = [replace(row, gyro_rate_c_per_h=(60.0,) * 3) for row in settled]
+    assert temperatures_sentence(moving, station) == ""
+
+
+def test_exchanged_temperatures_of_optics_and_electronics_are_named(dwells: list[DwellRow]) -> None:
+    def settled(board_c: tuple[float, float, float]) -> list[DwellRow]:
+        still = {"chamber_c": 25.0, "gyro_c": (35.0,) * 3, "gyro_rate_c_per_h": (1.0,) * 3}
+        return [replace(row, board_c=board_c, **still) for row in dwells]
+
+    assert temperatures_sentence(settled((42.0, math.nan, 36.0)), {}) == ""
+    found = temperatures_sentence(settled((28.0, math.nan, 36.0)), {})
+    assert "optics are warmer than the electronics, by 7.0 K or more (gyro x)" in found
+    assert "exchanged in signal map or DBC file" in found
+    one_warmer = [*settled((28.0,) * 3)[1:], settled((42.0,) * 3)[0]]
+    assert temperatures_sentence(one_warmer, {}) == ""
+
+
+@pytest.mark.parametrize(
+    ("finding", "p_values", "titles"),
+    [
+        ("latitude", (0.3, 0.3), []),
+        ("latitude_off", (1e-9, 0.3), ["Wrong latitude."]),
+        ("not_latitude", (0.3, 0.3), ["Rate Up."]),
+        ("not_contradicted", (1e-9, 1e-5), ["Dwells contradict one another."]),
+    ],
+)
+def test_what_the_joint_solution_finds_wrong_with_the_bench_is_stated(
+    finding: str, p_values: tuple[float, float], titles: list[str]
+) -> None:
+    numbers = [0.0] * 6 + [0.0, 0.001, 0.006, 0.001, 10.0, 0.1, 0.5]
+    row = JointPlateauRow(1, 1, 6, 25.0, *numbers, finding, *p_values)
+    assert list(setup_sentences([row])) == titles
+    assert setup_sentences([]) == {}
+
+
+def test_a_heading_that_the_ins_holds_is_named() -> None:
+    windows = [window for position in ("z_up", "x_up") for window in simulated(position=position)]
+    random = np.random.default_rng(3)
+
+    def held(C_nb: np.ndarray, noise_rad: float) -> np.ndarray:
+        turned = rotation_vector_enu(C_nb, C_nb[0]) * [0.0, 0.0, 1.0]
+        noise = np.outer(random.normal(0.0, noise_rad, len(C_nb)), [0.0, 0.0, 1.0])
+        return rotation_matrices(noise - turned) @ C_nb
+
+    assert heading_sentence(estimate_noise(windows, GRAVITY)) == ""
+    for noise_rad in (0.0, 5e-7):
+        aided = [replace(window, C_nb=held(window.C_nb, noise_rad)) for window in windows]
+        assert "seems to hold or aid it" in heading_sentence(estimate_noise(aided, GRAVITY))
+    assert heading_sentence(None) == ""
+
+
+@pytest.mark.parametrize(
+    ("declared_arw", "declared_vrw", "texts"),
+    [
+        (0.001, 20.0, []),
+        (0.002, 40.0, []),  # a data sheet's limits
+        (0.001, 0.0, []),
+        (0.06, 20.0, ["Angle random walk of all gyros", "declared 0.06 deg/sqrt(h). The uncertainties"]),
+        (0.0005, 20.0, ["others are too small. Declare ins.noise.angle_random_walk_deg_per_sqrt_h: 0.00"]),
+        (0.001, 100.0, ["Velocity random walk", "Declare ins.noise.velocity_random_walk_ug_per_sqrt_hz: 2"]),
+        (0.001, 10.0, ["Velocity random walk", "too small"]),
+    ],
+)
+def test_declared_noise_that_the_data_contradict_is_named_with_what_to_declare(
+    declared_arw: float, declared_vrw: float, texts: list[str]
+) -> None:
+    declared = {
+        "angle_random_walk_deg_per_sqrt_h": declared_arw,
+        "velocity_random_walk_ug_per_sqrt_hz": declared_vrw,
+    }
+    text = noise_sentence(made_up_noise(), {"ins": {"noise": declared}})
+    assert all(each in text for each in texts)
+    assert bool(text) == bool(texts)
+    found = run_findings([], {"ins": {"noise": declared}}, made_up_noise(), [])
+    assert found.get("Declared noise.", "") == text
+
+
+def test_noise_that_is_estimated_or_not_measured_contradicts_no_declaration() -> None:
+    assert noise_sentence(made_up_noise(), {"ins": {"noise": "estimated"}}) == ""
+    declared = {"ins": {"noise": {"angle_random_walk_deg_per_sqrt_h": 0.06}}}
+    assert noise_sentence(None, declared) == ""
+    coarse = [replace(each, velocity_enu_mps=np.round(each.velocity_enu_mps, 1)) for each in simulated()]
+    hidden = estimate_noise(coarse, GRAVITY)
+    assert "Velocity" not in noise_sentence(hidden, declared)
+    declared["ins"]["noise"]["velocity_random_walk_ug_per_sqrt_hz"] = 1e6
+    assert "Velocity random walk: measured below " in noise_sentence(hidden, declared)
+
+
+@pytest.mark.parametrize(
+    ("ug_per_k", "declared", "count"),
+    [
+        (0.0, {"accelerometer_slope_ug_per_c": 0.0}, 0),
+        (1.0, {"accelerometer_slope_ug_per_c": 0.0}, 6),
+        (1.0, {"accelerometer_slope_ug_per_c": 0.0, "accelerometer_drift_ug_per_h": 200.0}, 0),
+        (1.0, {"accelerometer_slope_ug_per_c": 1.0}, 0),
+        (1.0, {}, 6),
+        (1.5, {"accelerometer_slope_ug_per_c": 2.0}, 0),
+        (6.0, {"accelerometer_slope_ug_per_c": 2.0}, 6),
+    ],
+)
+def test_accelerometers_that_follow_the_temperature_more_than_declared_are_named(
+    dwells: list[DwellRow], ug_per_k: float, declared: dict[str, float], count: int
+) -> None:
+    random = np.random.default_rng(5)
+    rows = [
+        replace(
+            row,
+            gyro_c=(8.0 * number,) * 3,
+            case_c=8.0 * number if number % 2 else np.nan,
+            gyro_rate_c_per_h=(100.0 if number < 6 else 1.0,) * 3,
+            accelerometer_ug=tuple(30.0 + ug_per_k * 8.0 * number + random.normal(0.0, 2.0, 3)),
+            accelerometer_sigma_ug=(2.0, 2.0, 800.0),
+        )
+        for number, row in enumerate(dwells)
+    ]
+    station = {"ins": {"uncertainty": declared}}
+    text = accelerometers_sentence(rows, station)
+    assert (f"In {count} dwells that is a drift of up to" in text) == bool(count)
+    assert not count or f"looks like {0.00573 * ug_per_k:.3f} deg/h of a level gyro" in text
+    value = re.search(r"Declare accelerometer_slope_ug_per_c: ([\d.]+) in", text)
+    assert not count or ug_per_k <= 1.02 * float(value[1]) <= 1.15 * ug_per_k
+    unknown = [replace(row, accelerometer_ug=(np.nan,) * 3) for row in rows]
+    assert accelerometers_sentence(unknown, station) == accelerometers_sentence([], {}) == ""
+
+
+@pytest.mark.parametrize(
+    ("are_tested", "latitude_deg", "stated"),
+    [
+        (None, 5.0, ""),
+        (
+            False,
+            36.4,
+            "Signs and axes of the signal map were not tested: the windows are too short, the output is "
+            "too coarse, or the velocities do not follow",
+        ),
+        (True, 36.4, ""),
+        (True, -35, ""),
+        (True, 5.0, "At 5 deg of latitude no dwell shows whether heading and"),
+        (True, -8, "At -8 deg of latitude"),
+    ],
+)
+def test_what_no_dwell_tested_of_the_signal_map_is_stated(
+    are_tested: bool | None, latitude_deg: float, stated: str
+) -> None:
+    station = {"location": {"latitude_deg": latitude_deg}}
+    text = signs_sentence(RunFacts(are_signs_tested=are_tested), station, "mine.yaml")
+    assert text.startswith(stated)
+    assert bool(text) == bool(stated)
