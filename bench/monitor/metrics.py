@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.monitor.run_list import verdict_in
-from gyrobench.bench.monitor.snapshot import RunSnapshot, RunState, UnitStatus
+from gyrobench.bench.monitor.snapshot import UNKNOWN, RunSnapshot, RunState, UnitStatus
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.folder import RunFolder
 
@@ -139,15 +139,15 @@ def _readings(snapshot: RunSnapshot) -> Iterator[_Sample]:
 
 def _single_unit(snapshot: RunSnapshot) -> UnitStatus:
     """The unit of a run with one."""
-    bench, unknown = snapshot.bench, (math.nan, math.nan, math.nan)
+    bench = snapshot.bench
     last = snapshot.dwells[-1] if snapshot.dwells else None
     return UnitStatus(
         number=snapshot.unit,
         ins_mode=bench.ins_mode if bench else "",
-        gyro_c=bench.gyro_c if bench else unknown,
+        gyro_c=bench.gyro_c if bench else UNKNOWN,
         dwells=snapshot.finished_dwells,
-        bias_dph=last.bias_dph if last else unknown,
-        sigma_dph=last.sigma_dph if last else unknown,
+        bias_dph=last.bias_dph if last else UNKNOWN,
+        sigma_dph=last.sigma_dph if last else UNKNOWN,
         flags=last.flags if last else "",
         position=last.position if last else "",
         flagged=sum(bool(dwell.flags) for dwell in snapshot.dwells),

@@ -19,6 +19,7 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
 from gyrobench.bench.monitor.snapshot import (
     MAX_MESSAGES,
+    UNKNOWN,
     Attitude,
     BenchReadings,
     MeasuredProfile,
@@ -83,7 +84,7 @@ def snapshot_of_unit(run: RunSnapshot, folder: RunFolder) -> RunSnapshot:
     bench = run.bench and replace(
         run.bench,
         gyro_c=status.gyro_c,
-        electronics_c=(math.nan,) * 3,
+        electronics_c=UNKNOWN,
         case_c=math.nan,
         ins_mode=status.ins_mode,
         ins_age_s=status.ins_age_s,
@@ -207,12 +208,11 @@ def _attitude(
 ) -> Attitude | None:
     if station is None or bench is None or math.isnan(bench.outer_deg + bench.inner_deg):
         return None
-    east, north, up = station.table.attitude(bench.outer_deg, bench.inner_deg).tolist()
     finished = [entry.get("marks") for entry in journal if entry.get("event") == "dwell_finished"]
     is_rotated = bool(finished) and purpose_of(finished[-1]) is DwellPurpose.ROTATIONS
     last = dwells[-1] if dwells and not is_rotated else None
     position, azimuth_deg = (last.position, last.azimuth_deg) if last else ("", math.nan)
-    return Attitude(position, azimuth_deg, (tuple(east), tuple(north), tuple(up)))
+    return Attitude.of(station.table.attitude(bench.outer_deg, bench.inner_deg), position, azimuth_deg)
 
 
 def _messages(journal: Sequence[Entry]) -> Iterator[Note]:

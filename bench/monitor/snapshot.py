@@ -16,6 +16,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError
 from pydantic_core import to_json
 
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import read_limited
 from gyrobench.bench.navigation.positions import AXES
@@ -25,6 +26,7 @@ Number = Annotated[float, BeforeValidator(lambda value: math.nan if value is Non
 Series = tuple[Number, ...]
 #: Values of the x, y and z gyro.
 NumberTriple = tuple[Number, Number, Number]
+UNKNOWN: NumberTriple = (math.nan, math.nan, math.nan)
 
 
 def mean_known(values: NumberTriple) -> float:
@@ -117,6 +119,12 @@ class Attitude(StrictRecord):
     azimuth_deg: Number  #: Commanded turn about Up from the position's azimuth 0.
     #: Direction cosines from the table's angles: row East, North, Up; column body x, y, z.
     body_in_enu: tuple[NumberTriple, NumberTriple, NumberTriple]
+
+    @classmethod
+    def of(cls, C_nb: FloatArray, position: str, azimuth_deg: float) -> Attitude:
+        """Attitude from the direction cosines (3, 3) of the body axes in ENU."""
+        east, north, up = C_nb.tolist()
+        return cls(position, azimuth_deg, (tuple(east), tuple(north), tuple(up)))
 
     def directions(self) -> str:
         """Directions of the body axes: "x East, y South, z Down", or "x East-North" in between."""

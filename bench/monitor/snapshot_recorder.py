@@ -29,6 +29,7 @@ from gyrobench.bench.monitor.snapshot import (
     MAX_MESSAGES,
     MAX_PLANNED,
     MAX_WINDOW_SAMPLES,
+    UNKNOWN,
     Alarm,
     Attitude,
     BenchReadings,
@@ -38,7 +39,6 @@ from gyrobench.bench.monitor.snapshot import (
     LiveBin,
     MeasuredProfile,
     Note,
-    NumberTriple,
     PlannedProfile,
     PositionSpan,
     Question,
@@ -166,8 +166,8 @@ def _bench_readings(bench: LiveBench) -> BenchReadings:
 
 def _attitude_of(bench: LiveBench, position: str, azimuth_deg: float) -> Attitude:
     """Attitude of the unit from the table's angles, and its commanded position."""
-    east, north, up = bench.station.table.attitude(*bench.table_angles()).tolist()
-    return Attitude(position, azimuth_deg % 360.0, (tuple(east), tuple(north), tuple(up)))
+    C_nb = bench.station.table.attitude(*bench.table_angles())
+    return Attitude.of(C_nb, position, azimuth_deg % 360.0)
 
 
 def _alarms_of(bench: LiveBench) -> tuple[Alarm, ...]:
@@ -175,9 +175,6 @@ def _alarms_of(bench: LiveBench) -> tuple[Alarm, ...]:
     tripped = (Alarm(trip.name, trip.text) for trip in bench.trips())
     silent = (Alarm(name, f"the {name} does not reply; retrying") for name in bench.silent)
     return (*tripped, *silent)
-
-
-_UNKNOWN: NumberTriple = (math.nan, math.nan, math.nan)
 
 
 def _unit_status(bench: LiveBench, number: str, outcome: RunOutcome, bins: tuple[LiveBin, ...]) -> UnitStatus:
@@ -189,10 +186,10 @@ def _unit_status(bench: LiveBench, number: str, outcome: RunOutcome, bins: tuple
     return UnitStatus(
         number=number,
         ins_mode=readings[0].mode.name.lower() if readings else "",
-        gyro_c=readings[0].optics_c if readings else _UNKNOWN,
+        gyro_c=readings[0].optics_c if readings else UNKNOWN,
         dwells=len(outcome.finished),
-        bias_dph=newest[0].bias_dph if newest else _UNKNOWN,
-        sigma_dph=newest[0].sigma_dph if newest else _UNKNOWN,
+        bias_dph=newest[0].bias_dph if newest else UNKNOWN,
+        sigma_dph=newest[0].sigma_dph if newest else UNKNOWN,
         flags=flag_text(newest[0].flags) if newest else "",
         dropped=outcome.reason if outcome.ended == "failed" else "",
         position=newest[0].position if newest else "",

@@ -10,6 +10,7 @@ from rich.text import Text
 
 from gyrobench.bench.foundations.text import counted, hours_minutes
 from gyrobench.bench.monitor.snapshot import (
+    UNKNOWN,
     BenchReadings,
     LiveBias,
     LiveBin,
@@ -244,7 +245,7 @@ def _bins_table(snapshot: RunSnapshot, height: int, plus_minus: str) -> list[Tex
 
 def _filled_tables(snapshot: RunSnapshot) -> list[tuple[str, NumberTriple, list[LiveBin]]]:
     """Name, present temperatures and bins with a dwell, of each unit that is measured and has such bins."""
-    gyro_c = snapshot.bench.gyro_c if snapshot.bench else (math.nan,) * 3
+    gyro_c = snapshot.bench.gyro_c if snapshot.bench else UNKNOWN
     tables = [(unit.number, unit.gyro_c, unit.bins) for unit in snapshot.units if not unit.dropped]
     filled = [
         (name, now_c, [each for each in bins if each.count])
