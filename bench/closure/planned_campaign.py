@@ -94,11 +94,6 @@ def planned_campaign(plan: Plan, unit: UnitProperties) -> Campaign:
             else np.full((len(start_s), *values.shape[1:]), math.nan)
         )
 
-    first_c, last_c = (
-        np.stack([np.interp(each, forecast.time_s, optics_c) for optics_c in forecast.optics_c.T], axis=1)
-        for each in (start_s, end_s)
-    )
-    length_s = (end_s - start_s)[:, np.newaxis]
     walk = np.broadcast_to(unit.angle_random_walk_deg_per_sqrt_h, 3)
     sigma_dph = walk / np.sqrt(gather("navigation_s") / S_PER_H)[:, np.newaxis]
     return Campaign(
@@ -115,7 +110,7 @@ def planned_campaign(plan: Plan, unit: UnitProperties) -> Campaign:
         air_c=mean_of(forecast.air_c),
         case_c=mean_of(forecast.case_c, measured=unit.has_case),
         gyro_c=mean_of(forecast.optics_c),
-        rate_c_per_h=S_PER_H * (last_c - first_c) / length_s,
+        rate_c_per_h=S_PER_H * forecast.changes_c(start_s, end_s) / (end_s - start_s)[:, np.newaxis],
         board_c=mean_of(forecast.electronics_c, measured=unit.has_boards),
         bias_dph=np.zeros((len(navigations), 3)),
         sigma_dph=sigma_dph,

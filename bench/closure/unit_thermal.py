@@ -56,6 +56,14 @@ class Course:
         """Means of values at all times (m,) or (m, k) over n intervals: (n,) or (n, k)."""
         return _means(self.time_s, values, start_s, end_s)
 
+    def changes_c(self, start_s: FloatArray, end_s: FloatArray) -> FloatArray:
+        """Changes of the optics over n intervals, (n, 3)."""
+        first_c, last_c = (
+            np.stack([np.interp(each, self.time_s, optics_c) for optics_c in self.optics_c.T], axis=1)
+            for each in (start_s, end_s)
+        )
+        return np.asarray(last_c - first_c)
+
     @property
     def end(self) -> Course:
         """The last instant alone."""

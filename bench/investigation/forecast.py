@@ -89,11 +89,7 @@ class Forecast:
         if self._above_optics is not None:
             offsets, factors = self._above_optics
             electronics_c = optics_c + offsets + factors * means(course.electronics_c - course.optics_c)
-        first_c, last_c = (
-            np.stack([np.interp(each, course.time_s, optics) for optics in course.optics_c.T], axis=1)
-            for each in edges_s
-        )
-        rate_c_per_h = (last_c - first_c) / (edges_s[1] - edges_s[0])[:, np.newaxis] * S_PER_H
+        rate_c_per_h = course.changes_c(*edges_s) / (edges_s[1] - edges_s[0])[:, np.newaxis] * S_PER_H
         factors = course.means(power, *edges_s)
         set_c, air_c, case_c = (
             means(values, like).tolist()

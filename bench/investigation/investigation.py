@@ -196,53 +196,20 @@ class Investigator:
         folder = self._block_folder
         forecast = self._forecast(stage.closure)
         done = folder / _DONE
-        decided = self._decided(stage, forecast)
-        if decided is not None and done.exists():
-            return self._with_outcome(stage, forecast, decided, read_dwells(done), journal), None
+        best = self._decided(stage, forecast)
+        if best is not None and done.exists():
+            return self._with_outcome(stage, forecast, best, read_dwells(done), journal), None
         while True:
-            left_h = self._budget_h - self._spent_h
-            idle = [kinds for kinds in self._flagged if self._flagged.count(kinds) >= _MAX_FLAGGED]
-            if decided is not None:
-                best, decided = decided, None
-            else:
-                refused = [*self._refused, *idle]
-                measured = [each.proposal.block.kinds for each in self._stages if each.proposal]
-                is_settled = stage.is_uncertain and stage.purpose != DISTINGUISH
-                found = propose(
-                    forecast,
-                    stage.rivals,
-                    PossibleBlocks(self._bench, left_h, refused, measured),
-                    self._profile,
-                    stage.calibration if stage.is_uncertain else None,
-                    is_settled=is_settled,
-                )
-                useful = [
-                    each
-                    for each in found
-                    if (each.can_help or each.replaced_h > MIN_GAIN)
-                    and (stage.purpose != TEST_LAW or stage.is_uncertain or each.block.name == NEW_CYCLE)
-                ]
-                if not useful and stage.is_uncertain:
-                    return stage, (
-                        "budget",
-                        f"No block is short enough for the {left_h:.1f} h that are left.",
-                    )
-                if not useful:
+            if best is None:
+                best = self._best_block(stage, forecast)
+                if best is None:
                     return stage, self._no_block(stage)
-                if is_settled:
-                    best = proposal_of(forecast, useful[0].block, stage.rivals)
-                elif stage.is_test:
-                    best = max(useful, key=lambda each: each.tested_per_h)
-                elif self._profile:
-                    best = min(useful, key=hours_left(useful))
-                else:
-                    best = useful[0]
                 if not self._is_approved(best, stage, journal):
                     return stage, ("declined", "The proposed block was declined.")
             try:
                 rows = self._bench.measure(best.block.plan, folder)
             except BlockRefusedError as error:
-                kinds = best.block.kinds
+                kinds, best = best.block.kinds, None
                 self._refused[kinds] = str(error)
                 journal.record("refused", number=self._blocks + 1, kinds=kinds, reason=str(error))
                 continue
@@ -252,7 +219,40 @@ class Investigator:
             write_dwells(done, rows)
             return self._with_outcome(stage, forecast, best, rows, journal), None
 
+    def _best_block(self, stage: Stage, forecast: Forecast) -> Proposal | None:
+        """The best block for the purpose of a stage; None if none is useful."""
+        idle = [kinds for kinds in self._flagged if self._flagged.count(kinds) >= _MAX_FLAGGED]
+        measured = [each.proposal.block.kinds for each in self._stages if each.proposal]
+        is_settled = stage.is_uncertain and stage.purpose != DISTINGUISH
+        found = propose(
+            forecast,
+            stage.rivals,
+            PossibleBlocks(self._bench, self._left_h, [*self._refused, *idle], measured),
+            self._profile,
+            stage.calibration if stage.is_uncertain else None,
+            is_settled=is_settled,
+        )
+        useful = [
+            each
+            for each in found
+            if (each.can_help or each.replaced_h > MIN_GAIN)
+            and (stage.purpose != TEST_LAW or stage.is_uncertain or each.block.name == NEW_CYCLE)
+        ]
+        if not useful:
+            return None
+        if is_settled:
+            return proposal_of(forecast, useful[0].block, stage.rivals)
+        if stage.is_test:
+            return max(useful, key=lambda each: each.tested_per_h)
+        return min(useful, key=hours_left(useful)) if self._profile else useful[0]
+
+    @property
+    def _left_h(self) -> float:
+        return self._budget_h - self._spent_h
+
     def _no_block(self, stage: Stage) -> tuple[str, str]:
+        if stage.is_uncertain:
+            return "budget", f"No block is short enough for the {self._left_h:.1f} h that are left."
         closure, best = stage.closure, stage.rivals[0]
         not_on_list = closure.posterior.not_on_list
         if closure.verdict == "unexplained" and not_on_list > 0.5:
@@ -358,7 +358,6 @@ class Investigator:
             for each in self._stages
             if each.confirmation and each.confirmed[0].names == names
         )
-        is_listed = posterior.not_on_list <= 1.0 - SETTLED
         if is_settled(stage.closure) or (
             is_confirmed and only_unconfirmed(stage.closure, with_weak=not (is_last or self._is_late))
         ):
@@ -366,22 +365,8 @@ class Investigator:
                 return ("refuted", f"A block contradicts what {' + '.join(names)} predicted for it.")
             if tested is not None and set(names) >= SLOW:
                 return "not_on_list", _ONE_SLOW_LAW
-            what = listed(sorted(map(stage.closure.label, names))) or "nothing beside the declared model"
-            reason = f"{what.capitalize()}: probability {cause_probability(stage.closure):.4f}."
-            if not is_listed:
-                share = remainder_share(stage.closure)
-                reason += (
-                    f" Not excluded beside it: an unlisted effect, probability "
-                    f"{posterior.not_on_list:.4f}, {100.0 * share:.0f} % of its size."
-                )
-            general = {other for name in names for other in posterior.more_general.get(name, ())}
-            for each in sorted(general & posterior.of_effect.keys()):
-                label = stage.closure.label(each)
-                reason += f" Of a more general law, {label}: probability {posterior.of_effect[each]:.4f}."
-            if weak := posterior.rivals(names):
-                others = (f"{stage.closure.label(each)} ({value:.2f})" for each, value in weak.items())
-                reason += f" Not excluded beside it, but not shown: {', '.join(others)}."
-            return "settled", reason
+            return "settled", _settled_reason(stage.closure)
+        is_listed = posterior.not_on_list <= 1.0 - SETTLED
         if stage.closure.verdict == "clean" and is_listed and not posterior.rivals(()):
             return "nothing_found", (
                 f"Nothing found: the declared model alone has the probability {posterior.nothing:.4f}, above "
@@ -449,6 +434,26 @@ class Investigator:
             ],
         )
         return replace(stage, proposal=proposal, outcome=outcome, confirmation=confirmation)
+
+
+def _settled_reason(closure: Closure) -> str:
+    """The cause with its probability, and what is not excluded beside it."""
+    posterior, names = closure.posterior, sorted(closure.names)
+    what = listed(sorted(map(closure.label, names))) or "nothing beside the declared model"
+    reason = f"{what.capitalize()}: probability {cause_probability(closure):.4f}."
+    if posterior.not_on_list > 1.0 - SETTLED:
+        reason += (
+            f" Not excluded beside it: an unlisted effect, probability {posterior.not_on_list:.4f}, "
+            f"{100.0 * remainder_share(closure):.0f} % of its size."
+        )
+    general = {other for name in names for other in posterior.more_general.get(name, ())}
+    for each in sorted(general & posterior.of_effect.keys()):
+        label = closure.label(each)
+        reason += f" Of a more general law, {label}: probability {posterior.of_effect[each]:.4f}."
+    if weak := posterior.rivals(names):
+        others = (f"{closure.label(each)} ({value:.2f})" for each, value in weak.items())
+        reason += f" Not excluded beside it, but not shown: {', '.join(others)}."
+    return reason
 
 
 def _probabilities(closure: Closure) -> dict[str, Any]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -39,7 +38,7 @@ def searched(campaign: Campaign, held_out: Sequence[int]) -> Closure:
     A single power cycle does not exclude ageing, so that a search leaves it out; the next block may have
     another one.
     """
-    effects = all_effects(*(Path(each.name) for each in campaign.tables))
+    effects = all_effects(*campaign.sources)
     if searched_length_s(campaign.holding_out(held_out)) > _MIN_AGEING_S:
         effects = tuple(_in_one_power_cycle(each) if each.name == "ageing" else each for each in effects)
     return close_loop(campaign, held_out, effects)
