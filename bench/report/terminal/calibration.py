@@ -16,6 +16,7 @@ from gyrobench.bench.calibration.problem import UNEXPLAINED_P_VALUE
 from gyrobench.bench.calibration.results import (
     NOT_OBSERVABLE,
     CoefficientRow,
+    RestRate,
     coefficient_rows,
     common_scale_ppm,
     expected_rows,
@@ -64,13 +65,8 @@ def calibration_summary(
         Text(f"Coefficients in the body frame of the {calibration.frame}", style="bold"),
         table,
         Text(),
-        topics([*_findings(calibration), *_topics(calibration, site, left_out), *spin_topics]),
+        topics([*_topics(calibration, site, left_out), *spin_topics]),
     )
-
-
-def _findings(calibration: Calibration) -> Iterator[tuple[str, str]]:
-    for each in calibration.findings:
-        yield "Check", f"{each}."
 
 
 def expected_summary(
@@ -116,8 +112,35 @@ def _cells(row: CoefficientRow) -> tuple[str, ...]:
 
 
 def _topics(calibration: Calibration, site: Site, left_out: tuple[int, int]) -> Iterator[tuple[str, str]]:
-    kinds = Counter(turn.kind for turns in calibration.rotations for turn in turns)
     rests = rest_rates(calibration)
+    kinds = Counter(turn.kind for turns in calibration.rotations for turn in turns)
+    for each in calibration.findings:
+        yield "Check", f"{each}."
+    yield from _data_topics(calibration, rests, kinds, left_out)
+    yield from _input_topics(calibration)
+    yield from _rest_topics(rests, site)
+    yield "Fit", _fit_sentence(calibration)
+    pairs = strongest_correlations(calibration, _MIN_CORRELATION)[:_MAX_PAIRS]
+    if pairs:
+        texts = [
+            f"{plain_name(a.name)} {a.axis} and {plain_name(b.name)} {b.axis} {value:+.2f}"
+            for a, b, value in pairs
+        ]
+        yield "Correlated", "; ".join(texts)
+    yield from _scale_topics(calibration)
+    if text := _asymmetry_text(calibration, site):
+        yield "Asymmetry", text
+    if text := _vibration_text(calibration):
+        yield "Vibration", text
+    missing = [row for row in coefficient_rows(calibration) if row.finding]
+    if missing:
+        yield "Not observable", f"{_named(missing)}: {_advice(kinds)}"
+
+
+def _data_topics(
+    calibration: Calibration, rests: Sequence[RestRate], kinds: Counter[str], left_out: tuple[int, int]
+) -> Iterator[tuple[str, str]]:
+    """What was found in the log, and its noise."""
     at_rest_s = sum(rest.duration_s for rest in rests)
     found = [counted(len(rests), "rest"), *(counted(count, kind) for kind, count in kinds.items())]
     yield "Found", f"{listed(found)}; {at_rest_s:.0f} s at rest"
@@ -135,6 +158,10 @@ def _topics(calibration: Calibration, site: Site, left_out: tuple[int, int]) -> 
         f"white angle {_three(1e6 * noise.white_angle)} urad, velocity random walk "
         f"{_three(noise.velocity_random_walk / UG_PER_SQRT_HZ_TO_SI)} ug/sqrt(Hz)",
     )
+
+
+def _input_topics(calibration: Calibration) -> Iterator[tuple[str, str]]:
+    """What errors of gravity, time and latitude add to the uncertainties."""
     gravity, sigma = calibration.gravity_and_sigma
     yield (
         "Gravity",
@@ -157,23 +184,22 @@ def _topics(calibration: Calibration, site: Site, left_out: tuple[int, int]) -> 
             f"± {calibration.options.latitude_sigma * RAD_TO_ARCMIN:.2g} arcmin: up to "
             f"{np.sqrt(variances.max()) * RADPS_TO_DPH:.2g} deg/h of the gyro biases, included",
         )
+
+
+def _rest_topics(rests: Sequence[RestRate], site: Site) -> Iterator[tuple[str, str]]:
+    """Rate of each rest, of a few, beside that of the Earth."""
     up_dph = earth_rate_enu(site.latitude)[2] * RADPS_TO_DPH
-    if len(rests) <= _MAX_RESTS:
-        for rest in rests:
-            yield (
-                "At rest",
-                f"from {rest.start_s:.0f} s for {rest.duration_s:.0f} s: rate {rest.rate_dph:.3f} deg/h, "
-                f"vertical {rest.up_rate_dph:.3f} ± {rest.up_sigma_dph:.3f} deg/h (Earth {up_dph:.3f}), "
-                "biases included",
-            )
-    yield "Fit", _fit_sentence(calibration)
-    pairs = strongest_correlations(calibration, _MIN_CORRELATION)[:_MAX_PAIRS]
-    if pairs:
-        texts = [
-            f"{plain_name(a.name)} {a.axis} and {plain_name(b.name)} {b.axis} {value:+.2f}"
-            for a, b, value in pairs
-        ]
-        yield "Correlated", "; ".join(texts)
+    for rest in rests if len(rests) <= _MAX_RESTS else ():
+        yield (
+            "At rest",
+            f"from {rest.start_s:.0f} s for {rest.duration_s:.0f} s: rate {rest.rate_dph:.3f} deg/h, "
+            f"vertical {rest.up_rate_dph:.3f} ± {rest.up_sigma_dph:.3f} deg/h (Earth {up_dph:.3f}), "
+            "biases included",
+        )
+
+
+def _scale_topics(calibration: Calibration) -> Iterator[tuple[str, str]]:
+    """Scale factors that are wrong alike, as by a wrong clock."""
     for sensor, cause in (
         ("accelerometer", "gravity, a height (3.2 m a ppm) or a clock of increments"),
         ("gyro", "a clock of rates"),
@@ -184,13 +210,6 @@ def _topics(calibration: Calibration, site: Site, left_out: tuple[int, int]) -> 
                 f"all {sensor} scale factors are about {common:+.0f} ppm: {cause} that is wrong by as much "
                 "does the same",
             )
-    if text := _asymmetry_text(calibration, site):
-        yield "Asymmetry", text
-    if text := _vibration_text(calibration):
-        yield "Vibration", text
-    missing = [row for row in coefficient_rows(calibration) if row.finding]
-    if missing:
-        yield "Not observable", f"{_named(missing)}: {_advice(kinds)}"
 
 
 def _asymmetry_text(calibration: Calibration, site: Site) -> str:

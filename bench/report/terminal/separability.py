@@ -90,10 +90,8 @@ def closure_forecast(
     ]
     if not ties:
         return Group(*parts, Text("The search leaves no tie."))
-    table = titled_table()
-    for header in ("found", "tied with", "now", "plan alone", "if found", "if tied"):
-        is_word = header in ("found", "tied with")
-        table.add_column(header, justify="left" if is_word else "right", no_wrap=not is_word)
+    words = ("found", "tied with")
+    table = titled_table(headers=(*words, "now", "plan alone", "if found", "if tied"), words=words)
     for each in ties:
         odds = [_odds(value) for value in (each.now, each.alone, each.if_found, each.if_other)]
         table.add_row(closure.label(each.found), closure.label(each.other), *odds)
@@ -161,10 +159,8 @@ def _basis(separability: Separability, dwells: int, unit: UnitProperties) -> str
 
 
 def _table(separability: Separability, seen: Sequence[Detection]) -> Table:
-    table = titled_table()
-    for header in ("effect", "found", "worst", "VIF", "alternative", "distinct"):
-        is_word = header in ("effect", "alternative")
-        table.add_column(header, justify="left" if is_word else "right", no_wrap=not is_word)
+    headers = ("effect", "found", "worst", "VIF", "alternative", "distinct")
+    table = titled_table(headers=headers, words=("effect", "alternative"))
     for each in seen:
         nearest, size_dph = separability.nearest_alternative(each.effect.name) or ("none", each.typical_dph)
         inflation = f"x{each.inflation:.1f}" if each.inflation < _MAX_INFLATION else "x>1000"

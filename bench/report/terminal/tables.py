@@ -137,9 +137,15 @@ def timeline_table(rows: Sequence[TimelineRow], total_s: float) -> Table:
     return table
 
 
-def titled_table(title: str | None = None, *, show_footer: bool = False) -> Table:
-    """Table without room between its columns."""
-    return Table(
+def titled_table(
+    title: str | None = None,
+    headers: Sequence[str] = (),
+    words: Sequence[str] = (),
+    *,
+    show_footer: bool = False,
+) -> Table:
+    """Table without room between its columns; ``words`` are the headers of those that may be wrapped."""
+    table = Table(
         title=title,
         title_justify="left",
         title_style="bold",
@@ -149,6 +155,10 @@ def titled_table(title: str | None = None, *, show_footer: bool = False) -> Tabl
         padding=0,
         show_footer=show_footer,
     )
+    for header in headers:
+        is_word = header in words
+        table.add_column(header, justify="left" if is_word else "right", no_wrap=not is_word)
+    return table
 
 
 _STYLES = {CheckVerdict.PASS: "green", CheckVerdict.FAIL: "bold red", CheckVerdict.SKIPPED: "yellow"}
