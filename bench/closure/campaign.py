@@ -96,6 +96,11 @@ class Campaign:
         return self if self.part_of is None else self.part_of[0]
 
     @property
+    def sources(self) -> list[Path]:
+        """Paths of the tables and runs that it was read from."""
+        return [Path(table.name) for table in self.tables]
+
+    @property
     def fingerprints(self) -> list[str]:
         """Each dwell by its biases and temperatures, as they remain in a copied, joined or renamed table."""
         rows = np.concatenate([self.bias_dph, self.gyro_c], axis=1).tolist()

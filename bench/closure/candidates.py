@@ -237,6 +237,11 @@ def stack(candidates: Sequence[Candidate], campaign: Campaign) -> tuple[FloatArr
     return columns, np.concatenate([each.kept for each in candidates], axis=1)
 
 
+def after_fit(problem: Problem, candidates: Sequence[Candidate]) -> Problem:
+    """Problem after a fit of the terms that candidates keep; the same without any."""
+    return problem.with_columns(*stack(candidates, problem.campaign)) if candidates else problem
+
+
 def solve_with(problem: Problem, candidates: Sequence[Candidate]) -> Solution:
     """Fit the declared model with the terms that candidates keep."""
     return solve_terms(problem, [(each.columns(problem.campaign), each.kept) for each in candidates])

@@ -19,12 +19,12 @@ from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import (
     Candidate,
     Hypothesis,
+    after_fit,
     best_start,
     bic_penalty,
     fit_hypothesis,
     refine,
     solve_with,
-    stack,
 )
 from gyrobench.bench.closure.effects.effect_file import EffectFile
 from gyrobench.bench.closure.effects.grammar import DRIVERS, EVENTS, driver_label, driver_values
@@ -85,7 +85,7 @@ def compose(problem: Problem, effects_found: Sequence[Candidate]) -> Composed:
     """
     campaign, searched = problem.campaign, problem.searched
     found = list(effects_found)[: MAX_EFFECTS - 1]
-    beside = problem.with_columns(*stack(found, campaign)) if found else problem
+    beside = after_fit(problem, found)
     penalty, files = bic_penalty(problem), list(_laws(campaign, {each.effect.name for each in found}))
     starts: list[tuple[float, EffectFile, Candidate]] = []
     for file in files:

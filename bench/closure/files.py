@@ -268,7 +268,7 @@ def format_predictions(closure: Closure) -> str:
 
 def _is_simulated(closure: Closure) -> bool:
     """Whether a table is of a run with emulated instruments."""
-    return bool(watermark_of(*(Path(table.name) for table in closure.campaign.tables)))
+    return bool(watermark_of(*closure.campaign.sources))
 
 
 def model_document(closure: Closure) -> dict[str, Any]:

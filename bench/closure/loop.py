@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.candidates import Candidate, Hypothesis, solve_with, stack
+from gyrobench.bench.closure.candidates import Candidate, Hypothesis, after_fit, solve_with
 from gyrobench.bench.closure.compose import compose
 from gyrobench.bench.closure.confounding import confounding
 from gyrobench.bench.closure.effects import all_effects
@@ -53,9 +53,8 @@ def close_loop(
     effects : sequence of Effect, optional
         Candidates; by default all installed ones and those of the user's files.
     """
-    sources = [Path(each.name) for each in campaign.tables]
     sensor = campaign.quantity.sensor
-    candidates = all_effects(*sources, sensor=sensor) if effects is None else tuple(effects)
+    candidates = all_effects(*campaign.sources, sensor=sensor) if effects is None else tuple(effects)
     searched = _searched(campaign, hold_out_cycles)
     campaign = campaign.holding_out(np.unique(campaign.cycle[~searched]).tolist())
     return _closure(campaign, searched, candidates)
@@ -79,9 +78,7 @@ def _closure(campaign: Campaign, searched: BoolArray, candidates: Sequence[Effec
     errors_dph = [measured_minus(campaign, searched, each) for each in (declared, model)]
     before_dph, after_dph = (each[~searched] for each in errors_dph)
     held_out = held_out_test(
-        problem.with_columns(*stack(found.candidates, campaign)) if found.candidates else problem,
-        errors_dph[1],
-        model_draws.bias_dph(campaign) - model.bias_dph,
+        after_fit(problem, found.candidates), errors_dph[1], model_draws.bias_dph(campaign) - model.bias_dph
     )
     noise_dph = campaign.sigma_dph[~searched] * problem.noise_scale
     others = campaign.part(~searched)

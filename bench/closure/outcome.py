@@ -173,9 +173,8 @@ class Closure:
     declared_draws: Draws
     model_draws: Draws
     composed: Composed | None = None  #: Laws composed from the grammar; None if that was not asked for.
-    held_out_in_turn: tuple[
-        HeldOutCycle, ...
-    ] = ()  #: Each cycle held out in turn; empty if that was not asked for.
+    #: Each cycle held out in turn; empty if that was not asked for.
+    held_out_in_turn: tuple[HeldOutCycle, ...] = ()
     #: Names of the laws found that were composed from held-out dwells, which can't confirm them.
     circular: tuple[str, ...] = ()
 
@@ -201,6 +200,15 @@ class Closure:
         """
         return self.model_draws.sigma(self.model_draws.bias_dph(self.campaign), self.model.bias_dph)
 
+    @property
+    def dwell_noise_dph(self) -> FloatArray:
+        """Standard deviation of the noise in all dwells (n, 3), deg/h; NaN where nothing was measured."""
+        return self.campaign.known_sigma_dph * self.noise_scale
+
+    def residuals_dph(self, model: Solution) -> FloatArray:
+        """Measured bias minus a model (n, 3), deg/h, see :func:`~.validation.measured_minus`."""
+        return measured_minus(self.campaign, self.searched, model)
+
     def label(self, name: str) -> str:
         """Label of a candidate effect."""
         return next(
@@ -211,6 +219,11 @@ class Closure:
     def names(self) -> tuple[str, ...]:
         """Names of the effects found."""
         return tuple(each.effect.name for each in self.effects)
+
+    @property
+    def tied(self) -> set[str]:
+        """Names of the effects tied with one that was found."""
+        return {name for each in self.effects for name in each.tied_with}
 
     @property
     def probability(self) -> float:
@@ -247,9 +260,8 @@ class Closure:
         gyros, held_out = self.held_out.gyros, ~self.searched
         if not gyros:
             return None
-        errors_dph = measured_minus(self.campaign, self.searched, self.model)[held_out]
-        noise_dph = self.campaign.known_sigma_dph * self.noise_scale
-        expected_dph = np.hypot(noise_dph, self.prediction_sigma_dph)[held_out]
+        errors_dph = self.residuals_dph(self.model)[held_out]
+        expected_dph = np.hypot(self.dwell_noise_dph, self.prediction_sigma_dph)[held_out]
         error, expected = (rms_of_known(each[:, gyros]) for each in (errors_dph, expected_dph))
         place = self.quantity.place(self.held_out_axes)
         cycles = np.unique(self.campaign.cycle[self.searched])
@@ -270,7 +282,7 @@ class Closure:
         if self.verdict != "unexplained":
             return None
         campaign, mine, where = self.campaign, self.searched, ""
-        residual = measured_minus(campaign, self.searched, self.model)
+        residual = self.residuals_dph(self.model)
         if self.differs_held_out:
             mine, where = ~mine, f" of the {self.quantity.place(self.held_out_axes)} in the held-out dwells"
             residual = residual[:, self.held_out.gyros]

@@ -149,8 +149,7 @@ def _too_small(rows: Sequence[DwellRow]) -> Iterator[str]:
     wrong = [gyro for gyro, walk in walks.items() if walk < _MIN_RANDOM_WALK]
     if not wrong:
         return
-    gyros = ",".join("xyz"[gyro] for gyro in wrong)
-    gyros = f"{{{gyros}}}" if len(wrong) > 1 else gyros
+    gyros = _axes(["xyz"[gyro] for gyro in wrong])
     walk = max(walks[gyro] for gyro in wrong)
     low, high = _USUAL_RANDOM_WALK
     units = {unit: factor for unit, factor in _RATE_UNITS.items() if low <= walk * factor <= high}
@@ -252,13 +251,17 @@ def _degrees_fahrenheit(rows: Sequence[DwellRow]) -> Iterator[str]:
             if abs(gyro_c / other_c / _DEGF_PER_DEGC - 1.0) <= _SAME_RANGE
         ]
         if found:
-            axes = ",".join(axis for axis, _ in found)
-            axes = f"{{{axes}}}" if len(found) > 1 else axes
+            axes = _axes([axis for axis, _ in found])
             yield (
                 f"gyro_{axes}_c changes by {found[0][1]:.0f} degC in all, but {name} by {other_c:.0f} degC: "
                 f"gyro_{axes}_c seems to be in degF: correct its values"
             )
             return
+
+
+def _axes(names: Sequence[str]) -> str:
+    """Axes in the name of their columns: "x", "{x,z}"."""
+    return f"{{{','.join(names)}}}" if len(names) > 1 else names[0]
 
 
 def _range(values: Sequence[float]) -> float:

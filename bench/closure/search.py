@@ -13,6 +13,7 @@ from gyrobench.bench.bias.statistics import chi2_p_value
 from gyrobench.bench.closure.candidates import (
     Candidate,
     Hypothesis,
+    after_fit,
     best_start,
     fit_hypothesis,
     hypothesis,
@@ -228,7 +229,7 @@ class Search:
 
     def _added(self, to: Hypothesis, effect: Effect) -> Hypothesis | None:
         problem, campaign = self.problem, self.problem.campaign
-        beside = problem.with_columns(*stack(to.candidates, campaign)) if to.candidates else problem
+        beside = after_fit(problem, to.candidates)
         found, failed = [], []
         for form in effect.forms:
             if form.missing_input(campaign):
@@ -335,10 +336,7 @@ class Search:
     def _is_contained(self, special: Hypothesis, laws: Iterable[Sequence[Candidate]]) -> bool:
         """Whether one of several sets of effects reproduces a hypothesis."""
         problem, target = self.problem, stack(special.candidates, self.problem.campaign)
-        return any(
-            problem.with_columns(*stack(each, problem.campaign)).independent_share(*target) < SAME_SHARE
-            for each in laws
-        )
+        return any(after_fit(problem, each).independent_share(*target) < SAME_SHARE for each in laws)
 
 
 def _at_bounds(candidates: Sequence[Candidate]) -> Iterator[list[Candidate]]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.candidates import Hypothesis, fit_hypothesis, refine, stack
+from gyrobench.bench.closure.candidates import Hypothesis, after_fit, fit_hypothesis, refine
 from gyrobench.bench.closure.effects.effect import Effect
 from gyrobench.bench.closure.noise import CampaignNoise, estimate_campaign_noise, outweighing_dwell
 from gyrobench.bench.closure.posterior import Posterior
@@ -48,8 +48,7 @@ class Selected:
     @cached_property
     def with_effects(self) -> Problem:
         """The problem after a fit of the best effects."""
-        problem, candidates = self.search.problem, self.best.candidates
-        return problem.with_columns(*stack(candidates, problem.campaign)) if candidates else problem
+        return after_fit(self.search.problem, self.best.candidates)
 
     @cached_property
     def after(self) -> LackOfFit:

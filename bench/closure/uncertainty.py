@@ -17,7 +17,7 @@ from statistics import NormalDist
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.candidates import Candidate, stack
+from gyrobench.bench.closure.candidates import Candidate, after_fit, stack
 from gyrobench.bench.closure.effects.effect import Parameter
 from gyrobench.bench.closure.problem import DEGREE, MIN_SHARE, Problem, declared_columns, with_mean_constants
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
@@ -126,7 +126,7 @@ def draw(problem: Problem, candidates: Sequence[Candidate]) -> Draws:
 
 def _with_noise_of_residuals(problem: Problem, candidates: Sequence[Candidate]) -> Problem:
     """Same problem with the noise that its residuals show, as far as they know it better than is stated."""
-    after = problem.with_columns(*stack(candidates, problem.campaign)) if candidates else problem
+    after = after_fit(problem, candidates)
     dof = max(after.dof - sum(len(each.values) for each in candidates), 1)
     ratio = max(after.chi2 / dof, 1e-12) ** (0.5 / (1.0 + 0.5 / dof / _PRIOR_SCALE**2))
     return replace(problem, noise_scale=problem.noise_scale * ratio, residuals=problem.residuals / ratio)

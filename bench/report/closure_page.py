@@ -155,7 +155,7 @@ def effect_table(closure: Closure) -> SectionTable:
 def evidence_table(closure: Closure) -> SectionTable:
     """Each candidate alone, without columns that would be empty."""
     found = set(closure.names)
-    tied = {name for each in closure.effects for name in each.tied_with}
+    tied = closure.tied
     explanations = {
         "share": "" if text.is_noise_only(closure) else "share of excess variance explained",
         "p": "corrected for all candidate fits",
@@ -267,8 +267,8 @@ def _error(closure: Closure) -> Section:
     if not held_out.any():
         return Section("Held-out error", [text.error_sentence(closure)])
     sigma_dph = closure.prediction_sigma_dph[held_out]
-    errors = {name: text.residuals_dph(closure, model) for name, model in text.models_of(closure).items()}
-    errors["noise"] = text.noise_dph(closure)
+    errors = {name: closure.residuals_dph(model) for name, model in text.models_of(closure).items()}
+    errors["noise"] = closure.dwell_noise_dph
     rows = [
         [name, *(scale.text(rms_of_known(each)) for each in (*values_dph[held_out].T, values_dph[held_out]))]
         for name, values_dph in errors.items()
@@ -368,7 +368,7 @@ def write_closure_page(folder: Path, closure: Closure, source: str, dwells: Path
     findings = replace(
         closure_findings(closure, source),
         dwells_sha256=file_sha256(dwells) if dwells else "",
-        watermark=watermark_of(folder, *(Path(table.name) for table in closure.campaign.tables)),
+        watermark=watermark_of(folder, *closure.campaign.sources),
     )
     return write_findings(folder / "closure.html", findings)
 

@@ -15,8 +15,8 @@ from gyrobench.bench.closure.outcome import CandidateResult, Closure, FoundEffec
 from gyrobench.bench.closure.posterior import CLEAN, EXPLAINED, RIVAL
 from gyrobench.bench.closure.problem import Solution
 from gyrobench.bench.closure.search import EFFECT_SIGNIFICANCE
-from gyrobench.bench.closure.validation import LACK_OF_FIT_P, measured_minus
-from gyrobench.bench.foundations.arrays import S_PER_H, FloatArray, rms_of_known
+from gyrobench.bench.closure.validation import LACK_OF_FIT_P
+from gyrobench.bench.foundations.arrays import S_PER_H, rms_of_known
 from gyrobench.bench.foundations.text import counted, decimals_of, listed, probability_number, with_sigma
 from gyrobench.bench.report.number_format import BiasScale, odds_text, p_phrase, share_text, size_text
 
@@ -29,20 +29,10 @@ _WORTH_STATING = 0.005
 _LIKELY = 0.5
 
 
-def residuals_dph(closure: Closure, model: Solution) -> FloatArray:
-    """Measured bias minus a model (n, 3), deg/h, without the mean of power cycles that were not searched."""
-    return measured_minus(closure.campaign, closure.searched, model)
-
-
 def models_of(closure: Closure) -> dict[str, Solution]:
     """The declared model, and where effects were found the model with them."""
     effects = {"with the effects found": closure.model} if closure.effects else {}
     return {"declared model": closure.declared, **effects}
-
-
-def noise_dph(closure: Closure) -> FloatArray:
-    """Standard deviation of the noise in all dwells (n, 3), deg/h."""
-    return closure.campaign.known_sigma_dph * closure.noise_scale
 
 
 def is_noise_only(closure: Closure) -> bool:
@@ -293,7 +283,7 @@ def power_sentence(closure: Closure) -> str:
 
 def before_sentence(closure: Closure) -> str:
     """Residual of the declared model in the dwells searched, compared with the noise."""
-    size = rms_of_known(residuals_dph(closure, closure.declared)[closure.searched])
+    size = rms_of_known(closure.residuals_dph(closure.declared)[closure.searched])
     p, quantity, unit = p_phrase(closure.before.p_value), closure.quantity, closure.quantity.unit
     residual = (
         f"The residual of the declared model (a cubic in each {quantity.sensor}'s temperature and one "
@@ -314,7 +304,7 @@ def before_sentence(closure: Closure) -> str:
 
 def rejection_sentences(closure: Closure) -> list[str]:
     """Candidates that are significant alone and not found, by reason."""
-    tied = {name for each in closure.effects for name in each.tied_with}
+    tied = closure.tied
     by_reason: dict[str, list[str]] = {}
     for each in closure.evidence:
         if each.rejected and each.effect.name not in tied:
@@ -421,7 +411,7 @@ def error_sentence(closure: Closure) -> str:
         after = with_sigma(closure.error_after_dph, closure.error_after_sigma_dph)
         models += f" and {after} {unit} with {found_labels(closure)}"
     dwells = counted(int(held_out.sum()), "dwell")
-    sizes = (noise_dph(closure), closure.prediction_sigma_dph)
+    sizes = (closure.dwell_noise_dph, closure.prediction_sigma_dph)
     noise, sigma = (rms_of_known(each[held_out]) for each in sizes)
     far = outliers_text(closure.held_out.outliers)
     explain = f"explain the {'others' if far else 'errors'}"

@@ -43,7 +43,7 @@ def write_investigation_page(
             "blocks": f"{len(found.stages) - 1}, {found.spent_h - first_h:.1f} h",
             "verdict": f"{found.closure.verdict}: {verdict_sentence(found.closure)}",
         },
-        watermark=watermark_of(folder, *(Path(each.name) for each in found.closure.campaign.tables)),
+        watermark=watermark_of(folder, *found.closure.campaign.sources),
         sections=[
             _history(found, approvals_in(folder)),
             *_blocks(found),

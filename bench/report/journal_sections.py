@@ -257,8 +257,7 @@ class _Gathered:
             self.events[index] = replace(self.events[index], outcome=outcome)
 
     def _tripped(self, entry: Entry) -> None:
-        index = self._add(entry, "interlock", str(entry.get("why")), "")
-        self._await("safe", None, index)
+        self._await("safe", None, self._add(entry, "interlock", str(entry.get("why"))))
 
     def _made_safe(self, entry: Entry) -> None:
         found = entry.get("actions")

@@ -45,7 +45,7 @@ def write_units_report(folder: RunFolder, prepared_by: str = "", vectors: Sequen
         sections=[
             _units_section(content, units),
             Section("Reports", items=[PurePosixPath("units", unit.name, "report.html") for unit in units]),
-            *filter(None, [events_section(content.journal)]),
+            events_section(content.journal),
             durations_section(content.took),
         ],
     )

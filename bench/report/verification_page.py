@@ -202,7 +202,7 @@ def write_verification_page(folder: Path, result: VerificationResult, dwells: Pa
     findings = replace(
         verification_findings(result),
         dwells_sha256=file_sha256(dwells) if dwells else "",
-        watermark=watermark_of(folder, *(Path(each.name) for each in result.closure.campaign.tables)),
+        watermark=watermark_of(folder, *result.closure.campaign.sources),
     )
     return write_findings(folder / "verification.html", findings)
 

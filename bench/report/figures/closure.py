@@ -10,16 +10,9 @@ import numpy as np
 
 from gyrobench.bench.closure.outcome import Closure, FoundEffect
 from gyrobench.bench.closure.search import EFFECT_SIGNIFICANCE
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms_of_known
+from gyrobench.bench.foundations.arrays import S_PER_H, BoolArray, FloatArray, rms_of_known
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, position_label
-from gyrobench.bench.report.closure_text import (
-    held_out_cycles,
-    is_noise_only,
-    models_of,
-    noise_dph,
-    residuals_dph,
-    scale_of_errors,
-)
+from gyrobench.bench.report.closure_text import held_out_cycles, is_noise_only, models_of, scale_of_errors
 from gyrobench.bench.report.figures.style import (
     GYRO_STYLES,
     common_legend,
@@ -41,7 +34,7 @@ _KIND_COLOURS = {"found": _FOUND_COLOUR, "tied": _TIED_COLOUR, "others": _OTHER_
 _NOTE_COLOUR, _NOISE_COLOUR, _BAND_COLOUR = "#666666", "#222222", "#E3E3E3"
 _NOISE_LABEL = "± noise (k = 1)"
 _HELD_OUT_COLOUR = "#D55E00"
-_S_PER_H, _PERCENT = 3600.0, 100.0
+_PERCENT = 100.0
 _MARGIN, _POINT_SIZE, _BAR_HEIGHT_IN, _MAX_POWER = 1.1, 2.2, 0.27, 12.0
 #: Share of a position's width over which its dwells are spread, in the order of time.
 _SPREAD = 0.7
@@ -82,8 +75,8 @@ def closure_residual_figure(closure: Closure, gyro: str) -> Figure:
     model alone. The band is one standard deviation of the noise.
     """
     axis = AXES.index(gyro)
-    residuals = {name: residuals_dph(closure, model)[:, axis] for name, model in models_of(closure).items()}
-    noise = rms_of_known(noise_dph(closure)[:, axis])
+    residuals = {name: closure.residuals_dph(model)[:, axis] for name, model in models_of(closure).items()}
+    noise = rms_of_known(closure.dwell_noise_dph[:, axis])
     scale = scale_of_errors(closure)
     against = _against(closure, axis)
     largest = _MARGIN * scale.factor * max(float(np.nanmax(np.abs(each))) for each in residuals.values())
@@ -114,7 +107,7 @@ def _against(closure: Closure, axis: int) -> dict[str, FloatArray]:
     campaign = closure.campaign
     return {
         "temperature / °C": campaign.gyro_c[:, axis],
-        "time / h": (campaign.middle_s - campaign.start_s[0]) / _S_PER_H,
+        "time / h": (campaign.middle_s - campaign.start_s[0]) / S_PER_H,
         "temperature rate / (K/h)": campaign.rate_c_per_h[:, axis],
         "position": _places(closure),
     }
@@ -141,8 +134,7 @@ def closure_evidence_figure(closure: Closure) -> Figure:
     names = [each.effect.display_name for each in closure.evidence]
     figure = new_figure(1.5 + _BAR_HEIGHT_IN * len(names), left_in=0.15 + text_width_in(names, 9))
     axes = figure.add_subplot()
-    found = set(closure.names)
-    tied = {name for each in closure.effects for name in each.tied_with}
+    found, tied = set(closure.names), closure.tied
     by_p_value = is_noise_only(closure)
     for place, each in enumerate(closure.evidence):
         name = each.effect.name
@@ -190,7 +182,7 @@ def closure_effect_figure(closure: Closure, found: FoundEffect) -> Figure:
     function of time is drawn over time. The line is the fitted term.
     """
     columns = found.candidate.columns(closure.campaign)
-    rest_dph = residuals_dph(closure, closure.model)
+    rest_dph = closure.residuals_dph(closure.model)
     parts = {
         axis: _MainTerm(closure, found, columns, axis)
         for axis, name in enumerate(closure.quantity.axes)
@@ -205,7 +197,7 @@ def closure_effect_figure(closure: Closure, found: FoundEffect) -> Figure:
             say_empty(axes, "not significant")
             axes.set_xticks([])
             continue
-        noise = rms_of_known(noise_dph(closure)[:, axis])
+        noise = rms_of_known(closure.dwell_noise_dph[:, axis])
         _draw(axes, parts[axis], rest_dph[:, axis], noise, scale, closure.searched, gyro)
     figure.supylabel(f"partial residual / ({scale.unit})", x=0.005, fontsize=9)
     first = all_axes[min(parts)]
@@ -225,7 +217,7 @@ class _MainTerm:
         self.label = found.candidate.form.terms[term]
         self.bias_dph: FloatArray = parts_dph[:, term] - parts_dph[searched, term].mean()
         if np.all(np.diff(self.along) >= 0.0):
-            self.along = (campaign.middle_s - campaign.start_s[0]) / _S_PER_H
+            self.along = (campaign.middle_s - campaign.start_s[0]) / S_PER_H
             self.label = "time / h"
 
 
@@ -299,10 +291,10 @@ def _bars(axes: Axes, closure: Closure, groups: dict[str, BoolArray], scale: Bia
     width = 0.8 / len(models)
     colours = (_BEFORE_COLOUR, _AFTER_COLOUR)
     for number, ((label, model), colour) in enumerate(zip(models.items(), colours, strict=False)):
-        errors_dph = residuals_dph(closure, model)
+        errors_dph = closure.residuals_dph(model)
         heights = [rms_of_known(errors_dph[chosen]) * scale.factor for chosen in groups.values()]
         axes.bar(places - 0.4 + (number + 0.5) * width, heights, width, color=colour, label=label)
-    noise = [rms_of_known(noise_dph(closure)[chosen]) * scale.factor for chosen in groups.values()]
+    noise = [rms_of_known(closure.dwell_noise_dph[chosen]) * scale.factor for chosen in groups.values()]
     axes.hlines(noise, places - 0.45, places + 0.45, color=_NOISE_COLOUR, linewidth=1.4, label="noise")
     axes.set_xticks(places, list(groups), fontsize=7)
     axes.grid(visible=False, axis="x")

@@ -6,25 +6,20 @@ import pytest
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.foundations.arrays import rms
-from gyrobench.bench.report.closure_text import (
-    held_out_cycles,
-    is_noise_only,
-    residuals_dph,
-    smallest_visible_dph,
-)
+from gyrobench.bench.report.closure_text import held_out_cycles, is_noise_only, smallest_visible_dph
 from tests.bench.report.made_up_closure import EFFECTS, clean, explained, made_up_rows, unexplained
 
 
 def test_the_residuals_of_the_dwells_held_out_give_the_errors_of_the_closure():
     closure = explained()
     held_out = ~closure.searched
-    assert rms(residuals_dph(closure, closure.declared)[held_out]) == pytest.approx(closure.error_before_dph)
-    assert rms(residuals_dph(closure, closure.model)[held_out]) == pytest.approx(closure.error_after_dph)
+    assert rms(closure.residuals_dph(closure.declared)[held_out]) == pytest.approx(closure.error_before_dph)
+    assert rms(closure.residuals_dph(closure.model)[held_out]) == pytest.approx(closure.error_after_dph)
 
 
 def test_the_mean_of_a_run_not_searched_is_removed():
     closure = close_loop(campaign_of(made_up_rows(runs=3)), effects=EFFECTS)
-    assert residuals_dph(closure, closure.model)[~closure.searched].mean(axis=0) == pytest.approx(
+    assert closure.residuals_dph(closure.model)[~closure.searched].mean(axis=0) == pytest.approx(
         0.0, abs=1e-12
     )
 

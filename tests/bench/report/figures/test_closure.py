@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.foundations.arrays import rms
-from gyrobench.bench.report.closure_text import residuals_dph
 from gyrobench.bench.report.figures.closure import (
     closure_effect_figure,
     closure_error_figure,
@@ -31,7 +30,7 @@ def test_residuals_are_drawn_before_and_after_against_four_things():
     figure = closure_residual_figure(closure, "x")
     assert len(figure.axes) == 8
     for axes, model in ((figure.axes[0], closure.declared), (figure.axes[4], closure.model)):
-        expected = 1000.0 * residuals_dph(closure, model)[:, 0]
+        expected = 1000.0 * closure.residuals_dph(model)[:, 0]
         for label, chosen in (("searched", closure.searched), ("held out", ~closure.searched)):
             along, values = points(axes, label)
             assert along == pytest.approx(closure.campaign.gyro_c[chosen, 0])
@@ -86,7 +85,7 @@ def test_the_effect_is_drawn_as_partial_residuals_on_the_fit():
     assert np.diff(line) == pytest.approx(1000.0 * found.sizes_dph[0, 0] * np.diff(along))
     dwells, values = points(figure.axes[0], "searched")
     left = values - np.interp(dwells, along, line)
-    assert left == pytest.approx(1000.0 * residuals_dph(closure, closure.model)[closure.searched, 0])
+    assert left == pytest.approx(1000.0 * closure.residuals_dph(closure.model)[closure.searched, 0])
 
 
 @pytest.mark.parametrize("end", [4.0, 5.0, 10.0, 100.0])
@@ -111,7 +110,7 @@ def test_errors_are_pairs_of_bars_with_the_noise():
     closure = explained()
     upper, lower = closure_error_figure(closure).axes
     assert len(upper.patches) == 2 * (3 + 6)
-    errors_dph = residuals_dph(closure, closure.declared)[~closure.searched]
+    errors_dph = closure.residuals_dph(closure.declared)[~closure.searched]
     assert upper.patches[0].get_height() == pytest.approx(1000.0 * rms(errors_dph[:, 0]))
     assert len(lower.patches) == 2 * len(temperature_groups(closure))
 
