@@ -14,7 +14,8 @@ from gyrobench.bench.foundations.csv_tables import CsvTable, format_csv, read_te
 from gyrobench.bench.foundations.text import flag_text, format_number
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
-_SCALARS = ("azimuth_deg", "start_s", "end_s", "since_power_on_s", "chamber_set_c", "chamber_c", "case_c")
+#: Fields of one number each, in the order of the columns.
+SCALARS = ("azimuth_deg", "start_s", "end_s", "since_power_on_s", "chamber_set_c", "chamber_c", "case_c")
 _TRIPLES = {
     "gyro_c": "gyro_{}_c",
     "gyro_rate_c_per_h": "gyro_{}_rate_c_per_h",
@@ -33,7 +34,7 @@ _READERS = {"gyro_c": CsvTable.temperature} | dict.fromkeys(
 )
 
 
-def _columns(names: Iterable[str]) -> tuple[str, ...]:
+def columns_of(names: Iterable[str]) -> tuple[str, ...]:
     """Columns of fields: three of those with three values."""
     return tuple(
         column
@@ -44,11 +45,11 @@ def _columns(names: Iterable[str]) -> tuple[str, ...]:
 
 #: Fields beside what is measured, and how many numbers that is.
 _NOT_NUMBERS = ("unit", "run", "dwell", "cycle", "position", "other", "flags")
-_NUMBERS = len(_SCALARS) + 3 * len(_TRIPLES) + len(_FIT)
-_NAMES = ("unit", "run", "dwell", "cycle", "position", *_SCALARS, *_TRIPLES, *_FIT)
+_NUMBERS = len(SCALARS) + 3 * len(_TRIPLES) + len(_FIT)
+_NAMES = ("unit", "run", "dwell", "cycle", "position", *SCALARS, *_TRIPLES, *_FIT)
 
 #: Columns that a table is written with.
-COLUMNS = (*_columns(_NAMES), "flags")
+COLUMNS = (*columns_of(_NAMES), "flags")
 #: Other column: number of other units in the chamber that were on, mean over the dwell.
 NEIGHBOURS_ON = "neighbours_on"
 #: Values of three gyros without a measurement.
@@ -106,7 +107,7 @@ class DwellRow:
 
 #: What a table may lack, or have empty.
 _OPTIONAL = {field.name for field in fields(DwellRow) if field.default is not MISSING}
-_REQUIRED = _columns(name for name in _NAMES if name not in _OPTIONAL)
+_REQUIRED = columns_of(name for name in _NAMES if name not in _OPTIONAL)
 
 
 class PackedDwells(Sequence[DwellRow]):
@@ -135,7 +136,7 @@ class PackedDwells(Sequence[DwellRow]):
         place = range(len(self))[index]
         numbers = iter(self._numbers[place * _NUMBERS : (place + 1) * _NUMBERS])
         values: dict[str, Any] = dict(zip(_NOT_NUMBERS, self._names[place], strict=True))
-        values |= {name: next(numbers) for name in _SCALARS}
+        values |= {name: next(numbers) for name in SCALARS}
         values |= {name: (next(numbers), next(numbers), next(numbers)) for name in _TRIPLES}
         values |= zip(_FIT, numbers, strict=True)
         return DwellRow(**values)
@@ -208,7 +209,7 @@ def _rows(text: str, name: str) -> Iterator[DwellRow]:
 
 def _numbers(row: DwellRow) -> Iterator[float]:
     """What is measured, in the order of the columns."""
-    yield from (getattr(row, name) for name in _SCALARS)
+    yield from (getattr(row, name) for name in SCALARS)
     for name in _TRIPLES:
         yield from getattr(row, name)
     yield from (getattr(row, name) for name in _FIT)
@@ -224,12 +225,11 @@ def _row(table: CsvTable, index: int, other: Sequence[str]) -> DwellRow:
 
     def read_triple(name: str) -> Triple:
         read = _READERS.get(name, CsvTable.number)
-        columns = (_TRIPLES[name].format(axis) for axis in AXES)
-        x, y, z = (read(table, index, column, failed or name in _OPTIONAL) for column in columns)
+        x, y, z = (read(table, index, each, failed or name in _OPTIONAL) for each in columns_of((name,)))
         return x, y, z
 
     values: dict[str, Any] = {
-        name: table.number(index, name, may_be_empty=name in _OPTIONAL) for name in (*_SCALARS, *_FIT)
+        name: table.number(index, name, may_be_empty=name in _OPTIONAL) for name in (*SCALARS, *_FIT)
     }
     values |= {name: read_triple(name) for name in _TRIPLES}
     row = DwellRow(

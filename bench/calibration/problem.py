@@ -27,6 +27,7 @@ from gyrobench.bench.calibration.section import IncrementSection, SpinError
 from gyrobench.bench.calibration.strapdown import ASYMMETRIES, G_SENSITIVITIES, PARAMETER_COUNT, Trajectory
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, STANDARD_GRAVITY, BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.foundations.text import capitalised
 from gyrobench.bench.navigation.attitude import rotation_matrices
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES
@@ -331,7 +332,7 @@ class CalibrationProblem:
         if explained:
             _, what, fit = min(explained, key=lambda each: each[0])
             falls = f"chi2 falls from {found.fit.chi2:.3g} to {fit.chi2:.3g}"
-            what = f"{what[0].upper()}{what[1:]}"
+            what = capitalised(what)
             if fit.p_value >= UNEXPLAINED_P_VALUE:
                 return f"{what} would explain it: {falls}"
             return (

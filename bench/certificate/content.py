@@ -28,7 +28,7 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.clock import WallClock, parsed_utc
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
 from gyrobench.bench.foundations.files import file_sha256
-from gyrobench.bench.foundations.text import counted, hours_minutes, listed, plain_name
+from gyrobench.bench.foundations.text import capitalised, counted, hours_minutes, listed, plain_name
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.report.run_content import RunContent, read_run
 from gyrobench.bench.report.run_report import instruments_of, serial_number_of
@@ -217,11 +217,11 @@ class Certificate:
         found += [f"{counted(flagged, 'dwell')} flagged and not used"] if flagged else []
         texts = [f"{listed(found)}."] if found else []
         texts += [
-            f"{_sentence(entry.get('found', ''))}; acknowledged by {entry.get('operator')}."
+            f"{capitalised(str(entry.get('found', '')))}; acknowledged by {entry.get('operator')}."
             for entry in self.run.entries("past_due")
         ]
         if self.run.facts.ended != "finished":
-            texts.append(f"{self.run.ending} {_sentence(self.run.reason)}".strip())
+            texts.append(f"{self.run.ending} {capitalised(self.run.reason)}".strip())
         return texts or ["None."]
 
     @property
@@ -341,10 +341,6 @@ def _plain(name: str) -> str:
         .replace("ug", "µg")
     )
     return f"{plain_name(name[: match.start()])} ({unit.replace('hz', 'Hz').replace('/c', '/K')})"
-
-
-def _sentence(text: object) -> str:
-    return f"{str(text)[:1].upper()}{str(text)[1:]}"
 
 
 def _results(bins: Sequence[BiasBin], covered: Coverage) -> Iterator[BiasResult]:

@@ -22,7 +22,7 @@ from gyrobench.bench.closure.selection import NotAccepted
 from gyrobench.bench.closure.uncertainty import Draws, bound_of
 from gyrobench.bench.closure.validation import LackOfFit, measured_minus
 from gyrobench.bench.foundations.arrays import S_PER_H, BoolArray, FloatArray, rms_of_known
-from gyrobench.bench.foundations.text import decimals_of, plain_name, with_sigma
+from gyrobench.bench.foundations.text import capitalised, decimals_of, plain_name, with_sigma
 
 _UNITS = {"c": "degC"}
 #: An interval is stated in place of a standard uncertainty if its middle is off by this share of its length.
@@ -104,8 +104,8 @@ class FoundEffect:
             )
         place, unit = self.quantity.place(self.axes), self.quantity.unit
         size = f"{with_sigma(self.rms_dph, self.rms_sigma_dph)} {unit} rms on the {place}"
-        sentence = self.quantity.restated(self.effect.statement)
-        return f"{sentence[0].upper()}{sentence[1:]}: {size}{f' ({parameters})' if parameters else ''}."
+        sentence = capitalised(self.quantity.restated(self.effect.statement))
+        return f"{sentence}: {size}{f' ({parameters})' if parameters else ''}."
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,11 @@ def plain_name(name: str) -> str:
     return name.replace("_", " ")
 
 
+def capitalised(text: str) -> str:
+    """Text as the start of a sentence; other capitals stay."""
+    return f"{text[:1].upper()}{text[1:]}"
+
+
 def counted(number: int, noun: str) -> str:
     """Write how many: "1 dwell", "2 dwells"."""
     return f"{number} {noun}{'' if number == 1 else 's'}"

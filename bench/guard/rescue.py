@@ -11,6 +11,7 @@ from typing import Any
 
 from gyrobench.bench.foundations.clock import Clock, Deadline
 from gyrobench.bench.foundations.errors import BenchInUseError, GyrobenchError
+from gyrobench.bench.foundations.text import capitalised
 from gyrobench.bench.guard.protocol import GuardConfig
 from gyrobench.bench.guard.watching import EngineEnd, EngineProcess, GuardLog
 from gyrobench.bench.messages.delivery import Message
@@ -162,7 +163,7 @@ class Rescue:
         known = facts_of(entries)
         message = Message(
             event="guard_acted",
-            why=f"{end.value[0].upper()}{end.value[1:]}, so the guard acted. {bench}\n"
+            why=f"{capitalised(end.value)}, so the guard acted. {bench}\n"
             f"Once the cause is found: gyrobench resume {self._folder.path}",
             station=self._station.file.station,
             time=self._clock.utc(),

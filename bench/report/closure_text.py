@@ -17,7 +17,14 @@ from gyrobench.bench.closure.problem import Solution
 from gyrobench.bench.closure.search import EFFECT_SIGNIFICANCE
 from gyrobench.bench.closure.validation import LACK_OF_FIT_P
 from gyrobench.bench.foundations.arrays import S_PER_H, rms_of_known
-from gyrobench.bench.foundations.text import counted, decimals_of, listed, probability_number, with_sigma
+from gyrobench.bench.foundations.text import (
+    capitalised,
+    counted,
+    decimals_of,
+    listed,
+    probability_number,
+    with_sigma,
+)
 from gyrobench.bench.report.number_format import BiasScale, odds_text, p_phrase, share_text, size_text
 
 _VISIBLE_NOISE_SCALE = 1.005
@@ -152,7 +159,7 @@ def _part(closure: Closure) -> str:
     sentences = []
     if likely:
         names, verb = listed(likely), "explains" if len(likely) == 1 else "explain"
-        sentences.append(f"{names[0].upper()}{names[1:]} {verb} only a part.")
+        sentences.append(f"{capitalised(names)} {verb} only a part.")
     sentences += [
         f"A part is explained by {fits}, which the data do not distinguish; a residual remains."
         for fits in tied

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from gyrobench.bench.closure.outcome import Closure
-from gyrobench.bench.foundations.text import counted, listed, probability_number
+from gyrobench.bench.foundations.text import capitalised, counted, listed, probability_number
 from gyrobench.bench.investigation.choice import Rival
 from gyrobench.bench.investigation.open_hypotheses import rivals_of
 from gyrobench.bench.investigation.proposal import Proposal
@@ -37,11 +37,10 @@ def title_of(rival: Rival) -> str:
 def proposal_sentences(proposal: Proposal, rivals: Sequence[Rival]) -> Iterator[str]:
     """What a block does, what it is worth, and what each hypothesis predicts."""
     plan = proposal.block.plan
-    what = proposal.block.what
     biases = f" For the biases it replaces {proposal.replaced_h:.1f} h of the procedure."
     yield (
-        f"{what[:1].upper()}{what[1:]}: {counted(len(plan.dwells), 'dwell')} in {plan.duration_h:.1f} h. The "
-        f"entropy of the probabilities is expected to fall from {proposal.entropy:z.2f} to "
+        f"{capitalised(proposal.block.what)}: {counted(len(plan.dwells), 'dwell')} in {plan.duration_h:.1f} "
+        f"h. The entropy of the probabilities is expected to fall from {proposal.entropy:z.2f} to "
         f"{proposal.expected.entropy:z.2f} nats.{biases if proposal.replaced_h else ''}"
     )
     is_test = len(rivals) > 1 and len({each.probability for each in rivals}) == 1

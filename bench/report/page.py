@@ -24,6 +24,7 @@ from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
 from gyrobench.bench.foundations.files import make_folder, parse_json, write_whole
 from gyrobench.bench.foundations.memory import free_memory
 from gyrobench.bench.foundations.packages import require
+from gyrobench.bench.foundations.text import capitalised
 from gyrobench.bench.report.figures.style import is_drawn, save_figure, save_vectors, stamp
 
 #: Name of the file that keeps findings beside their page, for the report of the run.
@@ -100,8 +101,7 @@ class Findings:
     @property
     def chapter(self) -> Section:
         """These findings as one section."""
-        gist = f"{self.judgement[:1].upper()}{self.judgement[1:]}."
-        box = Box(self.colour, gist, self.sentence)
+        box = Box(self.colour, f"{capitalised(self.judgement)}.", self.sentence)
         return Section(self.title, boxes=[box], facts=self.facts, sections=self.sections)
 
 

@@ -18,7 +18,7 @@ from gyrobench.bench.bias.noise_estimate import NoiseComparison, NoiseEstimate, 
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.vertical_pairs import Finding
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.foundations.text import agreeing, counted, flag_text, listed
+from gyrobench.bench.foundations.text import agreeing, capitalised, counted, flag_text, listed
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.report.number_format import p_in_brackets
 from gyrobench.bench.runs.journal import RunFacts
@@ -252,11 +252,10 @@ def _noise_text(compared: NoiseComparison, key: str) -> str:
         if is_larger
         else "The uncertainties of the biases are too large."
     )
-    name = f"{compared.name[0].upper()}{compared.name[1:]}"
     shown = measured.text(compared.unit, compared.unit_si).removeprefix("hidden by the resolution, ")
     to_declare = f"{key}: {measured.cautious / compared.unit_si:.2g}"
     return (
-        f"{name}: measured {shown}, declared "
+        f"{capitalised(compared.name)}: measured {shown}, declared "
         f"{declared / compared.unit_si:.3g} {compared.unit}. {effect} Declare ins.noise.{to_declare}, and "
         "measure again."
     )

@@ -13,7 +13,7 @@ from gyrobench.bench.closure.loop import NOT_SEARCHED
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.validation import LACK_OF_FIT_P
 from gyrobench.bench.foundations.arrays import BoolArray
-from gyrobench.bench.foundations.text import agreeing, counted, listed, with_sigma
+from gyrobench.bench.foundations.text import agreeing, capitalised, counted, listed, with_sigma
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.report.closure_text import found_labels
 from gyrobench.bench.report.number_format import p_phrase, size_text
@@ -92,7 +92,7 @@ def model_sentences(
         done = "searched" if closure.verdict == NOT_SEARCHED else "found"
         what = f"One compensation, the declared model. No effect was {done}."
     notes = models[EFFECT].notes if EFFECT in models else models[DECLARED].notes
-    return [f"{what} {limits}", *(f"{note[0].upper()}{note[1:]}." for note in notes)]
+    return [f"{what} {limits}", *(f"{capitalised(note)}." for note in notes)]
 
 
 def number_rows(models: Mapping[str, LoadableModel]) -> list[list[str]]:

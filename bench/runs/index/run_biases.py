@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any
 
@@ -49,9 +49,7 @@ class BiasQuantity:
 
     def is_same_as(self, other: BiasQuantity) -> bool:
         """Whether it is the same quantity of another unit: equal but for the positions averaged."""
-        return (self.gyro, self.bin_low_c, self.bin_high_c, self.name) == (
-            *(other.gyro, other.bin_low_c, other.bin_high_c, other.name),
-        )
+        return replace(self, positions=other.positions) == other
 
     @property
     def label(self) -> str:

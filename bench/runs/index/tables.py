@@ -14,11 +14,10 @@ import pyarrow as pa
 from pydantic import BaseModel, ValidationError
 
 from gyrobench.bench.bias.bins import BiasBin, parse_bins
-from gyrobench.bench.bias.dwell_table import DwellRow, parse_dwells
+from gyrobench.bench.bias.dwell_table import SCALARS, DwellRow, columns_of, parse_dwells
 from gyrobench.bench.foundations.csv_tables import CsvTable
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.text import flag_text
-from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.folder import (
     ACCEPTANCE,
     BIAS_BINS,
@@ -255,21 +254,7 @@ VERSION = 1
 _TEXT, _NUMBER, _COUNT = pa.string(), pa.float64(), pa.int64()
 _TYPES = {"str": _TEXT, "float": _NUMBER, "float | None": _NUMBER, "int": _COUNT, "int | None": _COUNT}
 _OTHER_TYPES = {"bool": pa.bool_(), "datetime": pa.timestamp("us")}
-_DWELL_SCALARS = (
-    "azimuth_deg",
-    "start_s",
-    "end_s",
-    "since_power_on_s",
-    "chamber_set_c",
-    "chamber_c",
-    "case_c",
-)
-_DWELL_TRIPLES = {
-    "gyro_c": "gyro_{}_c",
-    "gyro_rate_c_per_h": "gyro_{}_rate_c_per_h",
-    "bias_dph": "bias_{}_dph",
-    "sigma_dph": "sigma_{}_dph",
-}
+_DWELL_TRIPLES = ("gyro_c", "gyro_rate_c_per_h", "bias_dph", "sigma_dph")
 
 
 def _schema_of(model: type, *first: tuple[str, pa.DataType], without: str = "") -> pa.Schema:
@@ -287,9 +272,7 @@ SCHEMAS: Mapping[str, pa.Schema] = {
             *((name, _TEXT) for name in ("path", "run")),
             *((name, _COUNT) for name in ("dwell", "cycle")),
             ("position", _TEXT),
-            *((name, _NUMBER) for name in _DWELL_SCALARS),
-            *((name.format(axis), _NUMBER) for name in _DWELL_TRIPLES.values() for axis in AXES),
-            ("fit_p_value", _NUMBER),
+            *((name, _NUMBER) for name in columns_of((*SCALARS, *_DWELL_TRIPLES, "fit_p_value"))),
             ("flags", _TEXT),
         ]
     ),
@@ -333,11 +316,11 @@ def rows_by_table(records: Sequence[RunRecord]) -> dict[str, list[dict[str, Any]
 
 def _dwell_values(path: str, row: DwellRow) -> dict[str, Any]:
     triples = {
-        column.format(axis): value
-        for name, column in _DWELL_TRIPLES.items()
-        for axis, value in zip(AXES, getattr(row, name), strict=True)
+        column: value
+        for name in _DWELL_TRIPLES
+        for column, value in zip(columns_of((name,)), getattr(row, name), strict=True)
     }
-    names = ("run", "dwell", "cycle", "position", *_DWELL_SCALARS, "fit_p_value")
+    names = ("run", "dwell", "cycle", "position", *SCALARS, "fit_p_value")
     plain = {name: getattr(row, name) for name in names}
     return {"path": path, **plain, **triples, "flags": flag_text(row.flags)}
 
