@@ -91,14 +91,13 @@ class TimedLog:
         return float(end_s - frames.timestamp_s[0])
 
 
-def write_blf(path: Path, parts: Iterable[TimedPart]) -> int:
-    """Write all frames, with calendar times; returns how many."""
+def write_blf(path: Path, parts: Iterable[TimedPart]) -> None:
+    """Write all frames, with calendar times."""
     with path.open("wb") as stream:
         writer = BlfWriter(stream)
         for part in parts:
             writer.write(part.frames)
         writer.finish()
-    return writer.count
 
 
 _ATTITUDE = "C_nb, body to East-North-Up; C_nb = Rz(yaw) Rx(pitch) Ry(roll), yaw positive about Up"

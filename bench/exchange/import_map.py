@@ -5,6 +5,7 @@ With a section ``calibration`` the log can also be calibrated, which takes incre
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, NamedTuple, Self, cast, get_args
@@ -22,6 +23,8 @@ _SHIPPED_DBC = Path(ins.__file__).parent
 
 #: Name of a column, or its number from 1.
 Column = Annotated[str, Field(min_length=1)] | Annotated[int, Field(ge=1)]
+#: Column of a quantity, and the scale and offset that convert it.
+ScaledColumn = tuple[Column, float, float]
 #: Up to what a dwell table can hold and no log reaches.
 Positive = Annotated[float, Field(gt=0.0, le=1e12)]
 Factor = Annotated[float, Field(ge=-1e12, le=1e12)]
@@ -144,6 +147,11 @@ class AxisColumns(StrictModel):
     y: AxisColumn = Field(description="column of the y sensor, with its sign")
     z: AxisColumn = Field(description="column of the z sensor, with its sign")
 
+    def by_quantity(self, names: Sequence[str], unit: float = 1.0) -> dict[str, ScaledColumn]:
+        """Column, scale and offset of each sensor by name; ``unit``: what the scale is multiplied by."""
+        axes = zip(names, (self.x, self.y, self.z), strict=True)
+        return {name: (axis.column, axis.sign * axis.scale * unit, 0.0) for name, axis in axes}
+
 
 class GyroColumns(AxisColumns):
     """Which column measures the rate about which body axis."""
@@ -214,7 +222,7 @@ class TemperatureColumns(StrictModel):
             raise ValueError("give either 'boards' or all of 'board_x', 'board_y', 'board_z', or none")
         return self
 
-    def by_quantity(self) -> dict[str, tuple[Column, float, float]]:
+    def by_quantity(self) -> dict[str, ScaledColumn]:
         """Column, scale and offset by the name of what it holds: ``gyro_x_c``, ``chamber_c``, ..."""
         columns = {f"{name}_c": getattr(self, name) for name in ("chamber_set", "chamber", "case")}
         for axis in AXES:
@@ -223,7 +231,7 @@ class TemperatureColumns(StrictModel):
                 columns[f"{what}_{axis}_c"] = own if own is not None else common
         return {name: self._converted(column) for name, column in columns.items() if column is not None}
 
-    def _converted(self, source: Column | TemperatureColumn) -> tuple[Column, float, float]:
+    def _converted(self, source: Column | TemperatureColumn) -> ScaledColumn:
         if not isinstance(source, TemperatureColumn):
             return source, self.scale, self.offset_c
         scale = self.scale if source.scale is None else source.scale

@@ -11,7 +11,7 @@ import numpy as np
 from gyrobench.bench.calibration.increment_recording import MIN_REST_TOTAL_S, IncrementRecording
 from gyrobench.bench.calibration.information import CalibrationOptions
 from gyrobench.bench.exchange.import_map import LogMap
-from gyrobench.bench.exchange.log_windows import FORCES, RATES, SampleReader, ScaledColumn
+from gyrobench.bench.exchange.log_windows import FORCES, RATES, SampleReader
 from gyrobench.bench.exchange.signal_logs import NoFramesError
 from gyrobench.bench.foundations.arrays import (
     DEG_PER_SQRT_H_TO_SI,
@@ -64,33 +64,24 @@ def read_increments(path: Path, log_map: LogMap) -> LogIncrements:
     """
     section = log_map.calibrated
     angle_unit, angles_are_increments = _angle_unit(log_map.gyro.unit)
-    quantities: dict[str, ScaledColumn] = {}
-    for names, columns, unit in (
-        (RATES, log_map.gyro, angle_unit),
-        (FORCES, section.accelerometers, _VELOCITIES[section.accelerometers.unit]),
-    ):
-        for name, axis in zip(names, (columns.x, columns.y, columns.z), strict=True):
-            quantities[name] = (axis.column, axis.sign * axis.scale * unit, 0.0)
+    quantities = log_map.gyro.by_quantity(RATES, angle_unit)
+    quantities |= section.accelerometers.by_quantity(FORCES, _VELOCITIES[section.accelerometers.unit])
     velocities_are_increments = section.accelerometers.unit in _INCREMENTS
     reader = SampleReader(path, log_map, quantities, angles_are_increments or velocities_are_increments)
-    batches = list(reader.batches())
-    samples = {name: np.concatenate([each[name] for each in batches]) for name in batches[0]}
+    samples = reader.whole()
     kept = samples["time_s"] >= samples["time_s"][:1] + log_map.skip_s
     samples = {name: values[kept] for name, values in samples.items()}
     time_s = samples["time_s"]
-    angle, velocity = (np.column_stack([samples[name] for name in names]) for names in (RATES, FORCES))
     full_scale = np.inf if log_map.gyro.full_scale is None else log_map.gyro.full_scale * angle_unit
-    for columns, values, limit in (
-        (log_map.gyro, angle, full_scale),
-        (section.accelerometers, velocity, np.inf),
-    ):
-        for axis, each in zip((columns.x, columns.y, columns.z), values.T, strict=True):
-            if (at := _saturated(time_s, each, limit)) is not None:
-                raise MeasurementError(
-                    f"{path}: column {axis.column!r} stays at the end of its range from {time_s[at]:.2f} s "
-                    "after the first sample: the sensor or its number format is saturated. Record slower "
-                    "rotations, or cut the log there"
-                )
+    for name, (column, _, _) in quantities.items():
+        at = _saturated(time_s, samples[name], full_scale if name in RATES else np.inf)
+        if at is not None:
+            raise MeasurementError(
+                f"{path}: column {column!r} stays at the end of its range from {time_s[at]:.2f} s after the "
+                "first sample: the sensor or its number format is saturated. Record slower rotations, or cut "
+                "the log there"
+            )
+    angle, velocity = (np.column_stack([samples[name] for name in names]) for names in (RATES, FORCES))
     recordings, errors, found = [], [0.0], _pieces(time_s, np.hstack([angle, velocity]))
     for part in found:
         if time_s[part[-1]] - time_s[part[0]] < MIN_REST_TOTAL_S:

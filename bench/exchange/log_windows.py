@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrobench.bench.bias.raw_rate import RateRecording
-from gyrobench.bench.exchange.import_map import Column, LogMap, PositionRule, TextFormat
+from gyrobench.bench.exchange.import_map import LogMap, PositionRule, ScaledColumn, TextFormat
 from gyrobench.bench.exchange.log_files import Batch, RecordLog, TextLog
 from gyrobench.bench.exchange.signal_logs import SignalLog
 from gyrobench.bench.foundations.arrays import (
@@ -33,8 +33,6 @@ from gyrobench.bench.navigation.positions import AXES, POSITIONS
 #: Quantities of some samples by name, each of shape (n,): ``time_s``, ``rate_x`` (deg/h), ``gyro_x_c``, ...,
 #: ``force_x``, ``position`` (index in POSITIONS), ``cycle``; NaN where not measured.
 Samples = dict[str, FloatArray]
-#: Column of a quantity, and the scale and offset that convert it.
-ScaledColumn = tuple[Column, float, float]
 
 RATES = tuple(f"rate_{axis}" for axis in AXES)
 FORCES = tuple(f"force_{axis}" for axis in AXES)
@@ -156,6 +154,11 @@ class SampleReader:
                 last_s = float(samples["time_s"][-1])
             yield samples
 
+    def whole(self) -> Samples:
+        """Read the whole log, see :meth:`batches`."""
+        batches = list(self.batches())
+        return {name: np.concatenate([each[name] for each in batches]) for name in batches[0]}
+
     def _calendar_s(self, texts: NDArray[Any]) -> FloatArray:
         """Times of ISO 8601 texts, s; NaN for an empty one. Those without an offset are in UTC."""
         times_s = np.full(len(texts), np.nan)
@@ -216,8 +219,7 @@ def read_rate_recording(path: Path, log_map: LogMap) -> RateRecording:
     Raises DocumentError if the log can't be read, or does not fit the map. Raises MeasurementError if the
     unit was not at rest, or samples are missing or wrong.
     """
-    batches = list(SampleReader(path, log_map).batches())
-    samples = {name: np.concatenate([each[name] for each in batches]) for name in batches[0]}
+    samples = SampleReader(path, log_map).whole()
     force = None
     if FORCES[0] in samples:
         force = np.column_stack([samples[name] for name in FORCES])
@@ -232,14 +234,9 @@ def read_rate_recording(path: Path, log_map: LogMap) -> RateRecording:
 def _quantities(log_map: LogMap) -> dict[str, ScaledColumn]:
     """Column, scale and offset of each number that is read."""
     gyro, (temperatures, position, _) = log_map.gyro, log_map.averages
-    to_dph = _rate_dph(gyro.unit)
-    quantities: dict[str, ScaledColumn] = {}
-    for name, axis in zip(RATES, (gyro.x, gyro.y, gyro.z), strict=True):
-        quantities[name] = (axis.column, axis.sign * axis.scale * to_dph, 0.0)
-    quantities |= temperatures.by_quantity()
-    if (force := position.accelerometers) is not None:
-        for name, axis in zip(FORCES, (force.x, force.y, force.z), strict=True):
-            quantities[name] = (axis.column, axis.sign * axis.scale, 0.0)
+    quantities = gyro.by_quantity(RATES, _rate_dph(gyro.unit)) | temperatures.by_quantity()
+    if position.accelerometers is not None:
+        quantities |= position.accelerometers.by_quantity(FORCES)
     if log_map.cycle.column is not None:
         quantities["cycle"] = (log_map.cycle.column, 1.0, 0.0)
     return quantities

@@ -33,8 +33,8 @@ _COMPRESSION: Final = 2
 _STRUCTURES = {0: "CAN_DataFrame", REMOTE_FRAME: "CAN_RemoteFrame", ERROR_FRAME: "CAN_ErrorFrame"}
 
 
-def write_mf4(path: Path, parts: Iterable[TimedPart], dbc: Path, origin: Mapping[str, Any]) -> int:
-    """Write all frames with the bus database attached and the origin in the comment; returns their number."""
+def write_mf4(path: Path, parts: Iterable[TimedPart], dbc: Path, origin: Mapping[str, Any]) -> None:
+    """Write all frames with the bus database attached and the origin in the comment."""
     log: _Mf4Log | None = None
     try:
         for part in parts:
@@ -45,7 +45,6 @@ def write_mf4(path: Path, parts: Iterable[TimedPart], dbc: Path, origin: Mapping
     finally:
         if log is not None:
             log.close()
-    return log.count if log is not None else 0
 
 
 class _Mf4Log:
@@ -55,7 +54,6 @@ class _Mf4Log:
     """
 
     def __init__(self, folder: Path, begin_s: float, dbc: Path, origin: Mapping[str, Any]) -> None:
-        self.count = 0
         self._begin_s = begin_s
         self._attachment = (dbc.read_bytes(), Path(dbc.name), b"")
         self._groups: dict[int, int] = {}
@@ -65,7 +63,6 @@ class _Mf4Log:
 
     def add(self, frames: FrameBlock) -> None:
         """Add frames."""
-        self.count += len(frames)
         for kind, structure in _STRUCTURES.items():
             some = frames.take(frames.flags == kind)
             if not len(some):

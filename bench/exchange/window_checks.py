@@ -104,7 +104,7 @@ def temperature_warnings(rows: Sequence[DwellRow], windows: Sequence[Window], lo
     """
     if log_map.averages.temperatures.constant_c is not None:
         return ["all rows have the constant temperature of the import map: no curve over temperature"]
-    warnings: dict[str, None] = {}
+    warnings = []
     for index, (axis, name) in enumerate(zip(AXES, _GYRO_TEMPERATURES, strict=True)):
         temperatures = np.array([row.gyro_c[index] for row in rows])
         swing = float(np.ptp(temperatures))
@@ -128,12 +128,12 @@ def temperature_warnings(rows: Sequence[DwellRow], windows: Sequence[Window], lo
         slope = float(np.polyfit(temperatures, bias, 1)[0])
         error = abs(slope) * resolution / np.sqrt(12.0)
         noise = float(np.median([row.sigma_dph[index] for row in rows]))
-        warnings[
+        warnings.append(
             f"the temperature of gyro {axis} comes in steps of {resolution:.3g} K: at a slope of "
             f"{slope:.3g} deg/h per K each bias may be off its curve by {error:.2g} deg/h (noise {noise:.2g} "
             "deg/h), and slow changes of the temperature do not show. Log it with 0.1 K or finer"
-        ] = None
-    return list(warnings)
+        )
+    return warnings
 
 
 def _reason_of_samples(window: Window, log_map: LogMap, interval_s: float, gap_s: float) -> str:

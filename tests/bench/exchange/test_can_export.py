@@ -20,7 +20,7 @@ from tests.bench.exchange.frames import assert_same, frames_of, strange_parts
 
 def test_a_blf_file_holds_every_frame_with_its_calendar_time(two_dwells, messages, tmp_path):
     path = tmp_path / "can.blf"
-    assert write_blf(path, TimedLog(two_dwells)) == len(messages)
+    write_blf(path, TimedLog(two_dwells))
     with can.BLFReader(path) as reader:
         assert_same(list(reader), messages)
 
