@@ -237,6 +237,11 @@ def stack(candidates: Sequence[Candidate], campaign: Campaign) -> tuple[FloatArr
     return columns, np.concatenate([each.kept for each in candidates], axis=1)
 
 
+def owners(candidates: Sequence[Candidate]) -> IntArray:
+    """Which candidate each term of all together is of, shape (k,)."""
+    return np.repeat(np.arange(len(candidates)), [each.kept.shape[1] for each in candidates])
+
+
 def after_fit(problem: Problem, candidates: Sequence[Candidate]) -> Problem:
     """Problem after a fit of the terms that candidates keep; the same without any."""
     return problem.with_columns(*stack(candidates, problem.campaign)) if candidates else problem
@@ -268,7 +273,7 @@ def _prune(problem: Problem, candidates: Sequence[Candidate]) -> list[Candidate]
     """
     columns, kept = stack(candidates, problem.campaign)
     products, with_residuals = problem.inner_products(columns, kept)
-    owner = np.repeat(np.arange(len(candidates)), [each.kept.shape[1] for each in candidates])
+    owner = owners(candidates)
 
     def reduction(gyro: int, terms: IntArray) -> float:
         return explained_by(products[gyro][np.ix_(terms, terms)], with_residuals[gyro, terms])[0]

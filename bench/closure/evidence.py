@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.candidates import Candidate, Hypothesis, stack
+from gyrobench.bench.closure.candidates import Candidate, Hypothesis, owners, stack
 from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter
 from gyrobench.bench.closure.posterior import HypothesisProbability, Posterior
 from gyrobench.bench.closure.problem import MIN_VISIBLE, Problem
@@ -66,10 +66,10 @@ class _Terms:
         else:
             all_columns, kept = np.zeros((len(problem.campaign), 3, 0)), np.ones((3, 0), dtype=bool)
         visible, rms_of_terms = problem.beside(all_columns[problem.searched])
-        owner = np.repeat(np.arange(len(candidates)), [each.kept.shape[1] for each in candidates])
+        owner = owners(candidates)
         rms_of_terms = rms_of_terms * _share_beside_others(visible / rms_of_terms[:, None], kept, owner)
         columns = np.concatenate([visible / rms_of_terms[:, None], problem.residuals.T[..., None]], axis=2)
-        return cls(columns, kept, owner.astype(np.int64), rms_of_terms)
+        return cls(columns, kept, owner, rms_of_terms)
 
     @cached_property
     def products(self) -> FloatArray:

@@ -97,7 +97,7 @@ def _copies(rows: Sequence[DwellRow]) -> Iterator[str]:
 
 def _temperatures(rows: Sequence[DwellRow]) -> Iterator[str]:
     for pattern, name in _TEMPERATURES.items():
-        values = np.array([getattr(row, name) for row in rows], dtype=np.float64).reshape(len(rows), -1)
+        values = _values(rows, name).reshape(len(rows), -1)
         for axis, column in zip("xyz", values.T, strict=False):
             problem = _temperature(column, [row.dwell for row in rows])
             if problem:
@@ -121,9 +121,7 @@ def _sigmas(rows: Sequence[DwellRow], quantity: Quantity) -> Iterator[str]:
     # The uncertainty of an accelerometer's bias in a dwell includes what is common to all dwells.
     if len(rows) < _MIN_DWELLS or quantity.name == "accelerometer_bias":
         return
-    biases, sigmas = (
-        np.array([getattr(row, name) for row in rows], dtype=np.float64) for name in ("bias_dph", "sigma_dph")
-    )
+    biases, sigmas = _values(rows, "bias_dph"), _values(rows, "sigma_dph")
     for name, axis, bias, sigma in zip(quantity.coefficients, "xyz", biases.T, sigmas.T, strict=True):
         if not np.isfinite(sigma).any():
             continue
@@ -140,9 +138,7 @@ def _sigmas(rows: Sequence[DwellRow], quantity: Quantity) -> Iterator[str]:
 
 def _too_small(rows: Sequence[DwellRow]) -> Iterator[str]:
     """Uncertainties below what the least noise of a gyro gives over the length of the dwells."""
-    biases, sigmas = (
-        np.array([getattr(row, name) for row in rows], dtype=np.float64) for name in ("bias_dph", "sigma_dph")
-    )
+    biases, sigmas = _values(rows, "bias_dph"), _values(rows, "sigma_dph")
     hours = np.array([row.end_s - row.start_s for row in rows])[:, np.newaxis] / 3600.0
     known = [gyro for gyro in range(3) if np.isfinite(sigmas[:, gyro]).any()]
     walks = {gyro: float(np.nanmedian(sigmas[:, [gyro]] * np.sqrt(hours))) for gyro in known}
@@ -257,6 +253,10 @@ def _degrees_fahrenheit(rows: Sequence[DwellRow]) -> Iterator[str]:
                 f"gyro_{axes}_c seems to be in degF: correct its values"
             )
             return
+
+
+def _values(rows: Sequence[DwellRow], name: str) -> FloatArray:
+    return np.array([getattr(row, name) for row in rows], dtype=np.float64)
 
 
 def _axes(names: Sequence[str]) -> str:

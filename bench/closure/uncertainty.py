@@ -17,7 +17,7 @@ from statistics import NormalDist
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.candidates import Candidate, after_fit, stack
+from gyrobench.bench.closure.candidates import Candidate, after_fit, owners, stack
 from gyrobench.bench.closure.effects.effect import Parameter
 from gyrobench.bench.closure.problem import DEGREE, MIN_SHARE, Problem, declared_columns, with_mean_constants
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
@@ -194,7 +194,7 @@ def _priors(equations: Sequence[_NormalEquations], candidates: Sequence[Candidat
     as noise made it larger are drawn to zero, and those that the data do not determine stay finite.
     """
     kept = np.concatenate([np.zeros((3, 0), dtype=bool), *(each.kept for each in candidates)], axis=1)
-    owner = np.repeat(np.arange(len(candidates)), [each.kept.shape[1] for each in candidates])
+    owner = owners(candidates)
     priors = np.zeros(kept.shape[1])
     for _ in range(_PRIOR_STEPS if candidates else 0):
         squares = np.stack([each.squares(kept[gyro], priors) for gyro, each in enumerate(equations)])
