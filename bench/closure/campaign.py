@@ -287,11 +287,11 @@ def campaign_of(
     ordered = sorted(rows, key=lambda row: (row.start_s, row.dwell))
     is_warm = [bool(np.isfinite([*row.gyro_c, *row.gyro_rate_c_per_h]).all()) for row in ordered]
     warm = list(itertools.compress(ordered, is_warm))
-    is_known = np.array([np.isfinite([row.bias_dph, row.sigma_dph]).all(axis=0) for row in warm]).reshape(
-        -1, 3
-    )
-    enough = is_known.sum(axis=1) >= (3 if quantity.is_gyro_bias else 1)
-    good = [not row.flags and bool(known) for row, known in zip(warm, enough, strict=True)]
+    enough = 3 if quantity.is_gyro_bias else 1
+    good = [
+        not row.flags and np.isfinite([row.bias_dph, row.sigma_dph]).all(axis=0).sum() >= enough
+        for row in warm
+    ]
     if not any(good):
         raise MeasurementError(
             "no dwell of the table has a result without flags. Measure the flagged dwells again"
@@ -302,22 +302,30 @@ def campaign_of(
             f"the table has dwells of {len(units)} units ({', '.join(units)}). Split it into one table per "
             "unit"
         )
-    names = list(dict.fromkeys(row.run for row in warm))
+    cold = tuple(row.dwell for row, known in zip(ordered, is_warm, strict=True) if not known)
+    whole = replace(_of_rows(warm, record, quantity), without_temperatures=cold)
+    return whole if all(good) else whole.part(np.array(good))
+
+
+def _of_rows(rows: Sequence[DwellRow], record: TemperatureRecord | None, quantity: Quantity) -> Campaign:
+    """Campaign of all dwells with temperatures, in the order of time; gyro biases may be NaN."""
 
     def gather(name: str) -> FloatArray:
-        return np.array([getattr(row, name) for row in warm], dtype=np.float64)
+        return np.array([getattr(row, name) for row in rows], dtype=np.float64)
 
+    names = list(dict.fromkeys(row.run for row in rows))
     start_s, end_s, gyro_c, rate_c_per_h = map(gather, ("start_s", "end_s", "gyro_c", "gyro_rate_c_per_h"))
-    bias_dph, sigma_dph, boards = gather("bias_dph"), gather("sigma_dph"), gather("board_c").T
+    bias_dph, sigma_dph, boards_c = gather("bias_dph"), gather("sigma_dph"), gather("board_c").T
     if not quantity.is_gyro_bias:
-        bias_dph[~is_known], sigma_dph[~is_known] = 0.0, np.inf
-    whole = Campaign(
+        is_unknown = ~(np.isfinite(bias_dph) & np.isfinite(sigma_dph))
+        bias_dph[is_unknown], sigma_dph[is_unknown] = 0.0, np.inf
+    return Campaign(
         run_names=tuple(names),
-        position=tuple(row.position for row in warm),
-        dwell=np.array([row.dwell for row in warm]),
-        cycle=np.array([row.cycle for row in warm]),
-        run=np.array([names.index(row.run) for row in warm]),
-        up_body=np.array([POSITIONS[row.position].C_nb()[2] for row in warm]),
+        position=tuple(row.position for row in rows),
+        dwell=np.array([row.dwell for row in rows]),
+        cycle=np.array([row.cycle for row in rows]),
+        run=np.array([names.index(row.run) for row in rows]),
+        up_body=np.array([POSITIONS[row.position].C_nb()[2] for row in rows]),
         start_s=start_s,
         end_s=end_s,
         since_power_on_s=gather("since_power_on_s"),
@@ -326,20 +334,16 @@ def campaign_of(
         case_c=_interpolated(start_s, gather("case_c")),
         gyro_c=gyro_c,
         rate_c_per_h=rate_c_per_h,
-        board_c=np.stack([_interpolated(start_s, board_c) for board_c in boards], axis=1),
+        board_c=np.stack([_interpolated(start_s, board_c) for board_c in boards_c], axis=1),
         bias_dph=bias_dph,
         sigma_dph=sigma_dph,
         record=record or record_of_dwells(start_s, end_s, gyro_c, rate_c_per_h),
-        unit=units[0],
-        held_out=np.zeros(len(warm), dtype=bool),
-        without_temperatures=tuple(
-            row.dwell for row, known in zip(ordered, is_warm, strict=True) if not known
-        ),
+        unit=rows[0].unit,
+        held_out=np.zeros(len(rows), dtype=bool),
         azimuth_deg=gather("azimuth_deg"),
-        columns=_other_columns(warm, start_s),
+        columns=_other_columns(rows, start_s),
         quantity=quantity,
     )
-    return whole if all(good) else whole.part(np.array(good))
 
 
 def _other_columns(rows: Sequence[DwellRow], start_s: FloatArray) -> dict[str, FloatArray]:
