@@ -100,7 +100,14 @@ def find_bias_step(
             to_end = responses[-1, :, COLUMN_COUNT:]
             later = back.T @ responses[-1] @ for_parameters
             later_information = back.T @ (information[-1] + to_end @ later_information @ to_end.T) @ back
-    time_s, score, variance = (np.concatenate(each) for each in (times, scores, variances))
+    return _most_significant(*(np.concatenate(each) for each in (times, scores, variances)))
+
+
+def _most_significant(time_s: FloatArray, score: FloatArray, variance: FloatArray) -> BiasStep | None:
+    """Step at the time and in the gyro of the largest score; None without any.
+
+    Scores (t, 3) are those of a step at each time (t,), with their covariances (t, 3, 3).
+    """
     if not len(time_s):
         return None
     away = score**2 / np.diagonal(variance, axis1=1, axis2=2)
