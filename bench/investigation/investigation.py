@@ -165,31 +165,37 @@ class Investigator:
                     uncertainty_ratio=ratio,
                     **_probabilities(stage.closure),
                 )
-                ended = self._end(stage)
-                if ended is None:
-                    confirm = self._confirmation(stage)
-                    stage, ended = self._with_block(confirm or stage, journal)
-                    is_idle = ended is not None and ended[0] in ("no_block", "not_on_list")
-                    if is_idle and (confirm := self._confirmation(stage, is_last=True)):
-                        stage, ended = self._with_block(confirm, journal)
-                if ended and ended[0] in ("no_block", "not_on_list", "budget"):
-                    ended = self._end(stage, is_last=True) or ended
-                if ended and (test := self._test(stage, ended[0])):
-                    test, failed = self._with_block(test, journal)
-                    stage = test if failed is None else stage
-                    if failed and failed[0] != "bench_failed":
-                        failed = (ended[0], f"{ended[1]} No further block tested it. {failed[1]}")
-                    ended = failed
-                elif ended and ended[0] in _CONCLUSIVE and stage.is_uncertain and stage.calibration:
-                    stage = replace(stage, purpose=CALIBRATE, rivals=stage.calibration.rivals)
-                    stage, failed = self._with_block(stage, journal)
-                    ended = failed and (failed if failed[0] in ("bench_failed", "declined") else ended)
+                stage, ended = self._continued(stage, journal)
                 self._stages.append(stage)
             journal.record("investigation_ended", ended=ended[0], reason=ended[1])
             write_dwells(self._folder / "dwells.csv", self._rows)
         whole_h = self._profile.duration_h if self._profile else self._bench.campaign_h
         rows, refused = tuple(self._rows), dict(self._refused)
         return Investigation(tuple(self._stages), *ended, rows, refused, whole_h)
+
+    def _continued(self, stage: Stage, journal: Journal) -> tuple[Stage, tuple[str, str] | None]:
+        """The stage with the block that its search leads to, or why the investigation ends."""
+        ended = self._end(stage)
+        if ended is None:
+            confirm = self._confirmation(stage)
+            stage, ended = self._with_block(confirm or stage, journal)
+            is_idle = ended is not None and ended[0] in ("no_block", "not_on_list")
+            if is_idle and (confirm := self._confirmation(stage, is_last=True)):
+                stage, ended = self._with_block(confirm, journal)
+        if ended and ended[0] in ("no_block", "not_on_list", "budget"):
+            ended = self._end(stage, is_last=True) or ended
+        if ended and (test := self._test(stage, ended[0])):
+            test, failed = self._with_block(test, journal)
+            if failed is None:
+                return test, None
+            if failed[0] != "bench_failed":
+                failed = (ended[0], f"{ended[1]} No further block tested it. {failed[1]}")
+            return stage, failed
+        if ended and ended[0] in _CONCLUSIVE and stage.is_uncertain and stage.calibration:
+            stage = replace(stage, purpose=CALIBRATE, rivals=stage.calibration.rivals)
+            stage, failed = self._with_block(stage, journal)
+            ended = failed and (failed if failed[0] in ("bench_failed", "declined") else ended)
+        return stage, ended
 
     def _with_block(self, stage: Stage, journal: Journal) -> tuple[Stage, tuple[str, str] | None]:
         """The stage with the best block that the bench can do, or why there is none."""
