@@ -1,7 +1,7 @@
 """Least squares, weighted means, excess scatter and tests: the statistics that the estimates share.
 
 * :func:`solve` solves white rows with prior knowledge of the parameters; :func:`chi2_test` tests the
-residuals, :func:`goodness_of_fit` innovations summed by the minute, :func:`chi2_p_value` any sum of squares.
+  residuals, :func:`chi2_p_value` any sum of squares.
 * :func:`weighted_mean` averages independent values and tests whether their uncertainties explain the scatter.
 * :func:`excess_variance` finds by how much values scatter beyond their uncertainties: values are of
   ``y = X b + c + e``, with noise e of known size in each value and c of one normal distribution for all. Its

@@ -141,6 +141,8 @@ def bins_summary(bins: Sequence[BiasBin]) -> Section:
     parts = []
     for gyro in AXES:
         own = [each for each in bins if each.gyro == gyro]
+        if not own:
+            continue
         scale = scale_of_bins([*own, *paper_bins(own)])
         p_values = [_p_values(compare_positions(each)) for each in (own, paper_bins(own))]
         rows = []
@@ -152,11 +154,7 @@ def bins_summary(bins: Sequence[BiasBin]) -> Section:
         header = ["bin / °C", *map(position_label, positions), *(["p equal"] if p_values[0] else [])]
         box = _gyro_box(gyro, own)
         sentences = [*([box.text] if is_compared else []), *box.notes]
-        parts += (
-            [Section(gyro_label(gyro), sentences, tables=[SectionTable(caption, header, rows)])]
-            if own
-            else []
-        )
+        parts.append(Section(gyro_label(gyro), sentences, tables=[SectionTable(caption, header, rows)]))
     has_paper = any(not each.is_empty for each in paper_bins(bins))
     notes = [_P_EQUAL if is_compared else NOTHING_TO_COMPARE, _PAPER_BELOW if has_paper else NO_PAPER]
     return Section("", sections=[*parts, Section("Notes", notes)])
