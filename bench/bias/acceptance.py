@@ -102,7 +102,7 @@ def judge(
     """Judge the gyros of one unit; see the module for how.
 
     A run is accepted only if every dwell that was planned was compared with all others of its plateau, in
-    each cycle; a gyro that breaks a limit is rejected even if dwells are missing.
+    each cycle, and plateaus connect all positions; a gyro that breaks a limit is rejected even if not.
 
     Parameters
     ----------
@@ -130,8 +130,13 @@ def judge(
     if limits.bias_dph is not None:
         values += _biases(known)
     judgements = _judgements(values, limits, width_c)
-    missing = _not_measured(known, compared, list(planned), limits)
-    gyros = {gyro: _of_gyro(gyro, judgements, missing) for gyro in AXES}
+    planned = list(planned)
+    missing = _not_measured(known, compared, planned, limits)
+    measured = {each.position for each in planned} | {row.position for row in in_time}
+    apart = [_unconnected(measured, own) for own in compared]
+    lacking = {each.gyro for each in missing}
+    lacking |= {gyro for gyro, groups in zip(AXES, apart, strict=True) if len(groups) > 1}
+    gyros = {gyro: _of_gyro(gyro, judgements, gyro in lacking) for gyro in AXES}
     return Acceptance(
         verdict=_of_run(gyros),
         limits=limits,
@@ -139,6 +144,7 @@ def judge(
         plateaus=max(map(len, compared)),
         judgements=judgements,
         not_measured=missing,
+        unconnected=max(apart, key=len) if max(map(len, apart)) > 1 else [],
     )
 
 
@@ -293,11 +299,22 @@ def _outside_largest(planned: Sequence[PlannedDwell], plateaus: Iterable[_Platea
     return [dwell for dwell in planned if dwell not in largest]
 
 
-def _of_gyro(gyro: str, judgements: Iterable[Judgement], missing: Iterable[NotMeasured]) -> GyroVerdict:
+def _unconnected(positions: Iterable[str], plateaus: Iterable[_Plateau]) -> list[list[str]]:
+    """Positions in groups between which no plateau compares, neither directly nor by way of others."""
+    groups = [{name} for name in POSITIONS if name in positions]
+    for plateau in plateaus:
+        together = {row.position for row in plateau}
+        joined = set().union(*(group for group in groups if group & together))
+        groups = [joined, *(group for group in groups if not group & together)]
+    in_order = [[name for name in POSITIONS if name in group] for group in groups]
+    return sorted(in_order, key=lambda names: list(POSITIONS).index(names[0]))
+
+
+def _of_gyro(gyro: str, judgements: Iterable[Judgement], is_lacking: bool) -> GyroVerdict:
     verdicts = {each.verdict for each in judgements if each.gyro == gyro}
     if "fail" in verdicts:
         return "fail"
-    if not verdicts or any(each.gyro == gyro for each in missing):
+    if not verdicts or is_lacking:
         return "not measured"
     return "marginal" if "marginal" in verdicts else "pass"
 

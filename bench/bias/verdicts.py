@@ -130,6 +130,8 @@ class Acceptance(StrictModel):
     )
     judgements: list[Judgement] = Field(default_factory=list)
     not_measured: list[NotMeasured] = Field(default_factory=list)
+    #: Positions in groups between which no plateau compares; empty where plateaus connect all.
+    unconnected: list[list[str]] = Field(default_factory=list)
 
     def deciding(self, gyro: str) -> Judgement | None:
         """Return what decides on a gyro: nearest to a fail, or farthest beyond it; None without any.

@@ -148,6 +148,9 @@ _LACKING = (
     "{} again in one power cycle."
 )
 _MAX_PLATEAUS = 3
+_UNCONNECTED = (
+    "No plateau compares {}, so the unit can't be accepted. Measure a position of each group on one plateau."
+)
 
 
 def acceptance_sentence(acceptance: Acceptance) -> str:
@@ -164,7 +167,12 @@ def acceptance_sentence(acceptance: Acceptance) -> str:
         case "marginal":
             advice = _UNDECIDED.format(_deciding_cycles(acceptance))
             return f"{_gyros(acceptance, 'marginal')} near {limit}. {advice}"
-    return _lacking_sentence(acceptance) if acceptance.judgements else _NOTHING
+    if acceptance.judgements and acceptance.not_measured:
+        return _lacking_sentence(acceptance)
+    if acceptance.judgements and acceptance.unconnected:
+        groups = (" and ".join(map(position_label, group)) for group in acceptance.unconnected)
+        return _UNCONNECTED.format(" with ".join(groups))
+    return _NOTHING
 
 
 def _deciding_cycles(acceptance: Acceptance) -> str:

@@ -10,6 +10,7 @@ from gyrobench.bench.bias.plateaus import PlannedDwell
 from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, read_acceptance, write_acceptance
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.report.run_text import acceptance_sentence
 
 LIMITS = AcceptanceLimits(position_difference_dph=0.006)
 SIGMA_DPH = 0.001
@@ -162,6 +163,23 @@ def test_a_single_position_can_not_be_judged():
     result = judged(rows, LIMITS, plan_of(rows))
     assert result.verdict == "not judged"
     assert result.deciding("x") is None
+
+
+def test_positions_that_no_plateau_compares_are_not_accepted():
+    pairs = (("z_up", "z_down"), ("x_up", "x_down"), ("y_up", "y_down"))
+    rows = [
+        dwell(10 * cycle + number, position, 20.0, (0.0,) * 3, cycle=cycle)
+        for cycle, pair in enumerate(pairs, 1)
+        for number, position in enumerate(pair)
+    ]
+    result = judged(rows, LIMITS, plan_of(rows))
+    assert result.verdict == "not judged"
+    assert result.unconnected == [list(pairs[0]), list(pairs[2]), list(pairs[1])]
+    assert "No plateau compares Z-Up and Z-Down with Y-Up and Y-Down" in acceptance_sentence(result)
+    linked = [*rows, *(replace(rows[0], dwell=10 * cycle + 5, cycle=cycle) for cycle in (2, 3))]
+    linked.sort(key=lambda row: row.dwell)
+    assert judged(linked, LIMITS, plan_of(linked)).verdict == "accepted"
+    assert not judged(linked, LIMITS, plan_of(linked)).unconnected
 
 
 def test_a_run_without_chamber_is_judged_at_the_temperature_that_it_has():
