@@ -14,10 +14,14 @@ from gyrobench.bench.dwells.setup_check import latitude_fault
 from gyrobench.bench.dwells.temperatures import temperatures_at, valid_temperatures
 from gyrobench.bench.foundations.errors import MeasurementError, SignalMapError
 from gyrobench.bench.foundations.text import flag_text
+from gyrobench.bench.navigation.attitude import angle_between
 from gyrobench.bench.runs.marks import DwellMarks, WindowMark
 from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.navigation_data import NavigationData
 from gyrobench.drivers.ins.readout import InsMode
+
+#: Difference between the turns of INS and table: angle, rad, and standard uncertainties of the scale factor.
+_MAX_TURN_ERROR, _TURN_SIGMAS = math.radians(0.05), 5.0
 
 
 def decoded_navigation(
@@ -77,6 +81,31 @@ def dwell_at_rest(marks: DwellMarks, navigation: NavigationData, setup: Measurem
         C_nb_table=tuple(setup.table.attitude(mark.outer_deg, mark.inner_deg) for mark in marks.windows),
         turns=tuple(setup.turn(*pair, navigation) for pair in itertools.pairwise(marks.windows)),
     )
+
+
+def turn_fault(dwell: Dwell, setup: MeasurementSetup) -> str:
+    """That the INS turned by another angle than the table between two windows; empty where it did not.
+
+    The angle of a rotation is the same in all axes: mounting, azimuth and tilt of the table do not show. An
+    INS that aligns again has another heading error after it, by twice the bias East over the Earth's rate.
+    """
+    for number, (earlier, later) in enumerate(itertools.pairwise(dwell.windows), 2):
+        table = angle_between(dwell.C_nb_table[number - 1], dwell.C_nb_table[number - 2])
+        ins = angle_between(later.C_nb[0], earlier.C_nb[-1])
+        drift = angle_between(earlier.C_nb[-1], earlier.C_nb[0]) / earlier.duration_s
+        limit = (
+            _MAX_TURN_ERROR
+            + _TURN_SIGMAS * setup.prior.gyro_scale_factor * table
+            + drift * (later.time_s[0] - earlier.time_s[-1])
+            + 2.0 * setup.heading_lsb_rad
+        )
+        if abs(ins - table) > limit:
+            return (
+                f"before window {number} the INS turned by {math.degrees(ins):.3f} deg, the table by "
+                f"{math.degrees(table):.3f} deg: the INS aligned again or corrected its heading, or the unit "
+                "slipped on the table. Switch its corrections off, and check its screws"
+            )
+    return ""
 
 
 def _windows(marks: DwellMarks, navigation: NavigationData) -> tuple[NavigationWindow, ...]:

@@ -19,7 +19,12 @@ from gyrobench.bench.bias.paper import estimate_paper
 from gyrobench.bench.bias.statistics import Chi2Test
 from gyrobench.bench.bias.vertical_pairs import exceeds_declared
 from gyrobench.bench.bias.window_filter import EPOCH_S
-from gyrobench.bench.dwells.dwell_output import check_signal_map, decoded_navigation, dwell_at_rest
+from gyrobench.bench.dwells.dwell_output import (
+    check_signal_map,
+    decoded_navigation,
+    dwell_at_rest,
+    turn_fault,
+)
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.dwells.output_checks import OutputFault
 from gyrobench.bench.dwells.setup_check import SetupEvidence, drift_fault, raise_setup_fault
@@ -116,6 +121,8 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
     try:
         navigation = reading.decode(marks, frames, setup)
         dwell = dwell_at_rest(marks, navigation, setup)
+        if fault := turn_fault(dwell, setup):
+            flags.append(fault)
         noise = setup.noise_in(dwell.windows)
         faults = setup.output_faults(dwell.windows, noise)
         evidence = None if flags else setup.evidence(dwell, noise, faults)

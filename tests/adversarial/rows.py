@@ -96,6 +96,7 @@ ROWS = (
         "accelerometer",
     ),
     Row("velocity damped with 600 s", _unit(velocity_damping_s=600.0), "damp"),
+    Row("alignment again after the turn, unreported", _unit(aligns_again=True), "aligned again"),
     Row("noise 2 times what is declared", _unit(angle_random_walk=0.0012), "noise"),
     Row("noise 1.3 times what is declared", _unit(angle_random_walk=0.00078), "noise"),
     Row(

@@ -57,6 +57,7 @@ class Unit:
     velocity_scale: Triple = (1.0, 1.0, 1.0)  #: What it sends over what it navigates, ENU.
     velocity_turned_deg: float = 0.0  #: By how much the velocity that it sends is turned about Up.
     lever_arm_m: Triple = (0.0, 0.0, 0.0)  #: From the intersection of the table's axes.
+    aligns_again: bool = False  #: After each turn, although it states that it navigates.
     velocity_output_mps: float = 0.0
     attitude_output_arcsec: float = 0.0
 
@@ -126,15 +127,18 @@ def simulate(
     errors = _SensorErrors(unit, random)
     state = _aligned(unit, place, schedule, angles_deg[0], random)
     parts = [state[np.newaxis].copy()]
-    last_turn_s, time_s = -math.inf, 0.0
+    last_turn_s, time_s, turned = -math.inf, 0.0, 0
     for step_s, rotation, velocity in segments:
         duration_s = step_s * len(rotation)
         measured = errors.measured(time_s, last_turn_s, step_s, rotation, velocity)
         time_s += duration_s
-        if step_s == _TURN_STEP_S:
-            last_turn_s = time_s
         every = round(EPOCH_S / step_s)
         parts.append(_navigate(state, *measured, step_s, every, place.height_m, unit.velocity_damping_s))
+        if step_s == _TURN_STEP_S:
+            last_turn_s = time_s
+            turned += 1
+            if unit.aligns_again:
+                state[:] = _aligned(unit, place, schedule, angles_deg[turned], random)
     states = np.vstack(parts)
     C_en = _enu_axes(states[:, 12], states[:, 13])
     velocity = np.einsum("nji,nj->ni", C_en, states[:, 9:12])

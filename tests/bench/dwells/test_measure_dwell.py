@@ -141,6 +141,16 @@ def test_a_table_that_stood_elsewhere_flags_the_dwell(recorded):
     assert "INS and table in window 2 disagree by 90.0 deg" in str(row.flags)
 
 
+@pytest.mark.parametrize(("away_deg", "is_flagged"), [(0.02, False), (0.1, True), (-0.1, True)])
+def test_an_ins_that_turned_by_another_angle_than_the_table_flags_the_dwell(recorded, away_deg, is_flagged):
+    marks, frames, setup = recorded
+    first, second = marks.windows
+    moved = replace(second, inner_deg=second.inner_deg + away_deg)
+    measured = measure_dwell(replace(marks, windows=(first, moved)), frames, setup)
+    assert ("aligned again or corrected its heading" in " ".join(measured.flags)) == is_flagged
+    assert np.isfinite(measured.row.bias_dph).all()
+
+
 def test_a_disturbed_dwell_keeps_its_flag_and_its_numbers(recorded):
     marks, frames, setup = recorded
     row = measure_dwell(replace(marks, disturbances=("door opened",)), frames, setup).row
