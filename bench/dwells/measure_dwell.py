@@ -54,7 +54,7 @@ class MeasuredDwell:
     estimate: StateSpaceEstimate | None  #: By the full error model, without its information.
     #: What it shows of the parameters that the dwells of a plateau share.
     joint_information: JointInformation | None
-    #: Navigation at rest, an epoch a second, for the noise estimate; empty where it is disturbed, and where
+    #: Navigation at rest, an epoch a second, for the noise; empty where its output is disturbed, and where
     #: :mod:`gyrobench.bench.dwells.run_dwells` does not keep it.
     windows: tuple[RestMotion, ...]
     counts: EpochCounts  #: How the frames came.
@@ -133,9 +133,9 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
         if estimate.information:
             joint_information = JointInformation.of(estimate.information, dwell.position, setup.prior)
             estimate = replace(estimate, information=None)
-        flags += estimated.disturbances
-        if not flags:
+        if not flags and all(fault.may_be_noise for fault in faults):
             windows = tuple(RestMotion.of(window.thinned(EPOCH_S)) for window in dwell.windows)
+        flags += estimated.disturbances
         if evidence and (drift := drift_fault(evidence.velocities)):
             persistent_flags = (*persistent_flags, drift)
         flags += persistent_flags

@@ -15,7 +15,7 @@ from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells, write_dwells
 from gyrobench.bench.bias.error_sources import SOURCES
 from gyrobench.bench.bias.error_split import ErrorPart, shared_errors, split_errors
 from gyrobench.bench.bias.joint_solution import JointDwell, JointSolution, pooled_up_rate, solve_jointly
-from gyrobench.bench.bias.noise_estimate import NoiseEstimate, estimate_noise
+from gyrobench.bench.bias.noise_estimate import NoiseEstimate, estimate_noise, held_heading_s
 from gyrobench.bench.bias.plateaus import PlannedDwell, group_plateaus
 from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, write_acceptance
 from gyrobench.bench.bias.vertical_pairs import UpRate
@@ -104,6 +104,8 @@ def evaluate(
     calibration_check : sequence of CalibrationCheckRow
         Of the run's check dwells.
     """
+    noise = _noise([dwell for dwell in dwells if not dwell.is_disturbed], setup)
+    dwells = _without_held_heading(dwells, setup)
     good = [dwell for dwell in dwells if dwell.estimate and not dwell.row.flags]
     joint = [solve_jointly(plateau, setup.prior) for plateau in group_plateaus(_joint_dwells(good))]
     rate = pooled_up_rate(joint, setup.prior)
@@ -119,7 +121,7 @@ def evaluate(
         joint=joint,
         up_rate=rate,
         declared_latitude=setup.prior.latitude,
-        noise=_noise([dwell for dwell in dwells if not dwell.is_disturbed], setup),
+        noise=noise,
         calibration_check=list(calibration_check),
         acceptance=judge(
             [dwell.row for dwell in evaluated],
@@ -206,6 +208,21 @@ def _noise(dwells: Sequence[MeasuredDwell], setup: MeasurementSetup) -> NoiseEst
         return estimate_noise([window for dwell in dwells for window in dwell.windows], setup.site.gravity)
     except MeasurementError:
         return None
+
+
+def _without_held_heading(
+    dwells: Sequence[MeasuredDwell], setup: MeasurementSetup
+) -> Sequence[MeasuredDwell]:
+    """The dwells, all flagged if an aid of the INS holds the heading: vertical gyros seem to have no bias."""
+    windows = [window for dwell in dwells for window in dwell.windows]
+    held_s = held_heading_s(windows, setup.heading_lsb_rad)
+    if held_s is None:
+        return dwells
+    flag = (
+        f"the INS holds its heading with a time constant of about {held_s:.2g} s, by the noise of all "
+        "dwells, so that the biases of the vertical gyros are wrong. Switch that aid off, and measure again"
+    )
+    return [dwell.flagged(flag) for dwell in dwells]
 
 
 def evaluate_run(

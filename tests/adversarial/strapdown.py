@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from gyrobench.bench.foundations.kernels import compiled
@@ -57,6 +58,7 @@ class Unit:
     velocity_scale: Triple = (1.0, 1.0, 1.0)  #: What it sends over what it navigates, ENU.
     velocity_turned_deg: float = 0.0  #: By how much the velocity that it sends is turned about Up.
     lever_arm_m: Triple = (0.0, 0.0, 0.0)  #: From the intersection of the table's axes.
+    heading_aid_s: float = math.inf  #: Time constant with which an aid holds the heading.
     aligns_again: bool = False  #: After each turn, although it states that it navigates.
     velocity_output_mps: float = 0.0
     attitude_output_arcsec: float = 0.0
@@ -147,10 +149,23 @@ def simulate(
         velocity
     ) + unit.velocity_output_mps * random.standard_normal(velocity.shape)
     C_nb = np.einsum("nji,njk->nik", C_en, states[:, :9].reshape(-1, 3, 3))
+    if math.isfinite(unit.heading_aid_s):
+        C_nb = _with_heading_held(C_nb, windows, math.exp(-EPOCH_S / unit.heading_aid_s))
     if unit.attitude_output_arcsec:
         away = unit.attitude_output_arcsec * ARCSEC * random.standard_normal((len(C_nb), 3))
         C_nb = Rotation.from_rotvec(away).as_matrix() @ C_nb
     return Output(EPOCH_S * np.arange(len(states)), velocity, C_nb, windows, turns)
+
+
+def _with_heading_held(C_nb: Floats, windows: Sequence[tuple[int, int]], keep: float) -> Floats:
+    """Attitudes (n, 3, 3) whose heading returns, in each window, to that at its begin."""
+    correction = np.zeros((len(C_nb), 3))
+    for begin, end in windows:
+        free = Rotation.from_matrix(C_nb[begin:end] @ C_nb[begin].T).as_rotvec()[:, 2]
+        held = lfilter([keep], [1.0, -keep], np.diff(free, prepend=0.0))
+        correction[begin:end, 2] = held - free
+        correction[end:, 2] = correction[end - 1, 2]
+    return np.asarray(Rotation.from_rotvec(correction).as_matrix() @ C_nb)
 
 
 _Increments = tuple[float, Floats, Floats]

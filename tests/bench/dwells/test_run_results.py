@@ -104,6 +104,28 @@ def test_dwells_with_flags_are_left_out(measured, results):
     np.testing.assert_array_equal(without.joint[2].together.bias_radps, results.joint[2].together.bias_radps)
 
 
+def with_heading_held(motion, time_constant_s):
+    """A window of an unbiased vertical gyro whose heading an aid holds where it was at the begin."""
+    rotation, heading = motion.rotation_enu.copy(), 0.0
+    steps = np.diff(motion.rotation_enu[:, 2], prepend=0.0) - motion.rotation_enu[-1, 2] / len(rotation)
+    for index, (step, interval_s) in enumerate(zip(steps, np.diff(motion.time_s, prepend=0.0), strict=True)):
+        heading = (heading + step) * math.exp(-interval_s / time_constant_s)
+        rotation[index, 2] = heading
+    return replace(motion, rotation_enu=rotation)
+
+
+@pytest.mark.parametrize("time_constant_s", [1.0, 5.0, 20.0])
+def test_a_heading_that_the_ins_holds_flags_all_dwells(measured, results, time_constant_s):
+    dwells, setup = measured
+    held = [
+        replace(dwell, windows=tuple(with_heading_held(each, time_constant_s) for each in dwell.windows))
+        for dwell in dwells
+    ]
+    flags = [dwell.flags for dwell in evaluate(held, setup, 5.0).dwells]
+    assert all("the INS holds its heading" in str(each) for each in flags)
+    assert not any(dwell.flags for dwell in results.dwells)
+
+
 def test_dwells_without_a_result_are_left_out(measured):
     dwells, setup = measured
     lost = replace(
