@@ -37,6 +37,7 @@ class Table:
     added: int = 0  #: What was added to the numbers of its dwells.
     start_s: float = 0.0  #: Start of its first dwell on the campaign's clock.
     placed: str = ""  #: How its place on that clock was found; empty for the first.
+    doubt: str = ""  #: Why it may be of another unit than the first, or of another firmware; empty if known.
 
 
 @dataclass(frozen=True)

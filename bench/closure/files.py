@@ -186,6 +186,7 @@ def _document(closure: Closure) -> dict[str, Any]:
                 "cycles": list(table.cycles),
                 "added_to_dwells": table.added,
                 "placed": table.placed,
+                "doubt": table.doubt,
             }
             for table in closure.campaign.tables
         ],

@@ -22,7 +22,7 @@ from gyrobench.bench.procedure.plan import DwellPurpose
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.runs.marks import purpose_of
-from gyrobench.bench.runs.provenance import read_provenance, started_utc
+from gyrobench.bench.runs.provenance import identities_in, read_provenance, started_utc
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, read_coefficients_apart
 from gyrobench.bench.runs.telemetry import read_telemetry
 
@@ -55,7 +55,7 @@ def read_campaign(*paths: Path, quantity: Quantity = GYRO_BIAS) -> Campaign:
 
 
 def _source(path: Path, quantity: Quantity) -> TableToJoin:
-    record, began_s = None, None
+    record, began_s, ins = None, None, ""
     table, is_run = path, path.is_dir()
     if is_run:
         folder = open_run_folder(path)
@@ -67,11 +67,12 @@ def _source(path: Path, quantity: Quantity) -> TableToJoin:
         provenance = read_provenance(folder)
         if "started_utc" in provenance and provenance.get("options", {}).get("clock") != "virtual":
             began_s = started_utc(folder).timestamp()
+        ins = ", ".join(text for name, text in identities_in(folder).items() if name.startswith("INS"))
     try:
         rows, quantity = _rows_of(read_dwells(table), quantity, path if is_run else None)
         if record is not None:
             record = replace(record, gyro_c=record.gyro_c[:, quantity.sensors])
-        return TableToJoin(str(path), campaign_of(rows, record, quantity), is_run, began_s)
+        return TableToJoin(str(path), campaign_of(rows, record, quantity), is_run, began_s, ins)
     except MeasurementError as error:
         raise MeasurementError(f"{table}: {error}") from error
 
@@ -185,6 +186,7 @@ class TableToJoin:
     campaign: Campaign
     is_run: bool = False  #: A run folder; its times begin with the run.
     began_s: float | None = None  #: Calendar time (UTC) at zero of its clock; None if unknown.
+    ins: str = ""  #: How the INS of a run identified; empty if unknown.
 
     @property
     def start_s(self) -> float:
@@ -242,9 +244,19 @@ def join_tables(sources: Sequence[TableToJoin]) -> Campaign:
                 int(whole.dwell[0] - each.campaign.whole.dwell[0]),
                 float(whole.start_s[0]),
                 placed,
+                _doubt(each, first) if index else "",
             )
         )
     return _together(parts, tables)
+
+
+def _doubt(source: TableToJoin, first: TableToJoin) -> str:
+    """Why a table may be of another unit or firmware than the first; empty if of the same."""
+    if source.ins and first.ins and source.ins != first.ins:
+        return f"its INS identifies as {source.ins}, that of {first.name} as {first.ins}"
+    if source.campaign.reported_unit:
+        return ""
+    return f"without a serial number: taken for the unit of {first.name}"
 
 
 def _ordered(sources: Sequence[TableToJoin]) -> list[TableToJoin]:

@@ -86,14 +86,17 @@ def cycles_text(closure: Closure, cycles: Collection[int]) -> str:
 
 
 def table_texts(closure: Closure) -> list[str]:
-    """Each of several tables with its cycles and how it was placed in time."""
+    """Each of several tables with its cycles, how it was placed in time, and doubts about its unit."""
     campaign = closure.campaign
     first_s = campaign.tables[0].start_s
-    return [
-        f"{cycles_text(closure, table.cycles)}, from {(table.start_s - first_s) / S_PER_H:.1f} h"
-        f"{f' ({table.placed})' if table.placed else ''}"
-        for table in campaign.tables
-    ]
+    texts = []
+    for table in campaign.tables:
+        known = "; ".join(filter(None, (table.placed, table.doubt)))
+        start_h = (table.start_s - first_s) / S_PER_H
+        texts.append(
+            f"{cycles_text(closure, table.cycles)}, from {start_h:.1f} h{f' ({known})' if known else ''}"
+        )
+    return texts
 
 
 def labels(closure: Closure, names: Iterable[str]) -> str:

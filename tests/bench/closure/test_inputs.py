@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.bias.dwell_table import write_dwells
+from gyrobench.bench.bias.dwell_table import UNKNOWN_UNIT, write_dwells
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.effects.laws import BIAS_JUMP, THERMAL_LAG, TIME_DRIFT, WARM_UP
 from gyrobench.bench.closure.inputs import (
@@ -181,6 +181,18 @@ def test_other_units_and_dwells_given_twice_are_refused_by_name(rows, halves):
         join_tables([source("a", halves[0]), source("b", other)])
     with pytest.raises(MeasurementError, match="b: 20 of its dwells, the first is number 1, are also in a"):
         join_tables([source("a", rows[:20]), source("b", rows)])
+
+
+def test_tables_that_may_be_of_another_unit_or_firmware_state_that(halves):
+    known = [
+        source(name, part, ins="serial number 7, firmware 1") for name, part in zip("ab", halves, strict=True)
+    ]
+    assert [table.doubt for table in join_tables(known).tables] == ["", ""]
+    known[1] = replace(known[1], ins="serial number 7, firmware 2")
+    assert "firmware 2, that of a as serial number 7, firmware 1" in join_tables(known).tables[1].doubt
+    nameless = [source(name, moved(part, unit=UNKNOWN_UNIT)) for name, part in zip("ab", halves, strict=True)]
+    doubts = [table.doubt for table in join_tables(nameless).tables]
+    assert doubts == ["", "without a serial number: taken for the unit of a"]
 
 
 def test_effects_with_a_memory_are_those_of_each_table_alone(halves):
