@@ -22,7 +22,7 @@ from gyrobench.bench.procedure.plan import DwellPurpose
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.runs.marks import purpose_of
-from gyrobench.bench.runs.provenance import identities_in, read_provenance, started_utc
+from gyrobench.bench.runs.provenance import ins_identity, read_provenance, started_utc
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, read_coefficients_apart
 from gyrobench.bench.runs.telemetry import read_telemetry
 
@@ -67,7 +67,7 @@ def _source(path: Path, quantity: Quantity) -> TableToJoin:
         provenance = read_provenance(folder)
         if "started_utc" in provenance and provenance.get("options", {}).get("clock") != "virtual":
             began_s = started_utc(folder).timestamp()
-        ins = ", ".join(text for name, text in identities_in(folder).items() if name.startswith("INS"))
+        ins = ins_identity(folder)
     try:
         rows, quantity = _rows_of(read_dwells(table), quantity, path if is_run else None)
         if record is not None:

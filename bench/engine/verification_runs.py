@@ -34,6 +34,7 @@ from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.runs.compensation_file import compensations_in_use, read_compensation
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import facts_of, read_journal
+from gyrobench.bench.runs.provenance import ins_identity
 from gyrobench.bench.runs.tables.coefficient_table import (
     PlateauCoefficientRow,
     plateau_findings,
@@ -227,7 +228,13 @@ class VerificationRuns:
 
     def _notes(self, rows: Mapping[str, Sequence[DwellRow]], *, has_coefficients: bool) -> Iterator[str]:
         units = {row.unit for row in read_dwells(self._run.dwells)}
+        before = ins_identity(self._run)
         for name, measured in rows.items():
+            now = ins_identity(RunFolder(self.folder / name))
+            if before and now not in ("", before):
+                yield (
+                    f"The INS identified as {before} for the model, and as {now} in the run {IN_WORDS[name]}."
+                )
             others = {row.unit for row in measured} - units
             if others:
                 yield (

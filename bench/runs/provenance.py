@@ -76,6 +76,11 @@ def identities_in(folder: RunFolder) -> dict[str, str]:
     return {}
 
 
+def ins_identity(folder: RunFolder) -> str:
+    """How the INS of a run identified, with its firmware; empty if unknown."""
+    return ", ".join(text for name, text in identities_in(folder).items() if name.startswith("INS"))
+
+
 def note_inputs(folder: RunFolder) -> list[str]:
     """Keep the hashes of procedure, station and DBC file as they are now; names of those that changed."""
     content = read_provenance(folder)

@@ -180,6 +180,16 @@ def test_a_run_without_compensation_in_which_the_ins_kept_a_stored_one_is_noted(
     assert note == "In the run without compensation the INS applied a stored compensation (0badcafe)."
 
 
+def test_another_firmware_than_that_of_the_model_is_noted(campaign, verified, tmp_path):
+    shutil.copytree(verified[0].folder / "none", tmp_path / "none")
+    provenance = tmp_path / "none" / "provenance.json"
+    provenance.write_text(re.sub("firmware [0-9]+", "firmware 999", provenance.read_text()))
+    [note] = verification_of(campaign, tmp_path, only=["none"]).result().notes
+    assert re.match(
+        r"The INS identified as .* for the model, and as .*firmware 999.* in the run without", note
+    )
+
+
 def test_an_ins_that_takes_no_such_term_can_still_be_verified_with_the_declared_model(campaign, tmp_path):
     run, closure, procedure = campaign
     station = yaml.safe_load(run.station.read_text())
