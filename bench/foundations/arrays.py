@@ -1,4 +1,4 @@
-"""Arrays and values by axis: their types, root mean squares, matrices made of blocks, units in SI."""
+"""Array types, unit constants, and small numerical functions: RMS, block matrices, B-splines."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-#: Real numbers; NaN where a value is missing.
+#: Array of float64; NaN where a value is missing.
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
-#: Values of the x, y and z axis, or of their gyros, in rows of tables.
+#: Values of the x, y and z axis, or of the gyros along them, in a row of a table.
 Triple = tuple[float, float, float]
 
-#: Gravity by definition, m/s^2: the g of specifications in ug.
+#: Standard gravity, m/s^2: the g of specifications in ug.
 STANDARD_GRAVITY = 9.80665
 #: Seconds of an hour, and of a day.
 S_PER_H, S_PER_DAY = 3600.0, 86_400.0
@@ -35,31 +35,31 @@ UG_PER_SQRT_HZ_TO_SI = UG_TO_MPS2
 
 
 def triple(values: Iterable[float]) -> Triple:
-    """Values of three axes as plain numbers."""
+    """Convert the values of three axes to a tuple of Python floats."""
     x, y, z = map(float, values)
     return x, y, z
 
 
 def rms(values: ArrayLike) -> float:
-    """Root mean square of all values; NaN of none."""
+    """Root mean square of all values; NaN if there are none."""
     squares = np.square(np.asarray(values, dtype=np.float64))
     return float(np.sqrt(np.mean(squares))) if squares.size else np.nan
 
 
 def rms_of_known(values: ArrayLike) -> float:
-    """Root mean square of the values that are not NaN; NaN of none."""
+    """Root mean square of the values that are not NaN; NaN if there are none."""
     values = np.asarray(values, dtype=np.float64)
     return rms(values[~np.isnan(values)])
 
 
 def true_spans(flags: BoolArray) -> IntArray:
-    """Begin and end (n, 2) of each unbroken series of true values."""
+    """Start and end indices, shape (n, 2), of each run of consecutive true values; the end is exclusive."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
     return np.asarray(edges, np.int64).reshape(-1, 2)
 
 
 def block_diagonal(*blocks: FloatArray) -> FloatArray:
-    """Matrix with these along its diagonal and zeros elsewhere; a block may have no rows or columns."""
+    """Block-diagonal matrix; a block may have no rows or no columns."""
     ends = np.cumsum([(0, 0), *(each.shape for each in blocks)], axis=0)
     matrix = np.zeros(ends[-1])
     for (top, left), (bottom, right), block in zip(ends, ends[1:], blocks, strict=False):
@@ -68,16 +68,18 @@ def block_diagonal(*blocks: FloatArray) -> FloatArray:
 
 
 def b_splines(values: FloatArray, knots: FloatArray, degree: int) -> FloatArray:
-    """All B-splines (n, k) of a degree at values (n,) between the ends of knots; the end knots are repeated.
+    """Evaluate all k B-splines of a degree at n values: shape (n, k).
 
-    The recursion of Cox and de Boor, for some hundred knots; scipy.interpolate takes 0.3 s to import.
+    ``values`` lie between the first and the last of ``knots``, in which the end knots are repeated. Recursion
+    of Cox and de Boor, for some hundred knots; scipy.interpolate takes 0.3 s to import.
     """
     last = len(knots) - degree - 2
-    pieces = np.clip(np.searchsorted(knots, values, "right") - 1, degree, last)  # the last one with its end
-    splines: FloatArray = (np.arange(len(knots) - 1) == pieces[:, None]).astype(np.float64)
-    for each in range(1, degree + 1):
-        widths = knots[each:] - knots[:-each]
-        rise = (values[:, None] - knots[:-each]) / np.where(widths > 0.0, widths, 1.0)
+    # Clipped so that the last interval includes its end.
+    intervals = np.clip(np.searchsorted(knots, values, "right") - 1, degree, last)
+    splines: FloatArray = (np.arange(len(knots) - 1) == intervals[:, None]).astype(np.float64)
+    for order in range(1, degree + 1):
+        widths = knots[order:] - knots[:-order]
+        rise = (values[:, None] - knots[:-order]) / np.where(widths > 0.0, widths, 1.0)
         splines = rise[:, :-1] * splines[:, :-1] + (1.0 - rise[:, 1:]) * splines[:, 1:]
     return splines
 

@@ -1,10 +1,10 @@
-"""The one clock of a run: real, or virtual.
+"""The clock of a run: wall time or virtual time.
 
-Engine, drivers and emulators all read and wait on the same clock object. On the virtual clock a
-wait takes no time: it advances ``now()``, and an emulator computes what happened in between when
-it next receives a request. No other module reads the time or sleeps.
+Engine, drivers and emulators read and wait on the same clock object. On the virtual clock a wait takes no
+real time: it advances ``now()``, and an emulator simulates the elapsed time when it next receives a request.
+No other module reads the time or sleeps.
 
-The clock of a resumed run keeps its epoch, and ``now()`` starts after everything that the run has recorded.
+The clock of a resumed run keeps the epoch of the run, and ``now()`` starts after the last recorded time.
 """
 
 from __future__ import annotations
@@ -16,33 +16,33 @@ from collections.abc import Hashable
 from datetime import UTC, datetime, timedelta
 from weakref import WeakValueDictionary
 
-#: Calendar time at which every virtual run starts, so that equal runs leave equal files.
+#: Calendar time at which every virtual run starts, so that equal runs write equal files.
 VIRTUAL_EPOCH = datetime(2000, 1, 1, tzinfo=UTC)
 #: A resumed run starts at least this long after its last record.
 RESUME_STEP_S = 1.0
 
-#: Linux: continues while the host is suspended, as the chamber and the ages of values do. A clock that
-#: stopped would hide the hours between two readings.
-_STEADY = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
+#: On Linux a clock that continues while the host is suspended: the chamber continues too, and a clock that
+#: stops would hide the hours between two readings.
+_MONOTONIC = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
 
 _numbers = itertools.count(1)
 _clocks: WeakValueDictionary[str, Clock] = WeakValueDictionary()
 
 
 class Clock(ABC):
-    """Monotonic time of a run, in seconds, with the calendar time that belongs to it.
+    """Monotonic time of a run in seconds, with the corresponding calendar time.
 
     Attributes
     ----------
     name : str
-        Name for :func:`clock_named`: an address such as ``emulator://table?clock=NAME`` has it.
+        Name for :func:`clock_named`, as in the address ``emulator://table?clock=NAME``.
     is_virtual : bool
         Whether waiting takes no real time.
     speed : float
-        Seconds of this clock per second of the host; waits by the host, such as a port's time-out,
-        are divided by it.
+        Seconds of this clock per second of the host. Divide a duration by it before the host waits for it,
+        as for a port's time-out.
     companions : dict
-        Objects that live as long as this clock, such as an emulated bench.
+        Objects that are kept alive as long as this clock, such as an emulated bench.
     """
 
     is_virtual: bool
@@ -55,7 +55,7 @@ class Clock(ABC):
 
     @abstractmethod
     def now(self) -> float:
-        """Seconds since the run began; never goes back."""
+        """Seconds since the run began; never decreases."""
 
     @abstractmethod
     def sleep(self, duration_s: float) -> None:
@@ -68,7 +68,7 @@ class Clock(ABC):
 
     @abstractmethod
     def calendar_offset_s(self) -> float:
-        """How far the host's calendar is ahead of :meth:`utc`."""
+        """Time by which the host's calendar is ahead of :meth:`utc`."""
 
     def sleep_until(self, time_s: float) -> None:
         """Wait until ``now()`` is at least ``time_s``."""
@@ -80,12 +80,13 @@ class Clock(ABC):
 
 
 class WallClock(Clock):
-    """Real time, monotonic: setting the calendar changes no wait.
+    """Monotonic real time; setting the host's calendar does not change waits.
 
     Parameters
     ----------
     epoch : datetime, optional
-        Calendar time (UTC) at ``now() == 0``; without it, ``utc()`` begins at the calendar's time.
+        Calendar time (UTC) at ``now() == 0``; by default such that ``utc()`` is the host's calendar time at
+        the start.
     start_s : float
         Initial ``now()``.
     speed : float
@@ -99,21 +100,21 @@ class WallClock(Clock):
         super().__init__()
         self.speed = speed
         self._start_s = start_s
-        self._started_at_s = time.clock_gettime(_STEADY)
+        self._started_at_s = time.clock_gettime(_MONOTONIC)
         self._calendar_at_start = _calendar()
         self._epoch = epoch or self._calendar_at_start - timedelta(seconds=start_s)
 
     @classmethod
     def resumed(cls, epoch: datetime, last_s: float, speed: float = 1.0) -> WallClock:
-        """Make the clock of a resumed run with its ``epoch`` and the time ``last_s`` of its last record.
+        """Make the clock of a resumed run. ``epoch`` is that of the run, ``last_s`` the last recorded time.
 
-        It begins at the calendar's time, but after the last record even if the calendar was set back.
+        It starts at the host's calendar time, or after the last record if the calendar was set back.
         """
         return cls(epoch, max(last_s + RESUME_STEP_S, (_calendar() - epoch).total_seconds()), speed)
 
     def now(self) -> float:
         """Seconds since the run began."""
-        return self._start_s + self.speed * (time.clock_gettime(_STEADY) - self._started_at_s)
+        return self._start_s + self.speed * (time.clock_gettime(_MONOTONIC) - self._started_at_s)
 
     def sleep(self, duration_s: float) -> None:
         """Wait in real time."""
@@ -126,9 +127,9 @@ class WallClock(Clock):
         return self._epoch
 
     def calendar_offset_s(self) -> float:
-        """How far the host's calendar is ahead of :meth:`utc`.
+        """Time by which the host's calendar is ahead of :meth:`utc`.
 
-        With a speed above 1: how far it was ahead at the start, plus what it was set by since.
+        With a speed above 1, the offset at the start plus the changes of the calendar since.
         """
         at_start_s = (self._calendar_at_start - self._epoch).total_seconds()
         since_s = self.speed * (_calendar() - self._calendar_at_start).total_seconds()
@@ -136,7 +137,7 @@ class WallClock(Clock):
 
 
 class VirtualClock(Clock):
-    """Time that passes only by waiting, from ``start_s``."""
+    """Virtual time that starts at ``start_s`` and advances only by waiting."""
 
     is_virtual = True
 
@@ -149,12 +150,12 @@ class VirtualClock(Clock):
         return self._now_s
 
     def sleep(self, duration_s: float) -> None:
-        """Advance without waiting."""
+        """Advance the time at once."""
         if duration_s > 0.0:
             self._now_s += duration_s
 
     def sleep_until(self, time_s: float) -> None:
-        """Advance to exactly ``time_s``, without the rounding of a difference."""
+        """Advance to exactly ``time_s``, without the rounding error of a difference."""
         if time_s > self._now_s:
             self._now_s = time_s
 
@@ -169,7 +170,7 @@ class VirtualClock(Clock):
 
 
 def parsed_utc(text: object) -> datetime | None:
-    """Calendar time of ISO 8601 text, UTC where it names no zone; None where it is none."""
+    """Parse a calendar time in ISO 8601, UTC if it names no zone; None if it is not valid."""
     try:
         moment = datetime.fromisoformat(str(text))
     except ValueError:
@@ -178,7 +179,7 @@ def parsed_utc(text: object) -> datetime | None:
 
 
 class Deadline:
-    """A moment on a clock, passed down so that nested waits share one budget of time."""
+    """End of a time budget on a clock; passed down so that nested waits share the budget."""
 
     def __init__(self, clock: Clock, duration_s: float) -> None:
         self._clock = clock
@@ -186,7 +187,7 @@ class Deadline:
         self._end_s = clock.now() + duration_s
 
     def remaining_s(self) -> float:
-        """Time left, not below zero."""
+        """Remaining time, at least zero."""
         return max(0.0, self._end_s - self._clock.now())
 
     def expired(self) -> bool:
@@ -195,7 +196,7 @@ class Deadline:
 
 
 def clock_named(name: str) -> Clock:
-    """Find the clock of that name. Raises KeyError if no clock of that name is in use."""
+    """Find a clock by name. Raises KeyError if no clock of that name exists."""
     return _clocks[name]
 
 

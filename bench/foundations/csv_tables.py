@@ -1,4 +1,4 @@
-"""CSV tables as text: cells checked one by one, mistakes reported with line and column."""
+"""Reads and writes CSV tables; checks each cell and reports mistakes with line and column."""
 
 from __future__ import annotations
 
@@ -21,40 +21,41 @@ from gyrobench.bench.foundations.text import WRITE_POINT, did_you_mean, format_c
 
 _RowT = TypeVar("_RowT")
 
-#: UTF-8, where some spreadsheets put a mark in front.
+#: UTF-8, with or without the byte order mark that some spreadsheets write.
 _ENCODING = "utf-8-sig"
-#: Some hundred thousand dwells.
+#: Enough for some hundred thousand dwells.
 _MAX_TABLE_BYTES = 100_000_000
-#: Beyond anything measured; squares and sums of values within stay finite.
-_LARGEST_NUMBER, _SMALLEST_UNCERTAINTY = 1e30, 1e-30
-#: Beyond any gyro; much larger temperatures would fill the memory with empty bins.
+#: Far beyond any measured value; squares and sums of values within these limits stay finite.
+_MAX_NUMBER, _MIN_UNCERTAINTY = 1e30, 1e-30
+#: Beyond the range of any gyro; much larger temperatures would fill the memory with empty bins.
 COLDEST_C, HOTTEST_C = -273.15, 1000.0
-_SHOWN_PROBLEMS = 20
-#: What stands between cells in place of a comma, and how to call it.
+_MAX_LISTED_PROBLEMS = 20
+#: Separators that are used in place of a comma, and their names in messages.
 _OTHER_SEPARATORS = {";": "';'", "\t": "a tab"}
-_PART_LINES = 100
+_BATCH_LINES = 100
 _INTEGER = re.compile(r"[-+]?[0-9]{1,18}")
 _LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
 _NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 
 
 class CsvTable:
-    """Cells of a CSV text, turned into values by column name.
+    """A CSV text whose cells are read as values by row and column name.
 
-    A wrong cell is recorded and gives a substitute value; :meth:`raise_problems` reports them all.
+    A wrong cell is recorded and gives a substitute value; :meth:`raise_problems` reports all wrong cells.
 
-    Raises DocumentError for no header, a column missing or given twice, a row with too few or too many cells.
+    Raises DocumentError if the header is missing, a column is missing or given twice, or a row has too few or
+    too many cells.
 
     Parameters
     ----------
     text : str
-        UTF-8 content, with a header.
+        Content, with a header.
     name : str
         Name of the file in messages.
     required : sequence of str
-        Columns that must be there.
-    left_out : int
-        Number of lines of the file between the header and the rest of the text.
+        Columns that must be present.
+    skipped_lines : int
+        Number of lines of the file between the header and the first row of ``text``.
 
     Attributes
     ----------
@@ -64,28 +65,30 @@ class CsvTable:
         Names of the columns.
     """
 
-    def __init__(self, text: str, name: str, required: Sequence[str], left_out: int = 0) -> None:
+    def __init__(self, text: str, name: str, required: Sequence[str], skipped_lines: int = 0) -> None:
         self._name = name
         self._problems: list[str] = []
-        #: The rows as they are, and the one whose cells were read last: all cells would take five times as
-        #: much memory.
+        #: The rows as text, and the cells of the row that was read last: storing all cells would take five
+        #: times the memory.
         self._rows: list[str] = []
         self._current, self._cells = -1, [""]
         self.lines: list[int] = []
-        taken: list[str] = []
-        reader = csv.reader(_lines(text, taken), strict=True)
+        row_lines: list[str] = []
+        reader = csv.reader(_lines(text, row_lines), strict=True)
         counts = []
         try:
             self.header = header = [cell.strip() for cell in next(reader, [])]
-            taken.clear()
+            row_lines.clear()
             for cells in reader:
                 if cells:
-                    self._rows.append("".join(taken))
-                    self.lines.append(reader.line_num + left_out)
+                    self._rows.append("".join(row_lines))
+                    self.lines.append(reader.line_num + skipped_lines)
                     counts.append(len(cells))
-                taken.clear()
+                row_lines.clear()
         except csv.Error as error:
-            raise DocumentError(f"{name}:{reader.line_num + left_out}: not valid CSV: {error}") from error
+            raise DocumentError(
+                f"{name}:{reader.line_num + skipped_lines}: not valid CSV: {error}"
+            ) from error
         self._columns = {column: index for index, column in enumerate(header)}
         self._check_shape(counts, required)
 
@@ -93,14 +96,14 @@ class CsvTable:
         return len(self._rows)
 
     def is_numeric(self, column: str) -> bool:
-        """Whether a column has numbers and nothing else but empty cells."""
+        """Whether a column contains only numbers and empty cells, and at least one number."""
         texts = {self.text(index, column).lower() for index in range(len(self))} - {"", "nan"}
         return bool(texts) and all(
-            _NUMBER.fullmatch(text) and abs(float(text)) <= _LARGEST_NUMBER for text in texts
+            _NUMBER.fullmatch(text) and abs(float(text)) <= _MAX_NUMBER for text in texts
         )
 
     def text(self, index: int, column: str) -> str:
-        """Give the cell's text; empty where the table has no such column."""
+        """Text of a cell; empty if the table has no such column."""
         position = self._columns.get(column)
         if position is None:
             return ""
@@ -109,16 +112,16 @@ class CsvTable:
         return self._cells[position].strip()
 
     def name(self, index: int, column: str) -> str:
-        """Read a name, refused where a spreadsheet would take it for a formula."""
+        """Read a name; refuses one that a spreadsheet would take for a formula."""
         text = self.text(index, column)
         if text.startswith(("=", "+", "-", "@")):
             self.problem(
                 index, column, f"a name can't begin with '{text[0]}', as formulas do; found '{text}'"
             )
-        return sys.intern(text)  # kept once, not once for each row
+        return sys.intern(text)  # stored once, not once for each row
 
     def flags(self, index: int, column: str) -> tuple[str, ...]:
-        """Read what :func:`gyrobench.bench.foundations.text.flag_text` writes; empty for an empty cell."""
+        """Read flags as written by :func:`gyrobench.bench.foundations.text.flag_text`; none if empty."""
         text = self.text(index, column)
         return tuple(map(sys.intern, text.split("; "))) if text else ()
 
@@ -139,22 +142,22 @@ class CsvTable:
         return 0
 
     def number(self, index: int, column: str, may_be_empty: bool = False) -> float:
-        """Read a number of plausible size; NaN for an empty cell or ``nan``, refused unless allowed."""
+        """Read a number of plausible size; NaN for an empty cell or ``nan`` if ``may_be_empty``."""
         text = self.text(index, column)
         if text and _NUMBER.fullmatch(text):
             value = float(text)
-            if abs(value) <= _LARGEST_NUMBER:
+            if abs(value) <= _MAX_NUMBER:
                 return value
-            self.problem(index, column, f"{value:g} is beyond {_LARGEST_NUMBER:g}")
+            self.problem(index, column, f"{value:g} is beyond {_MAX_NUMBER:g}")
         elif not (may_be_empty and text.lower() in ("", "nan")):
             point = f". {WRITE_POINT}" if has_decimal_comma(text) else ""
             self.problem(index, column, f"expected a number; found '{text}'{point}")
         return math.nan
 
     def uncertainty(self, index: int, column: str, may_be_empty: bool = False) -> float:
-        """Read a standard uncertainty, which is above zero."""
+        """Read a standard uncertainty, which must be above zero."""
         value = self.number(index, column, may_be_empty)
-        if value < _SMALLEST_UNCERTAINTY:
+        if value < _MIN_UNCERTAINTY:
             self.problem(index, column, f"an uncertainty must be above zero; found {value:g}")
         return value
 
@@ -170,7 +173,7 @@ class CsvTable:
         return value_c
 
     def rows(self, read: Callable[[int], _RowT]) -> list[_RowT]:
-        """Read each row by its index. Raises DocumentError that lists the recorded problems."""
+        """Call ``read`` with each row index. Raises DocumentError that lists the recorded problems."""
         rows = [read(index) for index in range(len(self))]
         self.raise_problems()
         return rows
@@ -183,9 +186,9 @@ class CsvTable:
         """Raise a DocumentError that lists the recorded problems, if there are any."""
         if not self._problems:
             return
-        more = len(self._problems) - _SHOWN_PROBLEMS
-        shown = self._problems[:_SHOWN_PROBLEMS] + ([f"... and {more} more"] if more > 0 else [])
-        raise DocumentError("\n".join(shown))
+        unlisted = len(self._problems) - _MAX_LISTED_PROBLEMS
+        lines = self._problems[:_MAX_LISTED_PROBLEMS] + ([f"... and {unlisted} more"] if unlisted > 0 else [])
+        raise DocumentError("\n".join(lines))
 
     def _check_shape(self, counts: Sequence[int], required: Sequence[str]) -> None:
         header = self.header
@@ -203,29 +206,29 @@ class CsvTable:
             raise DocumentError(
                 f"{self._name}:1: the header lacks {columns}; it has {', '.join(header) or 'none'}"
             )
-        twice = sorted({column for column in header if header.count(column) > 1})
-        if twice:
-            raise DocumentError(f"{self._name}:1: the header gives {', '.join(twice)} more than once")
+        duplicates = sorted({column for column in header if header.count(column) > 1})
+        if duplicates:
+            raise DocumentError(f"{self._name}:1: the header gives {', '.join(duplicates)} more than once")
         for count, line in zip(counts, self.lines, strict=True):
             if count != len(header):
                 raise DocumentError(f"{self._name}:{line}: {count} cells where the header has {len(header)}")
 
 
-def _lines(text: str, taken: list[str]) -> Iterator[str]:
-    """Lines of a text as a file would give them; each is also put into ``taken``."""
+def _lines(text: str, row_lines: list[str]) -> Iterator[str]:
+    """Yield the lines of a text with their ends; also appends each to ``row_lines``."""
     for line in _LINE.finditer(text):
-        taken.append(line[0])
+        row_lines.append(line[0])
         yield line[0]
 
 
 def format_csv(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """CSV text with a header and plain line ends."""
-    return "".join(_formatted(columns, rows))
+    """Format rows as CSV text with a header; lines end with a line feed."""
+    return "".join(_format_lines(columns, rows))
 
 
-def _formatted(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[str]:
+def _format_lines(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[str]:
     line = io.StringIO(newline="")
-    writer = csv.writer(line, lineterminator="\r\n")  # which quotes a cell with either of the two
+    writer = csv.writer(line, lineterminator="\r\n")  # so that a cell with either character is quoted
     for cells in chain([columns], rows):
         writer.writerow(cells)
         yield line.getvalue().removesuffix("\r\n") + "\n"
@@ -234,13 +237,13 @@ def _formatted(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterato
 
 
 def format_rows(columns: Sequence[str], rows: Iterable[Any]) -> str:
-    """CSV text of instances of a data class, whose fields are the columns."""
+    """Format instances of a data class as CSV text; the cells are its fields, in order."""
     return format_csv(columns, _cells(rows))
 
 
 def write_rows(path: Path, columns: Sequence[str], rows: Iterable[Any]) -> None:
-    """Write the same to a file row by row, whole or not at all; raises as :func:`write_text`."""
-    write_whole(path, (line.encode() for line in _formatted(columns, _cells(rows))))
+    """Write instances of a data class to a CSV file, atomically; raises as :func:`write_text`."""
+    write_whole(path, (line.encode() for line in _format_lines(columns, _cells(rows))))
 
 
 def _cells(rows: Iterable[Any]) -> Iterator[list[str]]:
@@ -251,7 +254,7 @@ def _cells(rows: Iterable[Any]) -> Iterator[list[str]]:
 
 
 CellReader = Callable[[CsvTable, int, str], Any]
-#: By the type of a field.
+#: Readers of cells by the type of the field.
 _READERS: Mapping[str, CellReader] = {
     "str": lambda table, index, name: sys.intern(table.text(index, name)),  # mostly a few words
     "int": CsvTable.integer,
@@ -262,7 +265,7 @@ _READERS: Mapping[str, CellReader] = {
 
 
 def one_of(allowed: Collection[str]) -> CellReader:
-    """Reader of a cell with one of these words."""
+    """Return a reader of cells that contain one of the allowed words."""
     return lambda table, index, name: table.choice(index, name, allowed)
 
 
@@ -272,10 +275,11 @@ def read_rows(
     readers: Mapping[str, CellReader],
     columns: Mapping[str, str] = MappingProxyType({}),
 ) -> list[_RowT]:
-    """Read instances of a data class, whose fields of type str, int, float, flags or None are the columns.
+    """Read instances of the data class ``kind`` from a CSV file with a column for each of its fields.
 
-    ``readers``: of fields that are read otherwise. ``columns``: names of columns that are not those of their
-    fields. Raises DocumentError if the file can't be read or is wrong; the message lists all problems.
+    A cell is read by the type of its field: str, int, ``int | None``, float or flags. ``readers`` are used
+    instead for the fields that they name; ``columns`` gives the names of columns that differ from those of
+    their fields. Raises DocumentError if the file can't be read or is wrong; the message lists all problems.
     """
     names = {each.name: columns.get(each.name, each.name) for each in fields(kind)}  # type: ignore[arg-type]
     return _read(CsvTable(read_text(path), str(path), list(names.values())), kind, readers, names)
@@ -287,27 +291,27 @@ def each_row(
     readers: Mapping[str, CellReader],
     columns: Mapping[str, str] = MappingProxyType({}),
 ) -> Iterator[_RowT]:
-    """The same one after the other, of a table that is larger than what is made of it.
+    """Read the rows one at a time, without holding the whole table in memory; see :func:`read_rows`.
 
     Raises DocumentError at the first part of the file that is wrong.
     """
     names = {each.name: columns.get(each.name, each.name) for each in fields(kind)}  # type: ignore[arg-type]
     lines = read_lines(path, _MAX_TABLE_BYTES, DocumentError)
-    header, left_out = next(lines, b""), 0
-    while (part := list(islice(lines, _PART_LINES))) or not left_out:
+    header, skipped_lines = next(lines, b""), 0
+    while (part := list(islice(lines, _BATCH_LINES))) or not skipped_lines:
         while sum(line.count(b'"') for line in part) % 2 and (line := next(lines, b"")):
-            part.append(line)  # of a cell with line ends
+            part.append(line)  # belongs to a quoted cell with line ends
         text = decoded(path, b"".join([header, *part]), _ENCODING)
-        yield from _read(CsvTable(text, str(path), list(names.values()), left_out), kind, readers, names)
-        left_out += max(len(part), 1)
+        yield from _read(CsvTable(text, str(path), list(names.values()), skipped_lines), kind, readers, names)
+        skipped_lines += max(len(part), 1)
 
 
 def _read(
     table: CsvTable, kind: type[_RowT], readers: Mapping[str, CellReader], names: Mapping[str, str]
 ) -> list[_RowT]:
-    known = fields(kind)  # type: ignore[arg-type]
     cells = [
-        (each.name, readers.get(each.name) or _READERS[str(each.type)], names[each.name]) for each in known
+        (each.name, readers.get(each.name) or _READERS[str(each.type)], names[each.name])
+        for each in fields(kind)  # type: ignore[arg-type]
     ]
     return table.rows(
         lambda index: kind(**{name: read(table, index, column) for name, read, column in cells})
@@ -315,7 +319,7 @@ def _read(
 
 
 def read_text(path: Path) -> str:
-    """Content of a UTF-8 file, without the mark that some spreadsheets put in front.
+    """Read a UTF-8 file, without the byte order mark that some spreadsheets write.
 
     Raises DocumentError if the file can't be read, is too large, or is not UTF-8.
     """
@@ -323,7 +327,7 @@ def read_text(path: Path) -> str:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a UTF-8 file whole or not at all, line ends as they are.
+    """Write a UTF-8 file atomically; line ends are not changed.
 
     Raises RunFolderError if the file can't be written.
     """

@@ -1,19 +1,19 @@
-"""Every error that gyrobench raises on purpose.
+"""Exceptions of gyrobench.
 
 ::
 
     GyrobenchError
     ├── DocumentError (ValueError)        a procedure, station, world or DBC file is wrong
-    ├── InstrumentError                   something about one instrument
-    │   ├── ConnectionFailedError (OSError)   its port can't be opened or went away
-    │   ├── NoReplyError (TimeoutError)   it did not answer in time
-    │   ├── ReplyError                    it answered something that can't be understood
-    │   ├── RefusedError                  it refused
+    ├── InstrumentError                   a problem with one instrument
+    │   ├── ConnectionFailedError (OSError)   its port can't be opened or is gone
+    │   ├── NoReplyError (TimeoutError)   it did not reply in time
+    │   ├── ReplyError                    its reply is invalid
+    │   ├── RefusedError                  it refused a request
     │   └── FaultError                    it reports a fault: trip, interlock, broken sensor
     ├── InterlockError                    a limit of the station is exceeded, or a value too old
     ├── BenchInUseError                   another process holds the bench or the run folder
-    ├── StepTimeoutError (TimeoutError)   a step of the procedure did not end in its time
-    ├── InvalidDwellError                 a dwell in progress can't give a result any more
+    ├── StepTimeoutError (TimeoutError)   a step of the procedure exceeded its time limit
+    ├── InvalidDwellError                 a dwell in progress can no longer give a result
     ├── UnitsLostError                    every unit of a run was dropped
     ├── RunStoppedError                   a command or an answer stops the run
     ├── MeasurementError (ValueError)     measured data that can't give a result
@@ -23,13 +23,13 @@
     │   └── UnusablePathError             a path that was named can't be written, or is in use
     └── MissingPackageError (ImportError) an optional package is not installed
 
-A message says what happened, where, and what to do about it. Kinds that only the engine
-distinguishes are in ``bench/engine/interlocks/watch.py`` and ``bench/engine/operator.py``.
+A message states what happened, where, and what to do about it. Exceptions that are used only inside the
+engine are in ``bench/engine/interlocks/watch.py`` and ``bench/engine/operator.py``.
 """
 
 
 class GyrobenchError(Exception):
-    """Root of all errors raised on purpose."""
+    """Base class of all exceptions of gyrobench."""
 
 
 class DocumentError(GyrobenchError, ValueError):
@@ -41,10 +41,10 @@ class DocumentError(GyrobenchError, ValueError):
 
 
 class InstrumentError(GyrobenchError):
-    """Something went wrong with one instrument.
+    """A problem with one instrument.
 
-    ``instrument``: which one, as the station file names it ("rate table", "chamber", "INS"). ``message``:
-    what happened and what to do; the text of the error has the instrument before it.
+    ``instrument`` is its name: "rate table", "chamber" or "INS". ``message`` states what happened and what to
+    do; the text of the error is the instrument's name and the message.
     """
 
     def __init__(self, instrument: str, message: str) -> None:
@@ -53,19 +53,22 @@ class InstrumentError(GyrobenchError):
 
 
 class ConnectionFailedError(InstrumentError, OSError):
-    """The instrument's port can't be opened, or went away (cable, power, wrong name)."""
+    """The instrument's port can't be opened, or is gone (cable, power, wrong name)."""
 
 
 class NoReplyError(InstrumentError, TimeoutError):
-    """The instrument did not answer within its time."""
+    """The instrument did not reply within the time limit."""
 
 
 class ReplyError(InstrumentError):
-    """The instrument's answer can't be understood: wrong CRC, wrong length, not a number."""
+    """The instrument's reply is invalid: wrong CRC, wrong length, not a number."""
 
 
 class RefusedError(InstrumentError):
-    """The instrument understood and refused: exception code, parameter out of range."""
+    """The instrument refused a valid request: exception code, parameter out of range.
+
+    A driver also raises it if it refuses a command itself, or the instrument does not hold a written value.
+    """
 
 
 class FaultError(InstrumentError):
@@ -77,15 +80,15 @@ class InterlockError(GyrobenchError):
 
 
 class BenchInUseError(GyrobenchError):
-    """Another process holds the bench or the run folder; the message says which, whose and since when."""
+    """Another process holds the bench or the run folder; the message names it, its user and the start."""
 
 
 class StepTimeoutError(GyrobenchError, TimeoutError):
-    """A step of the procedure did not reach its end in its time."""
+    """A step of the procedure exceeded its time limit."""
 
 
 class InvalidDwellError(GyrobenchError):
-    """A dwell in progress can't give a result any more, as when the INS did not align; it is repeated."""
+    """A dwell in progress can no longer give a result, as when the INS did not align; it is repeated."""
 
 
 class UnitsLostError(GyrobenchError):
@@ -93,7 +96,7 @@ class UnitsLostError(GyrobenchError):
 
 
 class RunStoppedError(GyrobenchError):
-    """The run stops: by a command or an answer, or because it was held for too long."""
+    """A command or an answer of the operator stops the run, or it was held for too long."""
 
 
 class MeasurementError(GyrobenchError, ValueError):
@@ -105,19 +108,19 @@ class SignalMapError(MeasurementError):
 
 
 class RunFolderError(GyrobenchError, OSError):
-    """A run folder can't be written, or what it holds can't be read."""
+    """A run folder can't be written, or its contents can't be read."""
 
 
 class RunFinishedError(RunFolderError):
-    """The run has finished and has its report: nothing is left to do."""
+    """The run has finished and has its report, so there is nothing to resume."""
 
 
 class MissingRunError(RunFolderError):
-    """No run is in the folder that was named, or there is no such folder."""
+    """The named folder contains no run, or does not exist."""
 
 
 class UnusablePathError(RunFolderError):
-    """A path to write to is taken, in a folder that does not exist, or may not be written."""
+    """A path can't be written: it exists, its folder does not exist, or permission is missing."""
 
 
 class MissingPackageError(GyrobenchError, ImportError):

@@ -1,6 +1,6 @@
-"""Files: read up to a limit of size, written whole or not at all even through a power cut, hashed.
+"""Reads files up to a size limit, writes files atomically even through a power cut, and hashes files.
 
-A file's content is on the disk once the file is synced; its name, once its folder is.
+The content of a file is on the disk after the file is synced, its name after its folder is synced.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from typing import Any, BinaryIO
 
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError, UnusablePathError
 
-_HALF_CHARACTER = re.compile(r"\\u[dD]")
+_SURROGATE_ESCAPE = re.compile(r"\\u[dD]")
 
 
 def read_limited(path: Path, max_bytes: int, error_type: type[DocumentError | RunFolderError]) -> bytes:
-    """Content of a plain file of at most ``max_bytes``; pipes and devices, which may never end, are refused.
+    """Read a regular file of at most ``max_bytes``; refuses pipes and devices, which may never end.
 
     Raises error_type if the file can't be read, is not a plain file, or is too large.
     """
-    with _limited(path, max_bytes, error_type) as stream:
+    with _open_limited(path, max_bytes, error_type) as stream:
         return stream.read()
 
 
@@ -42,20 +42,20 @@ def decoded(path: Path, content: bytes, encoding: str = "utf-8") -> str:
 def read_lines(
     path: Path, max_bytes: int, error_type: type[DocumentError | RunFolderError]
 ) -> Iterator[bytes]:
-    """Lines of such a file with their ends, one at a time; raises as :func:`read_limited`."""
-    with _limited(path, max_bytes, error_type) as stream:
+    """Read the lines of a file, with their ends, one at a time; limits and raises as :func:`read_limited`."""
+    with _open_limited(path, max_bytes, error_type) as stream:
         yield from stream
 
 
 @contextlib.contextmanager
-def _limited(
+def _open_limited(
     path: Path, max_bytes: int, error_type: type[DocumentError | RunFolderError]
 ) -> Iterator[BinaryIO]:
     try:
         status = path.stat()
         if not stat.S_ISREG(status.st_mode):
-            what = "a folder" if stat.S_ISDIR(status.st_mode) else "not a plain file"
-            raise error_type(f"{path}: can't be read: it is {what}")
+            kind = "a folder" if stat.S_ISDIR(status.st_mode) else "not a plain file"
+            raise error_type(f"{path}: can't be read: it is {kind}")
         if status.st_size > max_bytes:
             raise error_type(f"{path}: {status.st_size} bytes; at most {max_bytes} are allowed")
         with path.open("rb") as stream:
@@ -69,13 +69,13 @@ def _limited(
 def parse_json(text: str | bytes) -> Any:
     """Parse JSON.
 
-    Raises ValueError if it is not JSON, nested too deeply, or has halves of characters, which can't be
-    written again.
+    Raises ValueError if it is not JSON, is nested too deeply, or contains unpaired surrogates, which can't be
+    encoded.
     """
     try:
         text = text if isinstance(text, str) else text.decode()
         data = json.loads(text)
-        if _HALF_CHARACTER.search(text):
+        if _SURROGATE_ESCAPE.search(text):
             json.dumps(data, ensure_ascii=False).encode()
         return data
     except RecursionError:
@@ -83,12 +83,10 @@ def parse_json(text: str | bytes) -> Any:
 
 
 def write_whole(path: Path, data: bytes | Iterable[bytes | bytearray], *, is_synced: bool = True) -> None:
-    """Write a file, from one or more parts, whole or not at all; when this returns, it is on the disk.
+    """Write a file atomically, from one or more parts; on return it is on the disk.
 
-    An existing file of that name is replaced atomically.
-
-    ``is_synced``: false for a file that need not survive a power cut; faster. Raises RunFolderError if it
-    can't be written.
+    Replaces an existing file. ``is_synced``: False for a file that need not survive a power cut, which is
+    faster. Raises RunFolderError if it can't be written.
     """
     is_synced = is_synced and not _is_synced_later.get()
     temporary = temporary_path(path)
@@ -107,13 +105,13 @@ def write_whole(path: Path, data: bytes | Iterable[bytes | bytearray], *, is_syn
         raise cant_be_written(path, error) from error
 
 
-#: Whether files are written within :func:`synced_later`.
+#: Whether files are being written within :func:`synced_later`.
 _is_synced_later = ContextVar("_is_synced_later", default=False)
 
 
 @contextlib.contextmanager
 def synced_later() -> Iterator[None]:
-    """Files written within are whole, but not on the disk until :func:`sync_all`: nothing waits for it."""
+    """Context in which files are written atomically, but not synced to the disk until :func:`sync_all`."""
     token = _is_synced_later.set(True)
     try:
         yield
@@ -122,18 +120,18 @@ def synced_later() -> Iterator[None]:
 
 
 def sync_all() -> None:
-    """Put all that was written on the disk, where the system can."""
+    """Sync all written files to the disk, if the system supports it."""
     if hasattr(os, "sync"):
         os.sync()
 
 
 def temporary_path(path: Path) -> Path:
-    """Where a file is written before it gets its name."""
+    """Temporary path at which a file is written before it is renamed to ``path``."""
     return path.with_name(f".{path.name}.part")
 
 
 def file_sha256(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal digits. Raises RunFolderError if it can't be read."""
+    """Compute the SHA-256 of a file, in hexadecimal digits. Raises RunFolderError if it can't be read."""
     try:
         with path.open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
@@ -142,7 +140,7 @@ def file_sha256(path: Path) -> str:
 
 
 def remove(path: Path) -> None:
-    """Remove a file if it is there; when this returns, it is gone from the disk.
+    """Remove a file if it exists; on return it is removed from the disk.
 
     Raises RunFolderError if it can't be removed.
     """
@@ -155,18 +153,18 @@ def remove(path: Path) -> None:
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder, and those above it, unless it is there; when this returns, it is on the disk.
+    """Create a folder and its parents unless it exists; on return it is on the disk.
 
-    Raises RunFolderError if it can't be made.
+    Raises RunFolderError if it can't be created.
     """
     if not make_new_folder(path) and not path.is_dir():
         raise UnusablePathError(f"{path}: is a file where a folder should be")
 
 
 def make_new_folder(path: Path) -> bool:
-    """Make a folder and return whether it was made: False if something of that name exists.
+    """Create a folder and its parents; returns False if something of that name exists.
 
-    Raises RunFolderError if it can't be made.
+    Raises RunFolderError if it can't be created.
     """
     try:
         missing = [folder for folder in (path, *path.parents) if not folder.exists()]
@@ -177,14 +175,14 @@ def make_new_folder(path: Path) -> bool:
         for folder in missing:
             sync_folder(folder.parent)
     except OSError as error:
-        if isinstance(error, FileExistsError) and path.exists():  # made by another process meanwhile
+        if isinstance(error, FileExistsError) and path.exists():  # another process has created it meanwhile
             return False
-        raise _type_of(error)(f"{path}: can't be made: {_reason(error)}") from error
+        raise _error_type(error)(f"{path}: can't be made: {_reason(error)}") from error
     return True
 
 
 def sync_folder(folder: Path) -> None:
-    """Bring the names in a folder to the disk. Raises OSError if it can't be done."""
+    """Sync the names in a folder to the disk. Raises OSError if that fails."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -193,22 +191,22 @@ def sync_folder(folder: Path) -> None:
 
 
 def cant_be_written(path: Path, error: OSError) -> RunFolderError:
-    """Make the error of a file that can't be written."""
-    return _type_of(error)(f"{path}: can't be written: {_reason(error)}")
+    """Return the exception for a file that can't be written."""
+    return _error_type(error)(f"{path}: can't be written: {_reason(error)}")
 
 
-def _type_of(error: OSError) -> type[RunFolderError]:
-    return UnusablePathError if error.errno in _WRONG_PATH else RunFolderError
+def _error_type(error: OSError) -> type[RunFolderError]:
+    return UnusablePathError if error.errno in _PATH_ERRORS else RunFolderError
 
 
 def _reason(error: OSError) -> str:
-    """Reason given by the operating system, and what to do about it."""
+    """Reason given by the operating system, with advice."""
     advice = _ADVICE.get(error.errno or 0, "")
     return f"{error.strerror or error}.{advice}"
 
 
-#: Errors of the path itself, not of its disk.
-_WRONG_PATH = {
+#: Error numbers that concern the path, not the disk.
+_PATH_ERRORS = {
     *(errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.EACCES, errno.EPERM, errno.EROFS),
     *(errno.ENAMETOOLONG, errno.ELOOP, errno.EINVAL),
 }

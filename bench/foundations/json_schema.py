@@ -1,4 +1,4 @@
-"""JSON Schemas of file models, for editors that complete, explain and check."""
+"""JSON Schemas of file models, for editors that complete, explain and check files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 
 class _SchemaGenerator(GenerateJsonSchema):
-    """Without titles made of key names: an editor shows the key itself beside the description."""
+    """Generates no titles from key names: an editor shows the key itself beside the description."""
 
     def field_title_should_be_set(self, schema: Any) -> bool:  # noqa: ARG002 - pydantic's signature
         return False
@@ -25,26 +25,26 @@ def json_schema(model: type[BaseModel], title: str) -> Schema:
     """Write the JSON Schema (draft 2020-12) of a file model.
 
     ``model``: descriptions, defaults and bounds are those of its fields; models below it are in ``$defs``.
-    ``title``: what such a file is.
+    ``title``: description of the kind of file.
     """
-    made = model.model_json_schema(schema_generator=_SchemaGenerator)
+    schema = model.model_json_schema(schema_generator=_SchemaGenerator)
     return {"$schema": _DIALECT, "title": title} | {
-        key: value for key, value in _tidied(made).items() if key != "title"
+        key: value for key, value in _simplify(schema).items() if key != "title"
     }
 
 
-def _tidied(schema: Any) -> Any:
-    """Remove from a schema, at every depth, what does not help to write a file."""
+def _simplify(schema: Any) -> Any:
+    """Remove the parts of a schema, at every depth, that do not help to write a file."""
     if isinstance(schema, list):
-        return [_tidied(each) for each in schema]
+        return [_simplify(each) for each in schema]
     if not isinstance(schema, dict):
         return schema
     kept = {key: value for key, value in schema.items() if not _is_noise(key, value)}
-    return {key: _BELOW.get(key, _tidied)(value) for key, value in kept.items()}
+    return {key: _CONVERTERS.get(key, _simplify)(value) for key, value in kept.items()}
 
 
 def _is_noise(key: str, value: Any) -> bool:
-    """Whether it is the name of a class, a whole section as a default, or a keyword of OpenAPI alone."""
+    """Whether an entry is a class name, a default that is a whole section, or a keyword only of OpenAPI."""
     return (
         (key == "title" and isinstance(value, str))
         or (key == "default" and isinstance(value, Mapping))
@@ -52,21 +52,21 @@ def _is_noise(key: str, value: Any) -> bool:
     )
 
 
-def _by_name(schemas: dict[str, Any]) -> dict[str, Any]:
-    """Schemas by names that are no keywords: keys of a file, or models."""
-    return {name: _tidied(each) for name, each in schemas.items()}
+def _simplify_named(schemas: dict[str, Any]) -> dict[str, Any]:
+    """Simplify schemas by names that are not keywords: keys of a file, or models."""
+    return {name: _simplify(each) for name, each in schemas.items()}
 
 
-def _plain(text: str) -> str:
-    """A docstring as an editor shows it."""
+def _plain_text(text: str) -> str:
+    """Convert a docstring to the text that an editor shows."""
     return re.sub(r":\w+:(?=`)", "", " ".join(text.split()).replace("``", "`"))
 
 
-_BELOW: dict[str, Callable[[Any], Any]] = {
-    "properties": _by_name,
-    "$defs": _by_name,
-    "patternProperties": _by_name,
-    "description": _plain,
+_CONVERTERS: dict[str, Callable[[Any], Any]] = {
+    "properties": _simplify_named,
+    "$defs": _simplify_named,
+    "patternProperties": _simplify_named,
+    "description": _plain_text,
     "default": lambda value: value,
     "enum": lambda value: value,
     "const": lambda value: value,

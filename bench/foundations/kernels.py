@@ -1,7 +1,7 @@
-"""Numerical kernels: functions that run as machine code.
+"""Numerical kernels: functions that numba compiles to machine code.
 
-Numba, which compiles them, is imported when the first one is called: it takes 0.2 s and 50 MB, and most
-processes import kernels without calling any.
+Numba is imported when the first kernel is called: it takes 0.2 s and 50 MB, and most processes import kernels
+without calling any.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _R = TypeVar("_R")
 
 
 class Kernel(Generic[_P, _R]):
-    """Function whose machine code is compiled, or loaded from numba's cache, at its first call."""
+    """A function that is compiled, or loaded from numba's cache, at its first call."""
 
     _called: ClassVar[list[Kernel[Any, Any]]] = []
 
@@ -26,12 +26,12 @@ class Kernel(Generic[_P, _R]):
         update_wrapper(self, function)
 
     def __call__(self, *args: _P.args, **kwargs: _P.kwargs) -> _R:
-        """Run it; some 0.1 us longer than numba's own function takes."""
+        """Call the compiled function; takes some 0.1 us longer than numba's dispatcher."""
         return self.dispatcher(*args, **kwargs)  # type: ignore[no-any-return]
 
     @cached_property
     def dispatcher(self) -> Any:
-        """Numba's function behind it."""
+        """Numba's dispatcher of the function."""
         from gyrobench.bench.foundations.machine_code import dispatcher
 
         self._called.append(self)
@@ -39,12 +39,12 @@ class Kernel(Generic[_P, _R]):
 
     @property
     def _numba_type_(self) -> Any:
-        """Numba asks for it when it compiles a kernel that calls this one."""
+        """Type of the dispatcher; numba reads it when it compiles a kernel that calls this one."""
         return self.dispatcher._numba_type_
 
     @classmethod
     def compilations(cls) -> int:
-        """How many this process had to compile, since numba's cache did not have them."""
+        """Number of functions that this process compiled because they were not in numba's cache."""
         return sum(sum(each.dispatcher.stats.cache_misses.values()) for each in cls._called)
 
 
@@ -57,13 +57,13 @@ def compiled(*, fastmath: bool) -> Callable[[Callable[_P, _R]], Kernel[_P, _R]]:
 
 
 def compiled(function: Any = None, *, fastmath: bool = False) -> Any:
-    """Decorator of kernels; ``fastmath`` lets the compiler reorder sums."""
+    """Decorate a function as a kernel; ``fastmath`` allows the compiler to reorder sums."""
     return partial(Kernel, fastmath=fastmath) if function is None else Kernel(function, fastmath=fastmath)
 
 
 @compiled
 def set_product(product: FloatArray, a: FloatArray, b: FloatArray) -> None:
-    """Set ``product`` (3, 3), neither of the others, to that of two matrices."""
+    """Write the product of two matrices (3, 3) to ``product``, which must be a different array."""
     for i in range(3):
         for j in range(3):
             product[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]

@@ -1,4 +1,4 @@
-"""Machine code of the kernels: compiled by numba once, cached, and loaded without the compiler."""
+"""Compiles kernels with numba once, caches their machine code, and loads it without the compiler."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from numba.core.registry import CPUDispatcher
 from numba.core.runtime import nrtdynmod
 from numba.core.runtime.nrt import rtsys
 
-#: The classes below are tested with this version of numba; any other caches in its usual way.
+#: The classes below are tested with this version of numba; any other version uses its own caching.
 _IS_TESTED = numba.version_info.short == (0, 68)
 
 
-class _LoadedAlone(Cache):
-    """Loads code without all that numba needs to compile any: 0.3 s and 60 MB in each process.
+class _LightCache(Cache):
+    """Cache that loads code without numba's compiler, which takes 0.3 s and 60 MB in each process.
 
-    What is not there yet one process compiles, while others that need it wait.
+    If the code is not cached, one process compiles it while others that need it wait.
     """
 
     _lock: int | None = None
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        found = self._loaded(sig, target_context)
-        if found is None and self._lock is None:
+        overload = self._try_load(sig, target_context)
+        if overload is None and self._lock is None:
             with suppress(ImportError, OSError):
                 import fcntl
 
@@ -38,34 +38,34 @@ class _LoadedAlone(Cache):
                 path = Path(self.cache_path, f"{self._impl.filename_base}.lock")
                 self._lock = os.open(path, os.O_CREAT | os.O_RDWR)
                 fcntl.flock(self._lock, fcntl.LOCK_EX)
-            found = self._loaded(sig, target_context)
-        return found
+            overload = self._try_load(sig, target_context)
+        return overload
 
-    def _loaded(self, sig: Any, target_context: Any) -> Any:
+    def _try_load(self, sig: Any, target_context: Any) -> Any:
         # Code that another version of this module stored is compiled again.
         with self._guard_against_spurious_io_errors(), suppress(AttributeError, ImportError):
             return self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
         return None
 
     def release(self) -> None:
-        """Let waiting processes continue: the code is in the cache, or can't be compiled."""
+        """Release the lock: the code is in the cache, or can't be compiled."""
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
 
 
-class _MachineCode(_LoadedAlone, FunctionCache):
+class _MachineCode(_LightCache, FunctionCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         rtsys.initialize(target_context)
         return super().load_overload(sig, target_context)
 
 
-class _Library(_LoadedAlone, make_library_cache("library")):  # type: ignore[misc]
-    """Code that belongs to no single kernel."""
+class _Library(_LightCache, make_library_cache("library")):  # type: ignore[misc]
+    """Cache of code that all kernels use."""
 
 
 def _array_allocation(target_context: Any) -> Any:
-    """Numba's functions that allocate arrays, also from the cache: 20 MB less in each process."""
+    """Load numba's functions that allocate arrays from the cache too; saves 20 MB in each process."""
     cache = _Library(_array_allocation)  # type: ignore[no-untyped-call]
     try:
         library = cache.load_overload((), target_context)
@@ -81,13 +81,13 @@ def _array_allocation(target_context: Any) -> Any:
 
 
 def _environment(module: str, constants: Any, name: str) -> Any:
-    """Environment of loaded code. It reads no globals, so the modules of numba behind it are not imported."""
-    found = environment.lookup_environment(name)  # type: ignore[no-untyped-call]
-    if found is None:
-        found = environment.Environment({"__name__": module})
-        found.consts[:], found.env_name = constants, name
-        environment.Environment._memo[name] = found  # noqa: SLF001
-    return found
+    """Environment of loaded code; without globals, so that numba's modules for them are not imported."""
+    loaded = environment.lookup_environment(name)  # type: ignore[no-untyped-call]
+    if loaded is None:
+        loaded = environment.Environment({"__name__": module})
+        loaded.consts[:], loaded.env_name = constants, name
+        environment.Environment._memo[name] = loaded  # noqa: SLF001
+    return loaded
 
 
 if _IS_TESTED:
@@ -107,7 +107,7 @@ class _Dispatcher(CPUDispatcher):
 
 
 def dispatcher(function: Callable[..., Any], *, fastmath: bool) -> Dispatcher[Any]:
-    """Function that compiles itself for the types of its arguments, or loads itself from the cache."""
+    """Return a function that is compiled for the types of its arguments, or loaded from the cache."""
     if not _IS_TESTED:
         return numba.njit(fastmath=fastmath, cache=True)(function)
     kernel = _Dispatcher(function, targetoptions={"nopython": True, "fastmath": fastmath})

@@ -8,7 +8,7 @@ from contextlib import suppress
 
 
 def free_memory() -> None:
-    """Free cycles of objects, and return memory to the system where its library can."""
+    """Collect garbage, and return free memory to the system if the C library supports it."""
     gc.collect()
     with suppress(AttributeError, OSError, TypeError):
         ctypes.CDLL(None).malloc_trim(0)

@@ -1,4 +1,4 @@
-"""Who acts: the operator's name, for the audit trail, and the source of a command in words."""
+"""The operator's name for the audit trail, and the source of a command as text."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 #: Environment variable with the operator's name.
 OPERATOR_VARIABLE = "GYROBENCH_OPERATOR"
 _MAX_CHARACTERS = 100
-#: Where a command that was typed in the terminal of its run comes from.
+#: Source of a command typed in the terminal of its run.
 TERMINAL = "the terminal"
 _SOURCES = {
     TERMINAL: "the operator (terminal)",
@@ -23,12 +23,12 @@ _SOURCES = {
 
 
 def operator_name() -> str:
-    """Name of the operator: of the option --operator or GYROBENCH_OPERATOR, else the login name."""
+    """Name of the operator, from the option --operator or GYROBENCH_OPERATOR; else the login name."""
     return os.environ.get(OPERATOR_VARIABLE, "").strip()[:_MAX_CHARACTERS] or login_name()
 
 
 def login_name() -> str:
-    """Login name of the user; unknown in some containers."""
+    """Login name of the user; "unknown" if there is none, as in some containers."""
     try:
         return getpass.getuser()
     except (KeyError, OSError):
@@ -41,9 +41,12 @@ def command_line() -> str:
 
 
 def source_in_words(by: str) -> str:
-    """Source of a command in words: of SIGINT "the operator (Ctrl-C)", of "anna (SIGTERM)" her command."""
+    """Describe the source of a command: "the operator (Ctrl-C)" for SIGINT.
+
+    A signal sent by a named operator, such as "anna (SIGTERM)", is a command of ``gyrobench control``.
+    """
     signals = signal.Signals.__members__
-    name, _, sent = by.removesuffix(")").partition(" (")
-    if sent in signals:
+    name, _, signal_name = by.removesuffix(")").partition(" (")
+    if signal_name in signals:
         return f"{name} (gyrobench control)"
     return _SOURCES.get(by, f"another program ({by})" if by in signals else by)

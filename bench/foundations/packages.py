@@ -1,8 +1,8 @@
-"""Other Python packages: optional ones, imported where they are needed, and those that extend the bench.
+"""Imports other Python packages: optional dependencies, and packages that extend the bench.
 
-A package adds dialects of instruments, CAN frames of an emulated INS and candidate effects by entry points:
-it names its object in its metadata, under the group of its kind. Dialects are imported one by one, when a
-station names them: a broken package affects only the stations that use it.
+A package adds dialects of instruments, CAN frames of an emulated INS, and candidate effects by entry points:
+its metadata name the object in the group of its kind. A dialect is imported only when a station file names
+it, so a broken package affects only the stations that use it.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from typing import Any, TypeVar
 from gyrobench.bench.foundations.errors import DocumentError, MissingPackageError
 from gyrobench.bench.foundations.text import did_you_mean
 
-#: Groups of entry points, and the word for one entry.
+#: Groups of entry points, and the noun for one entry in messages.
 RATE_TABLES, CHAMBERS, EMULATORS = "gyrobench.rate_tables", "gyrobench.chambers", "gyrobench.emulators"
 CAN_FORMATS, EFFECTS = "gyrobench.can_formats", "gyrobench.effects"
 _NOUNS = {CAN_FORMATS: "set of CAN frames", EFFECTS: "effect"}
 _INSTRUMENTS = {RATE_TABLES: " of a rate table", CHAMBERS: " of a chamber"}
-#: Extra of pyproject.toml that installs each optional package.
+#: Extra in pyproject.toml that installs each optional package.
 _EXTRAS = {
     "dask": "fleet",
     "distributed": "fleet",
@@ -39,10 +39,10 @@ _ObjectT = TypeVar("_ObjectT")
 
 
 def require(module: str) -> Any:
-    """Import a module of an optional package, as ``require("asammdf")``.
+    """Import a module of an optional package, such as ``require("asammdf")``.
 
-    Type checkers see the module's types with ``if TYPE_CHECKING: import asammdf``. Raises MissingPackageError
-    if the package or one of its dependencies is not installed; the message names the extra.
+    For type checkers, add ``if TYPE_CHECKING: import asammdf``. Raises MissingPackageError if the package or
+    one of its dependencies is not installed; the message names the extra.
     """
     package = module.partition(".")[0]
     try:
@@ -56,7 +56,7 @@ def require(module: str) -> Any:
 
 
 def installed(group: str) -> list[str]:
-    """Names of the entries of a group, whether or not they can be imported."""
+    """Names of the installed entries of a group, whether or not they can be imported."""
     return sorted({entry.name for entry in _entries(group)})
 
 
@@ -71,21 +71,22 @@ def load(group: str, name: str, kind: type[_ObjectT]) -> _ObjectT:
     group : str
         One of the groups of this module.
     name : str
-        Name of the entry, as a station file gives it.
+        Name of the entry, as in a station file.
     kind : type
         Required type of the object.
     """
     noun = _NOUNS.get(group, "dialect")
-    found = [entry for entry in _entries(group) if entry.name == name]
-    if not found:
-        names, of = installed(group), _INSTRUMENTS.get(group, "")
+    matches = [entry for entry in _entries(group) if entry.name == name]
+    if not matches:
+        names, instrument = installed(group), _INSTRUMENTS.get(group, "")
         raise DocumentError(
-            f"no {noun} {name!r}{of} is installed{did_you_mean(name, names)}; installed: {', '.join(names)}"
+            f"no {noun} {name!r}{instrument} is installed{did_you_mean(name, names)}; "
+            f"installed: {', '.join(names)}"
         )
-    if len(found) > 1:
-        packages = " and ".join(sorted(map(_package, found)))
+    if len(matches) > 1:
+        packages = " and ".join(sorted(map(_package, matches)))
         raise DocumentError(f"the {noun} {name!r} is provided by {packages}; uninstall all but one")
-    entry = found[0]
+    entry = matches[0]
     try:
         loaded = entry.load()  # code of another package may raise anything
     except Exception as error:
@@ -103,9 +104,9 @@ def load(group: str, name: str, kind: type[_ObjectT]) -> _ObjectT:
 
 @cache
 def _all_entries() -> dict[str, EntryPoints]:
-    """Entry points of all packages by group, of the groups of this package; read once."""
-    found = entry_points()
-    return {group: found.select(group=group) for group in found.groups if group.startswith("gyrobench.")}
+    """Entry points of all installed packages, by group, for the groups of gyrobench; read once."""
+    entries = entry_points()
+    return {group: entries.select(group=group) for group in entries.groups if group.startswith("gyrobench.")}
 
 
 def _entries(group: str) -> EntryPoints:

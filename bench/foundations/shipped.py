@@ -1,6 +1,6 @@
-"""The files that come with the project: procedures, stations, worlds, ... in one folder per kind.
+"""Finds the files that come with the project: procedures, stations, worlds, ..., in one folder per kind.
 
-They are in the top folder of the repository, and inside the package ``gyrobench`` where it is installed.
+These folders are at the top of the repository, and inside the package ``gyrobench`` if it is installed.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from types import MappingProxyType
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.text import did_you_mean
 
-#: World that is emulated for a station without a shipped world of its name.
+#: World that is emulated if there is no shipped world with the name of the station.
 DEFAULT_WORLD = "gyro_a"
-#: Shipped procedures that new ones are started from, by what they are for.
+#: Shipped procedures that are templates of new ones, by purpose.
 TEMPLATES = MappingProxyType(
     {
         "check": "ten_minute_check",
@@ -23,12 +23,12 @@ TEMPLATES = MappingProxyType(
         "calibration_check": "calibration_check",
     }
 )
-#: New names of shipped files by their old ones, which are accepted too.
-_RENAMED = MappingProxyType({"procedures": {"verification": "calibration_check"}})
+#: New names of renamed shipped files by kind and old name; the old names are accepted too.
+_NEW_NAMES = MappingProxyType({"procedures": {"verification": "calibration_check"}})
 
 
 _RUN_FOLDER = "is a run folder. Give it to report, close, verify or resume"
-#: What to do with a file of a kind, by the key that names it, where another one is expected.
+#: Advice for a file of another kind than expected, by the key that identifies its kind.
 USES = MappingProxyType(
     {
         "procedure": "Run it with: gyrobench run {0} --station STATION, or check it with its bench: "
@@ -42,7 +42,7 @@ USES = MappingProxyType(
 
 
 def shipped_folders(kind: str) -> list[Path]:
-    """Folders with shipped files of a kind, such as ``procedures``; those that exist."""
+    """Existing folders with shipped files of a kind, such as ``procedures``."""
     folder = _folder(kind)
     return [folder] if folder.is_dir() else []
 
@@ -54,21 +54,21 @@ def _folder(kind: str) -> Path:
 
 
 def shipped_names(kind: str) -> list[str]:
-    """Names of the shipped YAML files of a kind, without their ending."""
+    """Names of the shipped YAML files of a kind, without suffix."""
     return sorted({path.stem for folder in shipped_folders(kind) for path in folder.glob("*.yaml")})
 
 
-def world_for(station: str, world: str | None, otherwise: str = DEFAULT_WORLD) -> str:
-    """World to emulate: the selected one, else the shipped one with the name of the station."""
-    return world or (station if station in shipped_names("worlds") else otherwise)
+def world_for(station: str, world: str | None, default: str = DEFAULT_WORLD) -> str:
+    """World to emulate: the selected one, else the shipped one with the station's name, else ``default``."""
+    return world or (station if station in shipped_names("worlds") else default)
 
 
 def find_document(kind: str, name: str) -> Path:
-    """Find a file by path, or a shipped one by its bare name.
+    """Find a file by path, or a shipped file by name.
 
-    ``kind``: which folder of shipped files to look in. ``name``: a path, or the name of a shipped file
-    without its ending. Raises DocumentError if there is no such file; the message suggests the nearest
-    shipped name and lists all.
+    ``kind``: folder of the shipped files. ``name``: a path, or the name of a shipped file without suffix.
+    Raises DocumentError if there is no such file; the message suggests the nearest shipped name and lists
+    all.
     """
     path = Path(name)
     if path.suffix in {".yaml", ".yml"} or len(path.parts) > 1:
@@ -77,11 +77,11 @@ def find_document(kind: str, name: str) -> Path:
         if (path / "journal.jsonl").is_file():
             raise DocumentError(f"{name}: {_RUN_FOLDER}")
         raise DocumentError(f"{name}: there is no such file{_suggestion(kind, path.stem)}")
-    renamed = _RENAMED.get(kind, {}).get(name)
-    if renamed is not None:
-        logging.getLogger("gyrobench").warning(f"{name}: this {kind.removesuffix('s')} is called {renamed}")
+    new_name = _NEW_NAMES.get(kind, {}).get(name)
+    if new_name is not None:
+        logging.getLogger("gyrobench").warning(f"{name}: this {kind.removesuffix('s')} is called {new_name}")
     for folder in shipped_folders(kind):
-        candidate = folder / f"{renamed or name}.yaml"
+        candidate = folder / f"{new_name or name}.yaml"
         if candidate.is_file():
             return candidate
     if (path / "journal.jsonl").is_file():

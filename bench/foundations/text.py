@@ -1,4 +1,4 @@
-"""Small pieces of sentences that every part of the bench writes alike."""
+"""Formats numbers and words for messages and tables in the same way in every part of the bench."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from collections.abc import Iterable, Sequence
 
 WRITE_POINT = "A number has a decimal point, not a comma"
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
-#: Smallest uncertainty that is written without a power of ten: with one or two digits in five decimals.
-_PLAIN_SIGMA = 1e-5
-#: Digits of a floating-point number.
+#: Smallest uncertainty that is written without a power of ten.
+_MIN_SIGMA_WITHOUT_EXPONENT = 1e-5
+#: Significant digits of a floating-point number.
 _MAX_DIGITS = 15
 
 
 def listed(texts: Sequence[str]) -> str:
-    """Write some things as one: "a, b and c"."""
+    """Join texts to a list in a sentence: "a, b and c"."""
     return " and ".join([", ".join(texts[:-1]), texts[-1]] if len(texts) > 1 else texts)
 
 
 def plain_name(name: str) -> str:
-    """A key of a file in words: "thermal lag" for "thermal_lag"."""
+    """Write a key of a file as words: "thermal lag" for "thermal_lag"."""
     return name.replace("_", " ")
 
 
@@ -31,17 +31,17 @@ def capitalised(text: str) -> str:
 
 
 def counted(number: int, noun: str) -> str:
-    """Write how many: "1 dwell", "2 dwells"."""
+    """Write a number with its noun: "1 dwell", "2 dwells"."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
-def agreeing(number: int, one: str, several: str) -> str:
-    """Write the form of a verb or noun that agrees with a number: "is" of one, "are" of several."""
-    return one if number == 1 else several
+def agreeing(number: int, singular: str, plural_form: str) -> str:
+    """Return the form of a verb or noun for a number: ``singular`` for 1, else ``plural_form``."""
+    return singular if number == 1 else plural_form
 
 
 def hours_minutes(time_s: float) -> str:
-    """Write a time as h:mm, to the nearest minute."""
+    """Write a duration as h:mm, to the nearest minute."""
     minutes = round(time_s / 60.0)
     return f"{minutes // 60}:{minutes % 60:02d}"
 
@@ -62,24 +62,24 @@ def bin_label(low_c: float, high_c: float, between: str = " to ") -> str:
 
 
 def format_number(value: float) -> str:
-    """Nine significant digits, which survive reading and writing again; empty for NaN."""
+    """Write a number with nine significant digits, which reading and writing do not change; empty for NaN."""
     return "" if math.isnan(value) else f"{value:.9g}"
 
 
-def decimals_of(sigma: float, most: int = 7) -> int:
-    """Decimals that show one digit of a standard uncertainty, or two if it begins with 1 or 2."""
-    return min(max(-math.floor(math.log10(sigma / 3.0)), 0), most)
+def decimals_of(sigma: float, max_decimals: int = 7) -> int:
+    """Number of decimals for one digit of a standard uncertainty, or two if it begins with 1 or 2."""
+    return min(max(-math.floor(math.log10(sigma / 3.0)), 0), max_decimals)
 
 
 def with_sigma(value: float, sigma: float) -> str:
-    """Write a value with its standard uncertainty: "1.52 ± 0.08"; the value alone if that is not known.
+    """Write a value with its standard uncertainty: "1.52 ± 0.08"; the value alone if that is unknown.
 
-    Of small ones with a power of ten for both: "(-2.6 ± 3.0)e-8".
+    If the uncertainty is small, both have a common power of ten: "(-2.6 ± 3.0)e-8".
     """
     if not 0.0 < sigma < math.inf:
         return f"{value:.3g}"
     decimals = decimals_of(sigma)
-    if sigma < _PLAIN_SIGMA:
+    if sigma < _MIN_SIGMA_WITHOUT_EXPONENT:
         exponent = math.floor(math.log10(max(abs(value), sigma)))
         value, sigma = value / 10.0**exponent, sigma / 10.0**exponent
         decimals = decimals_of(sigma, _MAX_DIGITS)
@@ -97,15 +97,15 @@ def probability_number(probability: float) -> str:
 
 
 def flag_text(flags: Sequence[str]) -> str:
-    """Flags as one text, as a table has them: "door opened; the INS left navigation".
+    """Join flags to one text, as in a table: "door opened; the INS left navigation".
 
-    A semicolon within a flag becomes a comma, since semicolons separate them.
+    A semicolon within a flag becomes a comma, as semicolons separate the flags.
     """
     return "; ".join(flag.replace("; ", ", ") for flag in flags)
 
 
 def format_cell(value: str | float | tuple[str, ...] | None) -> str:
-    """A number by :func:`format_number`, flags by :func:`flag_text`, empty for None, else as it is."""
+    """Format a cell: numbers by :func:`format_number`, flags by :func:`flag_text`, None as an empty text."""
     if value is None:
         return ""
     if isinstance(value, tuple):
@@ -114,11 +114,11 @@ def format_cell(value: str | float | tuple[str, ...] | None) -> str:
 
 
 def did_you_mean(name: str, allowed: Iterable[str]) -> str:
-    """Write " (did you mean 'x'?)" if one of the allowed names is near, else nothing."""
+    """Write " (did you mean 'x'?)" if one of the allowed names is similar; otherwise empty."""
     close = difflib.get_close_matches(name, list(allowed), n=1)
     return f" (did you mean '{close[0]}'?)" if close else ""
 
 
 def has_decimal_comma(text: str) -> bool:
-    """Whether a text is a number but for the comma in it."""
+    """Whether a text is a number with a decimal comma."""
     return _DECIMAL_COMMA.fullmatch(text) is not None
