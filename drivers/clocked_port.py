@@ -1,7 +1,7 @@
 """A serial port for pyserial handlers whose instrument is inside this process.
 
-A read with a time-out waits on a clock: on a virtual clock it returns at once with the bytes that
-would arrive in that time.
+A read with a time-out waits on a clock: on a virtual clock it returns at once, with the bytes that
+arrive within the time-out.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from gyrobench.bench.foundations.clock import Clock
 
 
 class ClockedPort(SerialBase):
-    """A port on a clock; subclasses implement ``open``, which sets ``clock`` and ``is_open``."""
+    """A port on a clock; a subclass's ``open`` sets ``clock``, ``_arrived`` and ``is_open``."""
 
     clock: Clock
     timeout: float | None = None  # nothing has to be configured when it changes
@@ -22,24 +22,24 @@ class ClockedPort(SerialBase):
 
     @abstractmethod
     def next_due_s(self) -> float | None:
-        """Time on the clock at which the next bytes arrive; None if none are under way."""
+        """Time on the clock at which the next bytes arrive; None if no bytes are to arrive."""
 
     @abstractmethod
     def collect(self) -> None:
-        """Add bytes that have arrived since the last call; raises SerialException if the port is gone."""
+        """Append new bytes to ``_arrived``; raises SerialException if the port is gone."""
 
     def close(self) -> None:
         """Disconnect; the instrument continues unchanged."""
         self.is_open = False
 
     def _reconfigure_port(self) -> None:
-        """Baud rate and parity have no effect."""
+        """Do nothing: baud rate and parity have no effect."""
 
     def _update_rts_state(self) -> None:
-        """Control lines have no effect."""
+        """Do nothing: control lines have no effect."""
 
     def _update_dtr_state(self) -> None:
-        """Control lines have no effect."""
+        """Do nothing: control lines have no effect."""
 
     @property
     def in_waiting(self) -> int:
@@ -72,9 +72,9 @@ class ClockedPort(SerialBase):
         """Do nothing: written bytes are sent at once."""
 
     def reset_input_buffer(self) -> None:
-        """Discard what has arrived."""
+        """Discard the bytes that have arrived."""
         self.collect()
         self._arrived.clear()
 
     def reset_output_buffer(self) -> None:
-        """Do nothing: no output waits."""
+        """Do nothing: there is no pending output."""

@@ -19,7 +19,7 @@ MAX_LENGTH = 8
 #: Bits of ``flags``.
 REMOTE_FRAME, ERROR_FRAME = 1, 2
 
-#: One frame, 24 bytes, with the data where they can be read as a 64-bit number.
+#: One frame of 24 bytes; the data are aligned so that they can be read as a 64-bit number.
 FRAME_DTYPE = np.dtype(
     {
         "names": ["time_s", "id", "length", "flags", "data"],
@@ -31,7 +31,7 @@ FRAME_DTYPE = np.dtype(
 )
 
 
-#: The same without fields, which numpy copies much faster.
+#: The same size without fields; numpy copies it much faster.
 _OPAQUE = np.dtype((np.void, FRAME_DTYPE.itemsize))
 
 
@@ -46,8 +46,9 @@ class FrameBlock:
 
     def __init__(self, rows: NDArray[np.void], only_data: bool = False) -> None:
         self.rows = rows
-        self._only_data = only_data  # as far as is known
-        self._ids: NDArray[np.uint32] | None = None  # side by side, where asked for
+        self._only_data = only_data  # False if it has not been checked
+        # Contiguous copy of the identifiers, made when first used.
+        self._ids: NDArray[np.uint32] | None = None
 
     @classmethod
     def from_columns(
@@ -58,7 +59,7 @@ class FrameBlock:
         data: ArrayLike,
         flags: ArrayLike = 0,
     ) -> FrameBlock:
-        """Make a block of ``timestamp_s``, shape (n,), and the other columns, by the properties' shapes."""
+        """Make a block from columns in the shapes of the properties of the same names."""
         rows = np.zeros(np.shape(timestamp_s), FRAME_DTYPE)
         rows["time_s"], rows["id"], rows["length"] = timestamp_s, arbitration_id, length
         rows["data"], rows["flags"] = data, flags
@@ -66,9 +67,9 @@ class FrameBlock:
 
     @classmethod
     def from_messages(cls, messages: Sequence[can.Message]) -> FrameBlock:
-        """Collect python-can messages; those of CAN FD or with more than 8 bytes are dropped."""
+        """Make a block from python-can messages; drops those of CAN FD or with more than 8 bytes."""
         messages = [m for m in messages if not (m.is_fd or m.dlc > MAX_LENGTH or len(m.data) > MAX_LENGTH)]
-        # One list comprehension an attribute is the fastest way to read Message objects.
+        # One list comprehension for each attribute is the fastest way to read Message objects.
         identifiers = np.array([m.arbitration_id for m in messages], np.uint32)
         extended = np.array([m.is_extended_id for m in messages], np.bool_)
         remote = np.array([m.is_remote_frame for m in messages], np.uint8)
@@ -95,7 +96,7 @@ class FrameBlock:
 
     @property
     def length(self) -> NDArray[np.uint8]:
-        """Numbers of data bytes, shape (n,), 0 to 8; those that a remote frame requests."""
+        """Numbers of data bytes, shape (n,), 0 to 8; of a remote frame, the number that it requests."""
         return self.rows["length"]
 
     @property
@@ -116,15 +117,15 @@ class FrameBlock:
         if isinstance(rows, slice):
             return FrameBlock(self.rows[rows], self._only_data)
         frames = self.rows.view(_OPAQUE)
-        chosen = frames.compress(rows) if np.asarray(rows).dtype == np.bool_ else frames.take(rows)
-        return FrameBlock(chosen.view(FRAME_DTYPE))
+        selected = frames.compress(rows) if np.asarray(rows).dtype == np.bool_ else frames.take(rows)
+        return FrameBlock(selected.view(FRAME_DTYPE))
 
     def in_order(self) -> FrameBlock:
         """Sort by the time stamps; frames with the same one stay in order."""
         return self.take(np.argsort(self.timestamp_s, kind="stable"))
 
     def rows_with_id(self, arbitration_id: int) -> IntArray:
-        """Rows of the frames of one identifier, with :data:`EXTENDED_ID` set if it has 29 bits."""
+        """Indices of the frames of one identifier, with :data:`EXTENDED_ID` set if it has 29 bits."""
         if self._ids is None:
             self._ids = np.ascontiguousarray(self.rows["id"])
         return np.flatnonzero(self._ids == arbitration_id)
@@ -134,7 +135,7 @@ class FrameBlock:
         return self.take(self.rows_with_id(arbitration_id))
 
     def with_fields(self, **values: ArrayLike) -> FrameBlock:
-        """Return a copy with other values in fields of :data:`FRAME_DTYPE`."""
+        """Return a copy with new values of some fields of :data:`FRAME_DTYPE`."""
         rows = self.rows.copy()
         for name, column in values.items():
             rows[name] = column
@@ -144,14 +145,14 @@ class FrameBlock:
         """Select the frames that pass one of python-can's filters."""
         identifiers, passes = self.arbitration_id, np.zeros(len(self), np.bool_)
         for each in filters:
-            alike = (identifiers & np.uint32(EXTENDED_ID - 1) ^ each["can_id"]) & each["can_mask"] == 0
+            matches = (identifiers & np.uint32(EXTENDED_ID - 1) ^ each["can_id"]) & each["can_mask"] == 0
             if "extended" in each:
-                alike &= (identifiers & np.uint32(EXTENDED_ID) != 0) == each["extended"]
-            passes |= alike
+                matches &= (identifiers & np.uint32(EXTENDED_ID) != 0) == each["extended"]
+            passes |= matches
         return self.take(passes)
 
     def data_frames(self) -> FrameBlock:
-        """Leave out remote and error frames; the block itself if it has none."""
+        """Return the block without remote and error frames; the block itself if it has none."""
         if self._only_data:
             return self
         flags = self.rows["flags"]
@@ -179,7 +180,7 @@ class FrameBlock:
 
 
 def concatenate(blocks: Sequence[FrameBlock]) -> FrameBlock:
-    """Join blocks in the order given, none to an empty block."""
+    """Join blocks in the order given; without blocks, an empty block."""
     if not blocks:
         return FrameBlock(np.empty(0, FRAME_DTYPE))
     if len(blocks) == 1:

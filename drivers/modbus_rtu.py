@@ -3,11 +3,11 @@
 Frames and exception codes: MODBUS Application Protocol V1.1b3; CRC and silent interval: MODBUS
 over Serial Line V1.02.
 
-The reply to a read does not name its register: a late reply could pass for the reply to the next
-request. So after a failed exchange nothing is sent until the line has been silent for the reply
-time-out, and the next reply counts only if no further one follows it: replies come in the order of the
-requests. The protocol can't detect a late reply whose successor is lost, or a second copy of a reply after
-the next request.
+The reply to a read does not name its register, so a late reply could be taken for the reply to the next
+request. After a failed exchange, therefore, nothing is sent until the line has been silent for the reply
+time-out, and the next reply is accepted only if no other follows it, as replies come in the order of the
+requests. Two cases can't be detected: a late reply after which the right one is lost, and a second copy of a
+reply that arrives after the next request.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from gyrobench.drivers.serial_line import NEXT_REPLY_S, SerialLine
 
 #: A frame ends with a silence of 3.5 characters, 4 ms at 9600 baud.
 PAUSE_AFTER_READ_S = 0.005
-#: Controllers store a written value before they receive again.
+#: Time in which controllers store a written value; they do not receive meanwhile.
 _PAUSE_AFTER_WRITE_S = 0.03
 
 _READ, _WRITE = 3, 6
@@ -51,14 +51,14 @@ def crc16(data: bytes) -> int:
 
 
 @lru_cache(maxsize=1024)
-def framed(content: bytes) -> bytes:
+def append_crc(content: bytes) -> bytes:
     """Append the CRC, low byte first."""
     return content + crc16(content).to_bytes(2, "little")
 
 
 @lru_cache(maxsize=1024)
 def _read_request(address: int, register: int, count: int) -> tuple[bytes, bytes]:
-    """Request for registers, and how its reply begins."""
+    """Content of a request for registers, and the first bytes of its reply."""
     return struct.pack(">BBHH", address, _READ, register, count), bytes((address, _READ, 2 * count))
 
 
@@ -67,20 +67,20 @@ class UnknownRegisterError(RefusedError):
 
 
 class ModbusRtu:
-    """Exchanges with the device at one address of a line. ``address``: 1 to 247."""
+    """Reads and writes registers of the device at one address of a line. ``address``: 1 to 247."""
 
     def __init__(self, line: SerialLine, address: int, reply_timeout_s: float) -> None:
         self._line = line
         self._address = address
         self._reply_timeout_s = reply_timeout_s
         self._next_request_s = line.clock.now()
-        self._out_of_step = False
+        self._out_of_sync = False
 
     def read(self, register: int, count: int = 1) -> tuple[int, ...]:
         """Read successive registers as signed 16-bit numbers.
 
-        Raises RefusedError if the device replied with an exception. Raises ReplyError, NoReplyError,
-        ConnectionFailedError if there was no valid reply.
+        Raises RefusedError if the device replied with an exception, UnknownRegisterError for that of an
+        illegal address. Raises ReplyError, NoReplyError or ConnectionFailedError if there was no valid reply.
         """
         request, start = _read_request(self._address, register, count)
         reply = self._exchange(request, start, len(start) + 2 * count + 2, PAUSE_AFTER_READ_S)
@@ -89,31 +89,31 @@ class ModbusRtu:
         return struct.unpack(f">{count}h", reply[len(start) : -2])
 
     def write(self, register: int, value: int) -> None:
-        """Write one register as a signed 16-bit number; raises what :meth:`read` raises."""
+        """Write one register as a signed 16-bit number; raises as :meth:`read`."""
         request = struct.pack(">BBHh", self._address, _WRITE, register, value)
         reply = self._exchange(request, request, len(request) + 2, _PAUSE_AFTER_WRITE_S)
         if reply[1] & _EXCEPTION_BIT:
             raise self._refused(reply, f"write {value} to {_label(register)}")
 
     def _exchange(self, request: bytes, start: bytes, size: int, pause_s: float) -> bytes:
-        """Send a request; return its reply, ``size`` bytes beginning with ``start``, or an exception."""
+        """Send a request; returns its reply, of ``size`` bytes that begin with ``start``, or an exception."""
         clock = self._line.clock
         clock.sleep_until(self._next_request_s)
-        may_be_late = self._out_of_step
+        may_be_late = self._out_of_sync
         if may_be_late:
             self._line.await_silence(self._reply_timeout_s)
-        self._out_of_step = True
+        self._out_of_sync = True
         self._next_request_s = clock.now() + self._reply_timeout_s
         self._line.discard_input()
-        self._line.write(framed(request))
+        self._line.write(append_crc(request))
         reply = self._receive(size)
         if crc16(reply) != 0:
             raise self._unexpected(request, reply, "the CRC is wrong; check cable, baud rate and parity")
         if not reply.startswith(start) and reply[:2] != bytes((self._address, request[1] | _EXCEPTION_BIT)):
             raise self._unexpected(request, reply, "another device or function replied; check the address")
-        if may_be_late and self._is_followed():
+        if may_be_late and self._another_reply_follows():
             raise self._unexpected(request, reply, "it is the late reply to an earlier request")
-        self._out_of_step = False
+        self._out_of_sync = False
         self._next_request_s = clock.now() + pause_s
         return reply
 
@@ -125,8 +125,8 @@ class ModbusRtu:
             reply += self._line.read(size - _EXCEPTION_FRAME_BYTES, deadline, settings)
         return reply
 
-    def _is_followed(self) -> bool:
-        """Whether further bytes arrive."""
+    def _another_reply_follows(self) -> bool:
+        """Whether further bytes arrive within :data:`NEXT_REPLY_S`."""
         try:
             self._line.read(1, Deadline(self._line.clock, NEXT_REPLY_S))
         except NoReplyError:

@@ -2,7 +2,7 @@
 
 The address is any pyserial URL: a device (``/dev/ttyUSB0``), ``socket://host:port``,
 ``rfc2217://host:port``, ``emulator://table?...`` or ``replay://FILE``, a recording. pyserial finds the
-handlers of the last two in the packages named below; the emulators are not imported here.
+handlers of the last two in the packages listed below; this module does not import the emulators.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from gyrobench.drivers.recording.protocol_replay import ReplayError, with_clock
 from gyrobench.drivers.recording.recording_file import RecordingFile, new_line_recording
 
 _WRITE_TIMEOUT_S = 5.0
-#: A line that is not silent within this many times the silence required never will be.
+#: Default time limit to await silence, in multiples of the silence.
 _MAX_SILENCES = 5
-#: After a late reply, that to the present request begins within this time.
+#: If a late reply has arrived, the reply to the present request begins within this time, s.
 NEXT_REPLY_S = 0.5
-#: Bytes recorded of the unread input that is discarded.
-_MAX_DISCARDED = 65536
+#: Most bytes of discarded input that are recorded.
+_MAX_DISCARDED_BYTES = 65536
 
 for _handlers in ("gyrobench.drivers.emulators", "gyrobench.drivers.recording"):
     if _handlers not in serial.protocol_handler_packages:
@@ -34,14 +34,15 @@ for _handlers in ("gyrobench.drivers.emulators", "gyrobench.drivers.recording"):
 
 @dataclass(frozen=True)
 class LineDefaults:
-    """Settings of a controller's line that the station file does not give."""
+    """Line settings of a controller, used unless the station file gives others."""
 
     baudrate: int = 9600
-    parity: str = "N"  #: Parity bit; eight data bits and one stop bit always.
-    tcp_port: int | None = None  #: TCP port for an address without one; None if there is no usual port.
+    parity: str = "N"  #: Parity: N, E or O. There are always eight data bits and one stop bit.
+    #: TCP port used if the address has none; None if the controller has no default port.
+    tcp_port: int | None = None
 
-    def completed(self, url: str) -> str:
-        """Complete ``socket://host`` with the usual TCP port."""
+    def complete_url(self, url: str) -> str:
+        """Add the default TCP port to ``socket://host``; returns other URLs unchanged."""
         parts = urlsplit(url)
         if parts.scheme != "socket" or self.tcp_port is None or parts.netloc.rpartition(":")[2].isdecimal():
             return url
@@ -49,7 +50,7 @@ class LineDefaults:
 
 
 def open_port(url: str, clock: Clock, baudrate: int, parity: str) -> serial.Serial:
-    """Open a port exclusively; raises what pyserial raises."""
+    """Open a port for exclusive use; raises the errors of pyserial."""
     return serial.serial_for_url(
         with_clock(url, clock),
         baudrate=baudrate,
@@ -60,25 +61,25 @@ def open_port(url: str, clock: Clock, baudrate: int, parity: str) -> serial.Seri
     )
 
 
-def _port_errors(*others: type[Exception]) -> tuple[type[Exception], ...]:
-    """What pyserial raises when a port goes away, depending on call and platform."""
+def _port_errors(*additional: type[Exception]) -> tuple[type[Exception], ...]:
+    """Errors that pyserial raises if a port is gone, depending on call and platform; and ``additional``."""
     try:
         import termios
     except ImportError:  # not a POSIX system
-        return (serial.SerialException, OSError, *others)
-    return (serial.SerialException, OSError, termios.error, *others)
+        return (serial.SerialException, OSError, *additional)
+    return (serial.SerialException, OSError, termios.error, *additional)
 
 
 def system_reason(error: Exception) -> str:
     """Reason of the operating system why a port can't be opened, without the name of the port."""
-    found = re.findall(r"\[Errno \d+\] ([^\[:']+)", str(error))
-    return found[-1].strip() if found else str(error)
+    reasons = re.findall(r"\[Errno \d+\] ([^\[:']+)", str(error))
+    return reasons[-1].strip() if reasons else str(error)
 
 
-def port_advice(address: str, otherwise: str) -> str:
-    """What to do where a port can't be opened; a pseudo-terminal ends with the program that serves it."""
+def port_advice(address: str, default_advice: str) -> str:
+    """Advice for a port that can't be opened; a pseudo-terminal ends with the program that serves it."""
     if not address.startswith("/dev/pts/"):
-        return otherwise
+        return default_advice
     return (
         "Start the program that served it again, such as `gyrobench emulate`, and write its new port into "
         "the station file; `resume` reads station.yaml of the run folder."
@@ -86,11 +87,18 @@ def port_advice(address: str, otherwise: str) -> str:
 
 
 class SerialLine:
-    """Bytes to and from one instrument.
+    """Transfers bytes to and from one instrument.
 
     ``instrument`` is its name in error messages, ``url`` a device name or pyserial URL. Baud rate and parity
-    are ignored where that is not a serial port; eight data bits and one stop bit always. Raises
-    ConnectionFailedError if the port can't be opened.
+    have no effect on TCP; there are always eight data bits and one stop bit. Raises ConnectionFailedError if
+    the port can't be opened.
+
+    Attributes
+    ----------
+    clock : Clock
+        The run's clock, for a driver's waits and deadlines.
+    address : str
+        The URL without its options, for messages.
     """
 
     _open = False
@@ -101,7 +109,7 @@ class SerialLine:
     ) -> None:
         self.instrument = instrument
         self.url = url
-        self.address = url.partition("?")[0]  # the options of a URL say nothing to a technician
+        self.address = url.partition("?")[0]  # the options of a URL mean nothing to an operator
         self.clock = clock
         self._baudrate = baudrate
         self._parity = parity
@@ -144,21 +152,21 @@ class SerialLine:
                 self._recording.close()
 
     def write(self, data: bytes) -> None:
-        """Send bytes. Raises ConnectionFailedError if the port went away."""
+        """Send bytes. Raises ConnectionFailedError if the port is gone."""
         try:
             if self._recording is not None:
                 self._recording.add(True, data)
             self._port.write(data)
             self._port.flush()
         except _port_errors() as error:
-            raise self._gone(error) from error
+            raise self._port_gone(error) from error
 
     def read(self, count: int, deadline: Deadline, settings: str = "this baud rate") -> bytes:
         """Read exactly ``count`` bytes.
 
-        Raises NoReplyError if fewer bytes arrived before the deadline; the message has those that did, and
-        the ``settings`` of the instrument that a reply depends on. Raises
-        ConnectionFailedError if the port went away.
+        Raises NoReplyError if fewer bytes arrived before the deadline; the message contains them, and
+        ``settings``: the instrument's settings that the operator should check. Raises ConnectionFailedError
+        if the port is gone.
         """
         try:
             self._port.timeout = deadline.remaining_s() / self.clock.speed
@@ -166,7 +174,7 @@ class SerialLine:
             if self._recording is not None:
                 self._recording.add(False, data)
         except _port_errors() as error:
-            raise self._gone(error) from error
+            raise self._port_gone(error) from error
         if len(data) < count:
             raise NoReplyError(
                 self.instrument,
@@ -176,19 +184,19 @@ class SerialLine:
         return data
 
     def discard_input(self) -> None:
-        """Discard unread input, so that the next reply is the next one read."""
+        """Discard unread input, so that the next bytes read are those of the next reply."""
         try:
             if self._recording is not None:
                 self._record_unread(self._recording)
             self._port.reset_input_buffer()
         except _port_errors() as error:
-            raise self._gone(error) from error
+            raise self._port_gone(error) from error
 
     def await_silence(self, silence_s: float, max_s: float | None = None) -> None:
         """Discard input until nothing has arrived for ``silence_s``.
 
-        Raises ReplyError if the line did not become silent within ``max_s``, by default five times the
-        silence. Raises ConnectionFailedError if the port went away.
+        Raises ReplyError if the line did not become silent within ``max_s``, by default five times
+        ``silence_s``. Raises ConnectionFailedError if the port is gone.
         """
         deadline = Deadline(self.clock, _MAX_SILENCES * silence_s if max_s is None else max_s)
         while not deadline.expired():
@@ -205,13 +213,13 @@ class SerialLine:
 
     def _record_unread(self, recording: RecordingFile) -> None:
         self._port.timeout = 0
-        left = _MAX_DISCARDED
-        while left > 0 and (waiting := self._port.in_waiting):
-            data = self._port.read(min(waiting, left))
+        remaining = _MAX_DISCARDED_BYTES
+        while remaining > 0 and (waiting := self._port.in_waiting):
+            data = self._port.read(min(waiting, remaining))
             recording.add(False, data)
-            left -= len(data)
+            remaining -= len(data)
 
-    def _gone(self, error: Exception) -> ConnectionFailedError:
+    def _port_gone(self, error: Exception) -> ConnectionFailedError:
         if isinstance(error.__cause__, ReplayError):
             return ConnectionFailedError(self.instrument, f"the driver deviates from the recording: {error}")
         return ConnectionFailedError(

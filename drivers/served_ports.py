@@ -12,8 +12,8 @@ _CHUNK = 4096
 class PseudoTerminal:
     """A pseudo-terminal; clients open ``url`` like a serial device.
 
-    ``link`` is a symbolic link for ``url`` that stays the same when the terminal's name changes; a dangling
-    link of a killed program is replaced. Raises OSError if the link can't be made.
+    If ``link`` is given, ``url`` is a symbolic link of that path, which stays the same when the terminal is
+    opened again; replaces a dangling link of a killed program. Raises OSError if the link can't be made.
     """
 
     def __init__(self, link: Path | None = None) -> None:
@@ -35,25 +35,25 @@ class PseudoTerminal:
             self.url = str(self._link)
 
     def unplug(self) -> None:
-        """Close it: a program that has it open gets input/output errors."""
+        """Close the terminal: a program that has it open gets input/output errors."""
         if self._link is not None:
             self._link.unlink(missing_ok=True)
         os.close(self._master)
         os.close(self._slave)
 
     def fileno(self) -> int:
-        """Descriptor to wait on."""
+        """File descriptor for ``select``."""
         return self._master
 
     def read(self) -> bytes:
-        """Bytes that have arrived, without waiting."""
+        """Read the bytes that have arrived, without waiting."""
         try:
             return os.read(self._master, _CHUNK)
         except BlockingIOError:
             return b""
 
     def write(self, data: bytes) -> int:
-        """Send what fits in the buffer."""
+        """Send as many bytes as fit in the buffer; returns their number."""
         try:
             return os.write(self._master, data)
         except BlockingIOError:
@@ -63,7 +63,7 @@ class PseudoTerminal:
 class TcpListener:
     """A TCP port of the loopback on which clients connect.
 
-    ``number`` 0 stands for any free port. Raises OSError if the port is taken.
+    ``number`` is that of the port, 0 for any free one. Raises OSError if the port is taken.
     """
 
     def __init__(self, number: int = 0) -> None:
@@ -82,11 +82,11 @@ class TcpListener:
         self._listener.close()
 
     def fileno(self) -> int:
-        """Descriptor to wait on."""
+        """File descriptor for ``select``."""
         return self._listener.fileno()
 
     def accept(self, greeting: bytes = b"") -> TcpClient | None:
-        """The next client, greeted; None where no other has connected."""
+        """Accept the next client and send it ``greeting``; None if no client waits."""
         try:
             client, _ = self._listener.accept()
         except BlockingIOError:
@@ -106,11 +106,11 @@ class TcpClient:
         self.is_connected = True
 
     def fileno(self) -> int:
-        """Descriptor to wait on."""
+        """File descriptor for ``select``."""
         return self._client.fileno()
 
     def read(self) -> bytes:
-        """Bytes that have arrived, without waiting; notes a client that disconnected."""
+        """Read the bytes that have arrived, without waiting; detects that the client disconnected."""
         try:
             data = self._client.recv(_CHUNK)
         except BlockingIOError:
@@ -122,7 +122,10 @@ class TcpClient:
         return data
 
     def write(self, data: bytes) -> int:
-        """Send what fits in the buffer; bytes to a client that has disconnected are lost."""
+        """Send as many bytes as fit in the buffer; returns their number.
+
+        All bytes to a client that has disconnected are lost and count as sent.
+        """
         try:
             return self._client.send(data) if data else 0
         except BlockingIOError:
@@ -150,24 +153,27 @@ class TcpPort(TcpListener):
         super().unplug()
 
     def fileno(self) -> int:
-        """Descriptor to wait on."""
+        """File descriptor for ``select``."""
         return self._client.fileno() if self._client else super().fileno()
 
     def read(self) -> bytes:
-        """Bytes that have arrived, without waiting."""
+        """Read the bytes that have arrived, without waiting."""
         data = self._client.read() if self._client else b""
         if self._client and not self._client.is_connected:
             self._client = None
         if self._client is None:
             self._client = self.accept()
             return self._client.read() if self._client else b""
-        # Of a client with unread bytes it is not known yet whether it has disconnected.
+        # While the client has unread bytes, it is unknown whether it has disconnected.
         if not data and (other := self.accept()):
             other.unplug()
         return data
 
     def write(self, data: bytes) -> int:
-        """Send what fits in the buffer; without a client, or to one that is found gone, bytes are lost."""
+        """Send as many bytes as fit in the buffer; returns their number.
+
+        Without a client all bytes are lost and count as sent.
+        """
         sent = self._client.write(data) if self._client else len(data)
         if self._client and not self._client.is_connected:
             self._client = None

@@ -1,8 +1,8 @@
-"""Lines of text to and from an instrument, one reply after each request.
+"""Requests and replies as lines of text, one reply to each request.
 
-A reply does not name its request. So after a failed exchange nothing is sent until the line has been
-silent for the reply time-out, and of the next replies the last one counts: an instrument answers in the
-order of the requests.
+A reply does not name its request, and an instrument answers in the order of the requests. So after a failed
+exchange nothing is sent until the line has been silent for the reply time-out; if several replies then
+follow the next request, the last one is its reply.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from gyrobench.bench.foundations.errors import NoReplyError, ReplyError
 from gyrobench.drivers.serial_line import NEXT_REPLY_S, SerialLine
 
 _MAX_REPLY_BYTES = 256
-_SHOWN_BYTES = 60
+_MAX_QUOTED_BYTES = 60
 _NUMBER = re.compile(rb"[-+]?(?:[0-9]{1,15}(?:\.[0-9]{0,15})?|\.[0-9]{1,15})(?:[eE][-+]?[0-9]{1,3})?")
 
 LINE_ENDINGS = {"cr": b"\r", "crlf": b"\r\n", "lf": b"\n"}
 
 
 class TextLine:
-    """Requests and replies of text.
+    """Sends requests and receives replies as text.
 
-    ``ending`` ends each request. Any one byte of ``end_of_reply`` ends a reply; those before its first letter
-    are dropped.
+    ``ending`` is appended to each request. Any byte of ``end_of_reply`` ends a reply; such bytes before the
+    first character of a reply are skipped. Every wait for a reply ends after ``reply_timeout_s``.
     """
 
     def __init__(
@@ -35,33 +35,33 @@ class TextLine:
         self._ending = ending
         self._end_of_reply = end_of_reply
         self._reply_timeout_s = reply_timeout_s
-        self._out_of_step = False
-        self._awaits_late_reply = False
+        self._out_of_sync = False
+        self._late_reply_is_possible = False
 
     def send(self, request: str) -> None:
-        """Send a request; input that arrived before is discarded."""
-        if self._out_of_step:
+        """Send a request; discards input that arrived before."""
+        if self._out_of_sync:
             self.line.await_silence(self._reply_timeout_s)
-            self._out_of_step = False
+            self._out_of_sync = False
         self.line.discard_input()
         self.line.write(request.encode("ascii") + self._ending)
 
-    def receive(self, request: str, *, may_be_empty: bool = False, begun: bytes = b"") -> bytes:
-        """Wait for a reply; returns it without its end and surrounding spaces.
+    def receive(self, request: str, *, may_be_empty: bool = False, first_byte: bytes = b"") -> bytes:
+        """Wait for the reply to ``request``; returns it without its end and surrounding spaces.
 
-        With ``may_be_empty`` an end with nothing before it is a reply. ``begun`` is the first byte of the
-        reply, if it has been read. Raises NoReplyError or ReplyError if no reply arrived in time, or it is
-        too long. Raises ConnectionFailedError if the port went away.
+        With ``may_be_empty``, an end without text before it is a reply. ``first_byte`` is the first byte of
+        the reply, if it has already been read. Raises NoReplyError if no reply arrived in time, ReplyError if
+        it is too long, ConnectionFailedError if the port is gone.
         """
-        self._out_of_step = True
+        self._out_of_sync = True
         deadline = Deadline(self.line.clock, self._reply_timeout_s)
         reply = bytearray()
         while True:
             try:
-                byte, begun = begun or self.line.read(1, deadline), b""
+                byte, first_byte = first_byte or self.line.read(1, deadline), b""
             except NoReplyError as error:
-                self._awaits_late_reply = True
-                part = f", only {_shown(reply)}" if reply else ""
+                self._late_reply_is_possible = True
+                part = f", only {_quoted(reply)}" if reply else ""
                 raise NoReplyError(
                     self.line.instrument,
                     f"no reply to {request} within {self._reply_timeout_s:g} s on {self.line.address}{part}. "
@@ -73,12 +73,12 @@ class TextLine:
                 reply += byte
             if len(reply) > _MAX_REPLY_BYTES:
                 raise self.unexpected(request, bytes(reply))
-        self._out_of_step = False
+        self._out_of_sync = False
         return bytes(reply).strip()
 
     def ask(self, request: str) -> bytes:
-        """Send a request and wait for its reply; raises what :meth:`receive` raises."""
-        may_be_late, self._awaits_late_reply = self._awaits_late_reply, False
+        """Send a request and wait for its reply; raises as :meth:`receive`."""
+        may_be_late, self._late_reply_is_possible = self._late_reply_is_possible, False
         self.send(request)
         reply = self.receive(request)
         while may_be_late and (following := self.more(request, NEXT_REPLY_S)):
@@ -86,7 +86,10 @@ class TextLine:
         return reply
 
     def more(self, request: str, within_s: float, *, may_be_empty: bool = False) -> bytes | None:
-        """Wait for a further reply that begins within a time, else None; raises as :meth:`receive`."""
+        """Wait for a further reply to ``request``; None if none begins within ``within_s``.
+
+        Raises as :meth:`receive`.
+        """
         deadline = Deadline(self.line.clock, within_s)
         try:
             first = self.line.read(1, deadline)
@@ -94,24 +97,24 @@ class TextLine:
                 first = self.line.read(1, deadline)
         except NoReplyError:
             return None
-        return self.receive(request, may_be_empty=may_be_empty, begun=first)
+        return self.receive(request, may_be_empty=may_be_empty, first_byte=first)
 
     def unexpected(self, request: str, reply: bytes) -> ReplyError:
-        """Error for a reply that makes no sense; the next request waits for silence."""
-        self._out_of_step = True
+        """Return the error for an invalid reply; the next request waits for silence."""
+        self._out_of_sync = True
         return ReplyError(
             self.line.instrument,
-            f"{request} was answered by {_shown(reply)} on {self.line.address}. Check dialect, baud rate and "
-            "parity, and whether another program uses this line.",
+            f"{request} was answered by {_quoted(reply)} on {self.line.address}. Check dialect, baud rate "
+            "and parity, and whether another program uses this line.",
         )
 
     def number(self, request: str, reply: bytes) -> float:
-        """Read a reply as a finite decimal number; raises ReplyError."""
+        """Parse a reply as a finite decimal number; raises ReplyError if it is none."""
         value = float(reply) if _NUMBER.fullmatch(reply) else math.nan
         if not math.isfinite(value):
             raise self.unexpected(request, reply)
         return value
 
 
-def _shown(reply: bytes | bytearray) -> str:
-    return repr(bytes(reply[:_SHOWN_BYTES])).removeprefix("b")
+def _quoted(reply: bytes | bytearray) -> str:
+    return repr(bytes(reply[:_MAX_QUOTED_BYTES])).removeprefix("b")

@@ -15,7 +15,7 @@ from gyrobench.bench.closure.uncertainty import DRAWS, Draws
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import plain_name
-from gyrobench.drivers.ins.compensation import CORRECTION_DEGREE, NUMBERS, Compensation, Correction
+from gyrobench.drivers.ins.compensation import CORRECTION_DEGREE, PARAMETER_NAMES, Compensation, Correction
 
 #: Terms that an INS has for other coefficients than the gyros' biases, as they are called for these.
 _OF_OTHERS = {"polynomial_dph", "rate_dph_per_c_per_h", "rate_limit_c_per_h", "gravity_dph_per_g"}
@@ -58,7 +58,7 @@ def model_with_effects(closure: Closure) -> LoadableModel:
         if terms.left_out:
             notes.append(f"{name} is left out: {terms.left_out}")
             continue
-        unknown = sorted(terms.coefficients.keys() - set(NUMBERS))
+        unknown = sorted(terms.coefficients.keys() - set(PARAMETER_NAMES))
         if unknown:
             raise MeasurementError(
                 f"the effect {found.effect.name!r} is compensated by {', '.join(unknown)}, which no INS has. "

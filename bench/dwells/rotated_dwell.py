@@ -68,7 +68,7 @@ def measure_rotations(marks: DwellMarks, frames: FrameBlock, setup: MeasurementS
     at_rest = [] if is_sent else [rest_output(navigation, mark) for mark in marks.windows]
     velocity_rounding, angle_rounding = setup.rounding(at_rest)
     begin, stop = np.searchsorted(increments.row, [first, end])
-    gaps = begin + 1 + np.flatnonzero(~increments.follows[begin + 1 : stop])
+    gaps = begin + 1 + np.flatnonzero(~increments.is_consecutive[begin + 1 : stop])
     table = np.array([setup.table.attitude(each.outer_deg, each.inner_deg) for each in marks.windows])
     pieces = []
     for part in itertools.starmap(slice, itertools.pairwise([begin, *gaps.tolist(), stop])):
@@ -176,7 +176,7 @@ def navigated_increments(navigation: NavigationData, site: Site, least_s: float 
         row=row[1:],
         angle=angle - coning,
         velocity=sums - sculling,
-        follows=steady,
+        is_consecutive=steady,
         interval_s=interval_s,
         sent=np.tile(np.arange(len(angle), dtype=float), (2, 1)),
     )

@@ -206,7 +206,7 @@ def _align(step: Align, context: StepContext) -> Ticks:
     for unit in context.units.measuring:
         unit.recorder.begin()
     yield from _commanded(context, lambda unit: _choosing_euler_sequence(step, unit))
-    yield from _commanded(context, lambda unit: unit.live.ins.entering(InsMode.ALIGN))
+    yield from _commanded(context, lambda unit: unit.live.ins.enter_stepwise(InsMode.ALIGN))
     begin_s = bench.clock.now()
     yield
     yield from _lasting(bench, (step.duration_s or 0.0) - (bench.clock.now() - begin_s))
@@ -295,7 +295,7 @@ def _navigation_begun(context: StepContext) -> Ticks:
 
     def navigating(unit: MeasuredUnit) -> Ticks | None:
         is_begun = unit.live.ins.status().mode is InsMode.NAVIGATE or unit.recorder.has_window
-        return None if is_begun else unit.live.ins.entering(InsMode.NAVIGATE)
+        return None if is_begun else unit.live.ins.enter_stepwise(InsMode.NAVIGATE)
 
     yield from _commanded(context, navigating)
 
@@ -480,4 +480,4 @@ def _choosing_euler_sequence(step: Align, unit: MeasuredUnit) -> Ticks | None:
     automatic = EulerSequence.PRY_231 if y_is_vertical else EulerSequence.RPY_321
     chosen = automatic if step.euler_sequence == "automatic" else EulerSequence(step.euler_sequence)
     is_chosen = unit.live.status().euler_sequence is chosen
-    return None if is_chosen else unit.live.ins.setting_euler_sequence(chosen)
+    return None if is_chosen else unit.live.ins.set_euler_sequence_stepwise(chosen)

@@ -141,7 +141,7 @@ class LiveUnit:
     def check_identifiers(self) -> None:
         """Raise SignalMapError where the INS sends identifiers of the DBC with another number of bits."""
         if self.ins.has_other_format:
-            found = self.ins.other_frames()
+            found = self.ins.describe_foreign_frames()
             raise SignalMapError(f"{self.name}: {found}. Correct the DBC file, or the INS's output")
 
     def write_waiting(self, now_s: float) -> None:
@@ -227,7 +227,7 @@ class LiveUnit:
     def _notice_silent_bus(self, readings: Readings) -> None:
         """Treat a bus on which the INS has fallen silent as one that may have to be reopened."""
         if self.state.expected.ins_on and readings.ins.age_s > BUS_SILENCE_S:
-            others = f"; {found}" if (found := self.ins.other_frames()) else ""
+            others = f"; {found}" if (found := self.ins.describe_foreign_frames()) else ""
             silence = f"has sent nothing for {readings.ins.age_s:.0f} s{others}"
             self._bench.failed(NoReplyError(self.name, silence))
 

@@ -339,7 +339,7 @@ def is_run_of(folder: RunFolder, job: Job) -> bool:
         return False
     if job.compensation is None or not folder.compensation.exists():
         return job.compensation is None and not folder.compensation.exists()
-    return read_compensation(folder.compensation).is_like(job.compensation)
+    return read_compensation(folder.compensation).is_equivalent_to(job.compensation)
 
 
 def _as_loaded(model: LoadableModel, load: CoefficientCommand | None) -> LoadableModel:

@@ -47,7 +47,7 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.provenance import started_utc
 from gyrobench.bench.runs.telemetry import TELEMETRY_COLUMNS, read_telemetry
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.ins.compensation import NUMBERS, TERMS, Compensation
+from gyrobench.drivers.ins.compensation import PARAMETER_NAMES, TERMS, Compensation
 
 
 class DataKind(StrEnum):
@@ -365,7 +365,7 @@ _TERMS_SCHEMA = pa.schema(
 def _terms(compensation: Compensation) -> Iterator[dict[str, Any]]:
     """One row a number; those that are zero for all gyros are left out."""
     effect = {name: term for term, name in TERMS.items()}
-    for name in NUMBERS:
+    for name in PARAMETER_NAMES:
         values = getattr(compensation, name)
         if not values.any() and name not in ("low_c", "high_c"):
             continue

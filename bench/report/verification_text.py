@@ -32,7 +32,7 @@ from gyrobench.bench.verification.compensation_verification import (
     is_worse,
 )
 from gyrobench.bench.verification.measured_change import MeasuredChange
-from gyrobench.drivers.ins.compensation import NUMBERS
+from gyrobench.drivers.ins.compensation import PARAMETER_NAMES
 
 #: The compensations as displayed.
 LABELS = {NONE: "none", DECLARED: "declared", EFFECT: "with effect"}
@@ -99,7 +99,7 @@ def number_rows(models: Mapping[str, LoadableModel]) -> list[list[str]]:
     """Each number of the most complete compensation with its standard uncertainty: name, gyros x, y and z."""
     compensation = models.get(EFFECT, models[DECLARED]).compensation
     rows = []
-    for name in (each for each in NUMBERS if each in compensation.sigma):
+    for name in (each for each in PARAMETER_NAMES if each in compensation.sigma):
         numbers = getattr(compensation, name), compensation.sigma[name]
         lines = list(zip(*(each.reshape(3, -1).T for each in numbers), strict=True))
         for index, (values, sigmas) in enumerate(lines):

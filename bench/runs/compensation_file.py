@@ -14,7 +14,7 @@ from gyrobench.bench.foundations.documents import StrictModel, read_document, va
 from gyrobench.bench.foundations.files import write_whole
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
-from gyrobench.drivers.ins.compensation import NUMBERS, Compensation, Correction
+from gyrobench.drivers.ins.compensation import PARAMETER_NAMES, Compensation, Correction
 
 _OfGyros = Annotated[list[float], Field(min_length=3, max_length=3)]
 _Vectors = Annotated[list[_OfGyros], Field(min_length=3, max_length=3)]
@@ -106,7 +106,9 @@ class CompensationFile(StrictModel):
 
     def compensation(self) -> Compensation:
         """Give what the file describes."""
-        numbers = {name: np.array(value) for name, value in self if value is not None and name in NUMBERS}
+        numbers = {
+            name: np.array(value) for name, value in self if value is not None and name in PARAMETER_NAMES
+        }
         sigma: dict[str, FloatArray] = {name: np.array(value) for name, value in (self.sigma or {}).items()}
         corrections = {
             name: Correction(
@@ -126,13 +128,15 @@ def write_compensation(path: Path, compensation: Compensation, unit: str = "") -
     ``unit``: serial number of the only INS that gets it; empty for any. Raises RunFolderError if the file
     can't be written.
     """
-    values = {name: getattr(compensation, name) for name in NUMBERS}
+    values = {name: getattr(compensation, name) for name in PARAMETER_NAMES}
     required = {name for name, field in CompensationFile.model_fields.items() if field.is_required()}
     content: dict[str, Any] = {"unit": unit} if unit else {}
     content |= {name: value.tolist() for name, value in values.items() if name in required or value.any()}
     sigma = {name: value.tolist() for name, value in compensation.sigma.items() if value.any()}
     content |= {"sigma": sigma} if sigma else {}
-    corrections = {name: _entry(compensation.coefficients[name]) for name in compensation.corrected()}
+    corrections = {
+        name: _entry(compensation.coefficients[name]) for name in compensation.corrections_in_use()
+    }
     content |= {"coefficients": corrections} if corrections else {}
     write_whole(path, (_HEAD + yaml.safe_dump(content, sort_keys=False, default_flow_style=None)).encode())
 

@@ -181,7 +181,7 @@ class Outputs:
     def is_ramping(self) -> bool:
         """Whether the chamber's set point is being moved along a ramp that its controller lacks."""
         chamber = self._drivers.get(CHAMBER)
-        return isinstance(chamber, SoftwareRamp) and chamber.is_moving
+        return isinstance(chamber, SoftwareRamp) and chamber.is_ramping
 
     def advance_ramp(self) -> None:
         """Move the chamber's set point on along such a ramp; to be called at every tick."""
@@ -484,7 +484,7 @@ def _silent_line(
     if url.startswith(f"{_EMULATOR}://") and "?" not in url:
         url += f"?{urlencode({'clock': clock.name, **_emulated_bench(station, emulation)})}"
     baudrate, parity = section.baudrate or usual.baudrate, section.parity or usual.parity
-    line = SerialLine(instrument, usual.completed(url), clock, baudrate, parity)
+    line = SerialLine(instrument, usual.complete_url(url), clock, baudrate, parity)
     try:
         line.await_silence(_LATE_REPLY_S, _opening_time_s(clock) / 2.0)
         yield line

@@ -294,7 +294,7 @@ def _port_files(station: Station) -> dict[str, Path]:
 def _ports(station: Station) -> Iterator[tuple[str, str]]:
     file = station.file
     for what, section in (("rate table", file.rate_table), ("chamber", file.chamber)):
-        url = section.installed_dialect.line.completed(section.port)
+        url = section.installed_dialect.line.complete_url(section.port)
         if not url.startswith(f"{_EMULATED}://"):
             yield f"the {what}'s port {section.port}", _same_for_one_port(url)
     for unit in station.units:

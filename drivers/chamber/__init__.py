@@ -1,4 +1,9 @@
-"""Thermal chambers: the interface that the bench uses; each other module is one dialect."""
+"""Thermal chambers: the interface that the bench uses.
+
+Each other module of this folder is one dialect, except :mod:`text_chamber`, the base class of dialects with
+text commands, and :mod:`software_ramp`, ramps for controllers without them. Temperatures are in degrees
+Celsius.
+"""
 
 from __future__ import annotations
 
@@ -17,76 +22,91 @@ _OptionsT = TypeVar("_OptionsT", bound=StrictModel)
 
 @dataclass(frozen=True)
 class ChamberReading:
-    """One poll of a chamber."""
+    """State of a chamber at one poll."""
 
-    temperature_c: float  #: Air temperature.
-    set_point_c: float | None = None  #: The controller's set point; None if it can't be read.
-    is_on: bool | None = None  #: Whether the temperature is controlled; None if it can't be read.
-    alarms: tuple[str, ...] = field(kw_only=True)  #: Active alarms, in words.
+    temperature_c: float  #: Measured air temperature.
+    set_point_c: float | None = None  #: Set point held by the controller; None if it can't be read.
+    is_on: bool | None = None  #: Whether temperature control is on; None if it can't be read.
+    alarms: tuple[str, ...] = field(kw_only=True)  #: Active alarms as text for the operator; empty if none.
 
 
 class RunsProfiles(Protocol):
-    """A controller that may run a profile (a program) by itself."""
+    """A controller that can run a temperature profile (a program) stored in it."""
 
     def running_profile(self) -> str:
-        """Describe the profile that it runs; empty if none, or it can't be read."""
+        """Describe the profile that runs or is paused; empty if there is none, or that can't be read."""
 
     def end_profile(self) -> None:
-        """End that profile."""
+        """End the running profile."""
 
 
 class Chamber(RunsProfiles, Protocol):
-    """A thermal chamber; every method may raise an InstrumentError of the bench."""
+    """A thermal chamber; each dialect implements this protocol.
 
-    can_ramp: bool  #: Whether the controller ramps its set point; assumed where a driver lacks it.
+    Commands set absolute states, so the bench may repeat any of them after a failed exchange. Settings are
+    read back where the controller allows. A call ends within 30 s, also if the controller is silent.
+    Each method may raise these errors of :mod:`gyrobench.bench.foundations.errors`:
+
+    * NoReplyError: no complete reply arrived in time;
+    * ReplyError: a reply could not be interpreted;
+    * RefusedError: the controller refused a command, or does not hold the value that was written;
+    * ConnectionFailedError: the port could not be used.
+    """
+
+    #: Whether the controller ramps its set point; assumed True if a driver does not define it.
+    can_ramp: bool
 
     def identify(self) -> str:
-        """Name of the controller, for the run's provenance.
+        """Return the controller's model, serial number and firmware, as far as reported, in one line.
 
-        The same text at each call.
+        Returns the same text at each call: the bench compares it with that of an interrupted run.
         """
 
     def read(self) -> ChamberReading:
-        """Measure the air; read alarms, set point, and on or off back from the controller.
+        """Read air temperature, alarms, set point, and whether temperature control is on.
 
-        Raises FaultError if the controller's temperature sensor is faulty, with all alarms in its message.
+        Raises FaultError if the controller's temperature sensor is faulty; the message contains all alarms.
         """
 
     def clear_alarms(self) -> None:
-        """Clear latched alarms and sensor errors, if there are any; those with a present cause stay."""
+        """Clear latched alarms and sensor errors, if any; alarms whose cause persists stay active."""
 
     def limits_c(self) -> tuple[float, float]:
-        """Lowest and highest set point that the controller accepts.
+        """Read the lowest and the highest set point that the controller accepts.
 
-        Raises RefusedError if they can't be read.
+        Raises RefusedError if the controller can't report them.
         """
 
     def set_temperature(self, temperature_c: float, rate_c_per_min: float | None) -> None:
-        """Command a temperature, approached at that rate, or as fast as possible with None.
+        """Command a set point, approached at ``rate_c_per_min`` or, if that is None, as fast as possible.
 
-        Both are rounded to the controller's resolution. Raises RefusedError if a value is not finite or
-        outside the controller's limits, a rate is given to one that can't ramp, the controller has a profile
-        or other settings than when it was opened, or it does not keep what was written.
+        Both are rounded to the controller's resolution. Does not switch the chamber on. Raises RefusedError
+        if a value is not finite or outside the controller's limits, a rate is given but ``can_ramp`` is
+        False, a profile runs, the controller's settings have changed since it was opened, or it does not
+        hold the value that was written.
         """
 
     def set_point_c(self) -> float:
-        """Temperature last commanded."""
+        """Read the set point last commanded: the end of a ramp, not its present value."""
 
     def switch(self, on: bool) -> None:
-        """Switch the chamber's temperature control on or off; raises RefusedError while a profile runs."""
+        """Switch temperature control on or off; raises RefusedError while a profile runs."""
 
     def switch_event(self, number: int, on: bool) -> None:
-        """Switch one of the controller's event outputs, counted from 1."""
+        """Switch an event output of the controller by its number, from 1.
+
+        Raises RefusedError if there is no such output.
+        """
 
     def is_event_on(self, number: int) -> bool:
-        """Whether one of the controller's event outputs is on."""
+        """Whether an event output of the controller is on; raises RefusedError if there is no such output."""
 
     def close(self) -> None:
-        """Close the line to the controller; the chamber continues unchanged."""
+        """Close the line without any command; the chamber continues unchanged."""
 
 
 class ChamberOptions(StrictModel):
-    """Additional keys in the station file that chambers with profiles share."""
+    """Station file keys common to chambers whose controller can run a profile."""
 
     running_profile: Literal["refuse", "end"] = Field(
         "refuse",
@@ -95,12 +115,15 @@ class ChamberOptions(StrictModel):
 
 
 def running_profile(chamber: Chamber) -> str:
-    """Describe the profile that a chamber runs; a driver without this method reports none."""
+    """Describe the profile that a chamber runs; empty if none, or if its driver lacks this method."""
     return str(getattr(chamber, "running_profile", str)())
 
 
 def require_no_profile(chamber: RunsProfiles, instrument: str, end: bool) -> None:
-    """End a profile that the controller runs by itself, or raise RefusedError: it overrides the set point."""
+    """End a running profile if ``end``, else raise RefusedError, as it overrides the set point.
+
+    Also raises RefusedError if the profile runs on after it was ended.
+    """
     profile = chamber.running_profile()
     if profile and end:
         chamber.end_profile()
@@ -116,7 +139,8 @@ def require_no_profile(chamber: RunsProfiles, instrument: str, end: bool) -> Non
 def switch_output(chamber: Chamber, output: int, on: bool, end_profiles: bool, instrument: str) -> None:
     """Switch the event output of a chamber's machinery, which a running profile may switch too.
 
-    Raises RefusedError while a profile runs that is not to be ended; off it is switched before.
+    Raises RefusedError if a profile runs and ``end_profiles`` is False; to switch off, the output is
+    switched before that check.
     """
     if not on:
         chamber.switch_event(output, on)
@@ -127,9 +151,10 @@ def switch_output(chamber: Chamber, output: int, on: bool, end_profiles: bool, i
 
 @dataclass(frozen=True)
 class ChamberDialect(Generic[_OptionsT]):
-    """One dialect; offered as an entry point of the group ``gyrobench.chambers``."""
+    """One dialect; registered as an entry point of the group ``gyrobench.chambers``."""
 
-    #: Makes the driver from the line to the controller and the options; the driver closes the line.
+    #: Returns the driver. Arguments: the open line to the controller, and the options. The driver owns the
+    #: line and closes it.
     open: Callable[[SerialLine, _OptionsT], Chamber]
     options: type[_OptionsT]  #: Additional keys in the station file's section ``chamber``.
-    line: LineDefaults = field(default_factory=LineDefaults)  #: Usual settings of such a controller's line.
+    line: LineDefaults = field(default_factory=LineDefaults)  #: Default line settings of this controller.

@@ -1,11 +1,11 @@
-"""Driver of the Thermotron 8800 chamber controller (8200, 3800 alike) over its ASCII interface.
+"""Driver of the Thermotron 8800 chamber controller (also 8200, 3800) over its ASCII interface.
 
-Source: Thermotron's published list of computer interface commands, in parts. Commands end with a
-carriage return. The reply to a command is a code, zero for done; the reply to a query is its value.
+Source: parts of Thermotron's published list of computer interface commands. Commands end with a
+carriage return. The reply to a command is a code, zero for success; the reply to a query is its value.
 
-Some controllers repeat the command before or in place of the code, so every setting is read back.
-Assumed, since the public sources are silent or differ: a manual ramp of zero means as fast as
-possible; bits 0 (program) and 4 (manual) of ``MODE?`` mean that the temperature is controlled;
+Some controllers echo the command before or in place of the code, so the driver reads every setting back.
+Assumptions, where the public sources are silent or differ: a manual ramp of zero means as fast as
+possible; bits 0 (program) and 4 (manual) of ``MODE?`` mean that temperature control is on;
 auxiliaries keep their state when the chamber stops; ``STOP`` ends a program. There is no query for the set
 point limits, and none for the unit, which has to be °C.
 """
@@ -25,7 +25,7 @@ from gyrobench.drivers.text_line import LINE_ENDINGS, TextLine
 
 _PROGRAM, _MANUAL = 1 << 0, 1 << 4
 _AUXILIARIES_IN_GROUP = 8
-#: Time within which the code follows a repeated command.
+#: Longest time between the echo of a command and its code.
 _CODE_AFTER_ECHO_S = 0.25
 _MASK = re.compile(rb"[0-9]{1,5}(?:\.0*)?")
 _ERROR_CODE = re.compile(rb"[1-9]")
@@ -44,9 +44,10 @@ _FAULT_STOPS = {
 
 
 class Thermotron8800(TextChamber):
-    """A chamber behind a Thermotron 8800; raises InstrumentError where it can't be reached.
+    """A chamber with a Thermotron 8800; implements :class:`gyrobench.drivers.chamber.Chamber`.
 
     ``channel`` is the controller's channel of the air temperature, 1 to 4; ``ending`` ends each command.
+    Raises InstrumentError if the controller can't be reached.
     """
 
     separator = ","
@@ -62,16 +63,16 @@ class Thermotron8800(TextChamber):
         self._mask("MODE?")
 
     def identify(self) -> str:
-        """Replies to ``IDEN?`` and ``VRSN?``."""
+        """Return the replies to ``IDEN?`` and ``VRSN?``, and the channel."""
         model, version = (
             self._ask(query).decode("ascii", "backslashreplace") for query in ("IDEN?", "VRSN?")
         )
         return f"Thermotron {model}, version {version}, channel {self._channel}"
 
     def read(self) -> ChamberReading:
-        """Measure the air (``PVAR``); read alarms (``ALRM``, ``SCOD``), set point and operating mode back.
+        """Read air temperature (``PVAR``), alarms (``ALRM``, ``SCOD``), set point and operating mode.
 
-        Raises FaultError: the controller stopped because a temperature input is open.
+        Raises FaultError if the controller stopped because a temperature input is open.
         """
         mask, code = self._mask(f"ALRM{self._channel}?"), self._mask("SCOD?")
         alarms = [
@@ -86,7 +87,7 @@ class Thermotron8800(TextChamber):
         return ChamberReading(air_c, self.set_point_c(), self._is_running(), alarms=tuple(alarms))
 
     def clear_alarms(self) -> None:
-        """Acknowledge the fault that stopped the chamber by ``STOP``; alarms clear with their cause."""
+        """Acknowledge by ``STOP`` a fault that stopped the chamber; alarms clear with their cause."""
         if self._mask("SCOD?") in _FAULT_STOPS:
             self._command("STOP")
 
@@ -96,14 +97,14 @@ class Thermotron8800(TextChamber):
         return f"a program (MODE? {mode})" if mode & _PROGRAM else ""
 
     def end_profile(self) -> None:
-        """Stop the chamber (``STOP``); it was on, so it runs in manual mode then (``RUNM``)."""
+        """Stop the program (``STOP``) and continue in manual mode (``RUNM``), as the chamber was on."""
         self._command("STOP")
         self._command("RUNM")
 
     def switch(self, on: bool) -> None:
         """Run in manual mode (``RUNM``) or stop (``STOP``), which ends a program too.
 
-        Raises RefusedError if it does not, or is to be on while it runs a program.
+        Raises RefusedError if the mode does not change, or to switch on while a program runs.
         """
         mode = self._mask("MODE?")
         if on and mode & _PROGRAM:
@@ -117,12 +118,12 @@ class Thermotron8800(TextChamber):
     def switch_event(self, number: int, on: bool) -> None:
         """Switch an auxiliary, 1 to 16 (``AUXE``).
 
-        Raises RefusedError: there is no such auxiliary, it does not keep its state, or the controller
+        Raises RefusedError if there is no such auxiliary, it does not hold its state, or the controller
         refuses: some switch auxiliaries only while the chamber runs in manual mode.
         """
         group, bit = self._auxiliary(number)
-        before = self._mask(f"AUXE{group}?")
-        mask = before | bit if on else before & ~bit
+        present = self._mask(f"AUXE{group}?")
+        mask = present | bit if on else present & ~bit
         self._command(
             f"AUXE{group},{mask}",
             "Some controllers switch auxiliaries only while the chamber runs: put a chamber step before.",
@@ -130,7 +131,7 @@ class Thermotron8800(TextChamber):
         self._confirm_event(number, on)
 
     def is_event_on(self, number: int) -> bool:
-        """Whether an auxiliary, 1 to 16, is on; raises RefusedError where there is none."""
+        """Whether an auxiliary, 1 to 16, is on; raises RefusedError if there is no such auxiliary."""
         group, bit = self._auxiliary(number)
         return bool(self._mask(f"AUXE{group}?") & bit)
 
@@ -138,22 +139,22 @@ class Thermotron8800(TextChamber):
         return bool(self._mask("MODE?") & (_PROGRAM | _MANUAL))
 
     def _auxiliary(self, number: int) -> tuple[int, int]:
-        """Group of an auxiliary, and its bit there."""
+        """Group of an auxiliary, and its bit in the mask of the group."""
         self._check_event(number)
-        group, place = divmod(number - 1, _AUXILIARIES_IN_GROUP)
-        return group + 1, 1 << place
+        group, bit_index = divmod(number - 1, _AUXILIARIES_IN_GROUP)
+        return group + 1, 1 << bit_index
 
     def _set_ramp(self, rate_c_per_min: float | None) -> None:
         self._set_rate(f"MRMP{self._channel}", rate_c_per_min or 0.0)
 
     def _command(self, command: str, advice: str = "") -> None:
-        """Send a command; raise RefusedError where its code is not zero."""
+        """Send a command; raises RefusedError with ``advice`` if its code is not zero."""
         text = self._text
         reply = text.ask(command)
         if reply == command.encode("ascii"):
             code_after = text.more(command, _CODE_AFTER_ECHO_S)
             if code_after is None:
-                return  # this controller repeats the command in place of a code
+                return  # this controller echoes the command in place of a code
             reply = code_after
         code = text.number(command, reply)
         if code != _DONE:
@@ -165,7 +166,7 @@ class Thermotron8800(TextChamber):
 
     def _number(self, query: str) -> float:
         reply = self._ask(query)
-        if _ERROR_CODE.fullmatch(reply):  # values have decimals
+        if _ERROR_CODE.fullmatch(reply):  # an error code has one digit; values have decimals
             raise RefusedError(self._line.instrument, f"{query} was refused with code {reply.decode()}")
         return self._text.number(query, reply)
 

@@ -1,10 +1,11 @@
 """Driver of the Watlow F4T chamber controller over SCPI, by default on TCP port 5025.
 
 Source: the command list of the F4T's SCPI interface in a chamber maker's manual. Commands have no
-reply, so every setting is read back by the same words with a question mark; it is assumed that this
-works for the ramp settings, the unit and the state of a profile too; an F4T that does not answer those two
-queries, each asked up to twice when it is opened, is used without them. There are no queries for set point
-limits and alarms, and none to clear them; the error of the control loop can be read.
+reply, so the driver reads every setting back by the same words with a question mark. It assumes that this
+works also for the ramp settings, the unit and the state of a profile. If an F4T does not answer the queries
+for unit and profile, each sent up to twice when it is opened, the driver works without them. There are no
+queries for set point limits and alarms, and no command to clear alarms; the error of the control loop can
+be read.
 """
 
 from __future__ import annotations
@@ -21,16 +22,16 @@ _OUTPUTS = 8
 _STATES = {b"ON": True, b"1": True, b"OFF": False, b"0": False}
 _ERRORS = {b"ERROR": True, b"NONE": False}
 _UNIT, _PROGRAM = ":UNIT:TEMPERATURE", ":PROGRAM:SELECTED:STATE"
-#: Beginnings of the words for a profile in progress.
+#: First letters of the words for a profile in progress.
 _IN_PROGRESS = ("RUN", "PAUS", "HOLD")
 _MINUTES, _SET_POINT_RAMP, _NO_RAMP = "MINUTES", "SETPOINT", "OFF"
 
 
 class WatlowF4T(TextChamber):
-    """A chamber behind a Watlow F4T; raises InstrumentError where it can't be reached.
+    """A chamber with a Watlow F4T; implements :class:`gyrobench.drivers.chamber.Chamber`.
 
     ``loop`` is the control loop of the air temperature; ``chamber_output`` switches the chamber's machinery
-    on.
+    on. Raises InstrumentError if the controller can't be reached.
     """
 
     set_point_name = "SPOINT"
@@ -47,22 +48,22 @@ class WatlowF4T(TextChamber):
         self._chamber_output = chamber_output
         self._identity = self._word("*IDN?")
         self._command(f"{_UNIT} C")
-        self._answered = {name for name in (_UNIT, _PROGRAM) if self._is_answered(name)}
+        self._supported_queries = {name for name in (_UNIT, _PROGRAM) if self._is_supported(name)}
 
     def identify(self) -> str:
-        """Reply to ``*IDN?``, and the control loop."""
+        """Return the reply to ``*IDN?``, and the control loop."""
         return f"{self._identity}, control loop {self._loop}"
 
     def read(self) -> ChamberReading:
-        """Measure the air (``PVALUE``); read error, set point and the chamber's output back.
+        """Read air temperature (``PVALUE``), error of the control loop, set point and the chamber's output.
 
-        Raises FaultError: the control loop reports an error.
+        Raises FaultError if the control loop reports an error.
         """
         if self._has_error():
             raise FaultError(self._line.instrument, f"{self._error_text()}; check the temperature sensor")
         air_c = self._number(self.prefix + "PVALUE?")
         is_on = self.is_event_on(self._chamber_output)
-        return ChamberReading(air_c, self.set_point_c(), is_on, alarms=())  # it reports no other
+        return ChamberReading(air_c, self.set_point_c(), is_on, alarms=())  # no alarms can be read
 
     def clear_alarms(self) -> None:
         """Do nothing: the error clears with its cause."""
@@ -78,23 +79,20 @@ class WatlowF4T(TextChamber):
         self._settles(lambda: not self.running_profile())
 
     def switch(self, on: bool) -> None:
-        """Switch the chamber's output.
-
-        Raises RefusedError while a profile runs, which may switch it too; off it is switched before.
-        """
+        """Switch the chamber's output; raises as :func:`gyrobench.drivers.chamber.switch_output`."""
         switch_output(self, self._chamber_output, on, self.end_profiles, self._line.instrument)
 
     def switch_event(self, number: int, on: bool) -> None:
-        """Switch an output (``OUTPUTn:STATE``); raises RefusedError if it does not keep its state."""
+        """Switch an output (``OUTPUTn:STATE``); raises RefusedError if it does not hold its state."""
         self._command(f"{self._output(number)} {'ON' if on else 'OFF'}")
         self._confirm_event(number, on)
 
     def is_event_on(self, number: int) -> bool:
-        """Whether an output is on; raises RefusedError where there is none."""
+        """Whether an output is on; raises RefusedError if there is no such output."""
         return self._choice(f"{self._output(number)}?", _STATES)
 
     def _require_ready(self) -> None:
-        """Raise RefusedError if the unit was changed, with the chamber switched off, or a profile runs."""
+        """Raise RefusedError if a profile runs, or the unit was changed: the chamber is then switched off."""
         if self._optional_word(_UNIT).upper().startswith("F"):
             self.switch_event(self._chamber_output, False)
             raise self._refused(
@@ -103,20 +101,20 @@ class WatlowF4T(TextChamber):
             )
         super()._require_ready()
 
-    def _is_answered(self, name: str) -> bool:
-        """Whether the controller answers a query that not every model answers."""
+    def _is_supported(self, name: str) -> bool:
+        """Whether the controller answers a query that some models do not answer."""
         for _ in range(2):  # one reply may be lost
             try:
                 self._word(f"{name}?")
             except NoReplyError:
-                self._word("*IDN?")  # raises where nothing at all is answered
+                self._word("*IDN?")  # raises NoReplyError if it answers nothing at all
             else:
                 return True
         return False
 
     def _optional_word(self, name: str) -> str:
-        """Answer to such a query; empty where the controller has none."""
-        return self._word(f"{name}?") if name in self._answered else ""
+        """Answer to such a query; empty if the controller does not support it."""
+        return self._word(f"{name}?") if name in self._supported_queries else ""
 
     def _has_error(self) -> bool:
         return self._choice(self.prefix + "ERROR?", _ERRORS)
@@ -129,7 +127,7 @@ class WatlowF4T(TextChamber):
         return f":OUTPUT{number}:STATE"
 
     def _set_ramp(self, rate_c_per_min: float | None) -> None:
-        """Set ``RRATE``, ``RSCALE`` and ``RACTION``; the action last, so that no ramp has an old rate."""
+        """Set ``RRATE``, ``RSCALE`` and ``RACTION``; the action last, so that no ramp uses an old rate."""
         if rate_c_per_min is None:
             self._set_word("RACTION", _NO_RAMP)
         else:
@@ -141,8 +139,8 @@ class WatlowF4T(TextChamber):
         query = f"{self.prefix}{name}?"
 
         def is_held() -> bool:
-            held = self._word(query)
-            return bool(held) and word.startswith(held.upper())  # SCPI may shorten its words
+            present = self._word(query)
+            return bool(present) and word.startswith(present.upper())  # SCPI may abbreviate words
 
         self._command(f"{self.prefix}{name} {word}")
         if not self._settles(is_held):
@@ -152,7 +150,7 @@ class WatlowF4T(TextChamber):
         self._text.send(command)
 
     def _format(self, value: float) -> str:
-        """Decimal number without trailing zeros: 25, 0.5."""
+        """Format a decimal number without trailing zeros: 25, 0.5."""
         return super()._format(value).rstrip("0").rstrip(".")
 
     def _choice(self, query: str, meanings: dict[bytes, bool]) -> bool:

@@ -1,7 +1,6 @@
-"""The INS on CAN: any INS that a DBC file describes, read and commanded.
+"""The INS on CAN: reads and commands any INS that a DBC file describes.
 
-:mod:`can_bus` receives frames in blocks, also from the bytes of slcan and socketcand;
-:mod:`dbc_codec` decodes them, :mod:`signal_map` says which signal is which quantity, :mod:`readout` gives the
-quantities at given frames, and :mod:`navigation_data` finds the epochs: live and from the raw log with the
-same result.
+:mod:`can_bus` receives frames in blocks, also from slcan and socketcand adapters; :mod:`dbc_codec` decodes
+them; :mod:`signal_map` assigns signals to quantities; :mod:`readout` reads the quantities at given frames;
+:mod:`navigation_data` finds the epochs. Live data and the raw log give the same result.
 """

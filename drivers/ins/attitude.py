@@ -49,18 +49,18 @@ class QuaternionFrames(StrEnum):
 def attitude_matrices(
     sequence: EulerSequence, roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike
 ) -> FloatArray:
-    """Matrices ``C_nb``, shape (n, 3, 3), of Euler angles in rad, shape (n,)."""
+    """Compute the matrices ``C_nb``, shape (n, 3, 3), of Euler angles in rad, shape (n,)."""
     angles = (np.asarray(angle, np.float64) for angle in (roll, pitch, yaw))
-    with np.errstate(invalid="ignore"):  # an infinite angle has no sine; NaN is right
+    with np.errstate(invalid="ignore"):  # the sine of an infinite angle is NaN
         (cr, sr), (cp, sp), (cy, sy) = ((np.cos(angle), np.sin(angle)) for angle in angles)
-    nothing = np.zeros_like(cr)
-    tilted = (
-        ((cr, nothing, sr), (sp * sr, cp, -sp * cr), (-cp * sr, sp, cp * cr))
+    zero = np.zeros_like(cr)
+    tilt_columns = (
+        ((cr, zero, sr), (sp * sr, cp, -sp * cr), (-cp * sr, sp, cp * cr))
         if sequence is EulerSequence.RPY_321
-        else ((cr, sr * sp, sr * cp), (nothing, cp, -sp), (-sr, cr * sp, cr * cp))
+        else ((cr, sr * sp, sr * cp), (zero, cp, -sp), (-sr, cr * sp, cr * cp))
     )
     matrices = np.empty((*cr.shape, 3, 3))
-    for column, (x, y, z) in enumerate(zip(*tilted, strict=True)):
+    for column, (x, y, z) in enumerate(zip(*tilt_columns, strict=True)):
         matrices[..., 0, column] = cy * x - sy * y
         matrices[..., 1, column] = sy * x + cy * y
         matrices[..., 2, column] = z
@@ -70,9 +70,9 @@ def attitude_matrices(
 def quaternion_matrices(
     frames: QuaternionFrames, w: ArrayLike, x: ArrayLike, y: ArrayLike, z: ArrayLike
 ) -> FloatArray:
-    """Matrices ``C_nb``, shape (n, 3, 3), of quaternions of any length but zero, which gives NaN.
+    """Compute the matrices ``C_nb``, shape (n, 3, 3), of quaternions with components of shape (n,).
 
-    Some INS send the all-zero quaternion before alignment.
+    Quaternions are normalised; those of length zero, which some INS send before alignment, give NaN.
     """
     scalar_last = np.stack(np.broadcast_arrays(x, y, z, w), axis=-1).astype(np.float64)
     if frames is QuaternionFrames.FRD_TO_NED:

@@ -1,9 +1,9 @@
-"""The CAN bus of the INS: opened and closed, and its frames in blocks of numpy arrays.
+"""Opens and closes the CAN bus of the INS, and receives its frames in blocks of numpy arrays.
 
-Adapters that send lines of text, slcan and socketcand, have buses here. A thread takes their bytes as they
-come, since a port's buffer in the kernel may be 4 kB, which fills in 15 ms at 10,000 frames per second, while
-the bench polls once a second. It takes them every few milliseconds rather than at each arrival, which costs a
-tenth. The lines are converted by :meth:`recv_block`, all at once.
+Adapters that send frames as text, slcan and socketcand, have their own bus classes here. A thread reads their
+bytes: a port's buffer in the kernel may be 4 kB, which fills in 15 ms at 10,000 frames per second, while the
+bench polls once a second. The thread reads every few milliseconds rather than at each arrival, which takes a
+tenth of the processor time. :meth:`recv_block` converts all received lines at once.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ from gyrobench.drivers.frames import (
 from gyrobench.drivers.serial_line import port_advice, system_reason
 
 _READ_PERIOD_S = 0.005
-_MAX_READ = 1 << 16
-#: Text that waits to be converted: a minute of a full bus of 1 Mbit/s.
-_MAX_QUEUED = 16 << 20
-_MAX_LINE = 1000
+_MAX_READ_BYTES = 1 << 16
+#: Most bytes that wait for conversion: a minute of a full bus of 1 Mbit/s.
+_MAX_QUEUED_BYTES = 16 << 20
+_MAX_LINE_BYTES = 1000
 _CONNECT_S = 5.0
-#: Frames that differ in length, kind or number of data bytes, in one block; a bus has some 40.
+#: Most layouts of lines (length, kind and number of data bytes) in one block; a bus has some 40.
 _MAX_LAYOUTS = 200
 _BLANKS = b" \t\r\n"
 
@@ -55,111 +55,125 @@ _NIBBLE[list(b"ABCDEF")] = np.arange(10, 16)
 
 @dataclass(frozen=True)
 class _Format:
-    """How an adapter writes frames.
+    """Text format of an adapter's frames.
 
-    ``frame`` matches a line without its end; its groups are ``kind``, ``id``, ``data``, and either ``length``
-    or ``whole`` and ``fraction`` of the time stamp. A line is to be a frame if it has one of ``letters`` at
-    ``place``; other lines, as answers to commands and frames of CAN FD, are passed over.
+    A line counts as a frame if its character at ``letter_index`` is one of ``letters``; other lines, such as
+    answers to commands and frames of CAN FD, are skipped.
     """
 
-    ends: bytes
-    place: int
+    ends: bytes  #: Characters that end a line.
+    letter_index: int
     letters: bytes
+    #: Matches a line without its end. Groups: ``kind``, ``id``, ``data``, and either ``length``, or ``whole``
+    #: and ``fraction`` of the time stamp.
     frame: re.Pattern[bytes]
 
     def frames(self, data: bytes) -> tuple[FrameBlock, IntArray, bytes, int]:
-        """Convert whole lines: frames, places where they end, the first invalid line, lines left out.
+        """Convert complete lines.
 
-        Lines are left out where more than :data:`_MAX_LAYOUTS` layouts are found.
+        Lines of one layout are converted together, for at most :data:`_MAX_LAYOUTS` layouts.
+
+        Returns
+        -------
+        tuple
+            The frames, the indices in ``data`` where their lines end, the first invalid line (empty if there
+            is none), and the number of lines that were not converted because of too many layouts.
         """
         text = np.frombuffer(data, np.uint8)
         end = np.flatnonzero(np.isin(text, list(self.ends)) if len(self.ends) > 1 else text == self.ends[0])
         begin = self._without_blanks(text, np.concatenate([[0], end[:-1] + 1]))
-        letters = text[np.minimum(begin + self.place, end)]
-        left = np.flatnonzero(np.isin(letters, list(self.letters)))
+        letters = text[np.minimum(begin + self.letter_index, end)]
+        remaining = np.flatnonzero(np.isin(letters, list(self.letters)))
         rows, is_frame = np.zeros(len(end), FRAME_DTYPE), np.zeros(len(end), np.bool_)
         for _ in range(_MAX_LAYOUTS):
-            matches = ((index, self._found(data, begin[line], end[line])) for index, line in enumerate(left))
-            first, found = next((match for match in matches if match[1]), (len(left), None))
-            left = left[first:]
-            if found is None:
+            matches = (
+                (index, self._match(data, begin[line], end[line])) for index, line in enumerate(remaining)
+            )
+            first, match = next((each for each in matches if each[1]), (len(remaining), None))
+            remaining = remaining[first:]
+            if match is None:
                 break
-            like = self._rows_like_first(found, text, begin[left], end[left], rows, left)
-            is_frame[left[like]] = True
-            left = left[~like]
+            converted = self._convert_layout(match, text, begin[remaining], end[remaining], rows, remaining)
+            is_frame[remaining[converted]] = True
+            remaining = remaining[~converted]
         invalid = np.zeros(len(end), np.bool_)
         invalid[np.searchsorted(end, np.flatnonzero(text > 127))] = True
         invalid[np.isin(letters, list(self.letters))] = True
-        invalid[left] = False
-        wrong = np.flatnonzero(invalid & ~is_frame)
-        line = data[begin[wrong[0]] : end[wrong[0]]] if len(wrong) else b""
-        return FrameBlock(rows).take(is_frame), end[is_frame], line, len(left)
+        invalid[remaining] = False
+        invalid_lines = np.flatnonzero(invalid & ~is_frame)
+        line = data[begin[invalid_lines[0]] : end[invalid_lines[0]]] if len(invalid_lines) else b""
+        return FrameBlock(rows).take(is_frame), end[is_frame], line, len(remaining)
 
     def _without_blanks(self, text: NDArray[np.uint8], begin: IntArray) -> IntArray:
-        """Places of the first characters of lines, also where the adapter sends blanks before them."""
+        """Indices of the first characters of lines, after blanks that the adapter may send before them."""
         blanks = [each for each in _BLANKS if each not in self.ends]
         if not np.any(np.isin(text[begin], blanks)):
             return begin
-        others = np.flatnonzero(np.isin(text, blanks, invert=True))
-        return np.asarray(others[np.searchsorted(others, begin)])
+        non_blank = np.flatnonzero(np.isin(text, blanks, invert=True))
+        return np.asarray(non_blank[np.searchsorted(non_blank, begin)])
 
-    def _found(self, data: bytes, begin: np.intp, end: np.intp) -> re.Match[bytes] | None:
-        """Match a line; None if it is no frame, or has less data than its length."""
-        found = self.frame.fullmatch(data, int(begin), int(end))
-        if found is None or found["kind"] in (b"r", b"R") or "length" not in found.re.groupindex:
-            return found
-        return found if len(found["data"]) >= 2 * int(found["length"]) else None
+    def _match(self, data: bytes, begin: np.intp, end: np.intp) -> re.Match[bytes] | None:
+        """Match a line; None if it is no frame, or has fewer data than its length."""
+        match = self.frame.fullmatch(data, int(begin), int(end))
+        if match is None or match["kind"] in (b"r", b"R") or "length" not in match.re.groupindex:
+            return match
+        return match if len(match["data"]) >= 2 * int(match["length"]) else None
 
-    def _rows_like_first(
+    def _convert_layout(
         self,
-        found: re.Match[bytes],
+        match: re.Match[bytes],
         text: NDArray[np.uint8],
         begin: IntArray,
         end: IntArray,
         rows: NDArray[np.void],
-        numbers: IntArray,
+        line_numbers: IntArray,
     ) -> BoolArray:
-        """Fill the rows of those lines that are laid out as the first; returns which these are."""
-        like = np.zeros(len(begin), np.bool_)
+        """Fill the rows of the lines that have the layout of the first one; returns a mask of these lines.
+
+        ``match`` is the match of the first line. ``begin``, ``end`` and ``line_numbers``, shape (k,), give
+        the lines in ``text`` and their indices in ``rows``.
+        """
+        has_layout = np.zeros(len(begin), np.bool_)
         length = end[0] - begin[0]
-        same = np.flatnonzero(end - begin == length)
-        lines = text[begin[same, np.newaxis] + np.arange(length)]
-        place = {
-            name: np.arange(*found.span(name)) - begin[0]
-            for name in found.re.groupindex
-            if found[name] is not None
+        same_length = np.flatnonzero(end - begin == length)
+        lines = text[begin[same_length, np.newaxis] + np.arange(length)]
+        columns = {
+            name: np.arange(*match.span(name)) - begin[0]
+            for name in match.re.groupindex
+            if match[name] is not None
         }
         none = np.zeros(0, np.int64)
-        time = np.concatenate([place.get("whole", none), place.get("fraction", none)])
-        size = int(found["length"]) if "length" in place else len(place["data"]) // 2
-        kind = found["kind"]
+        time = np.concatenate([columns.get("whole", none), columns.get("fraction", none)])
+        size = int(match["length"]) if "length" in columns else len(columns["data"]) // 2
+        kind = match["kind"]
         remote = kind in (b"r", b"R")
-        payload = place["data"][: 0 if remote else 2 * size]
-        fixed = np.setdiff1d(np.arange(length), np.concatenate([place["id"], time, place["data"]]))
+        payload = columns["data"][: 0 if remote else 2 * size]
+        fixed = np.setdiff1d(np.arange(length), np.concatenate([columns["id"], time, columns["data"]]))
         nibbles = _NIBBLE[lines]
-        good = (
+        is_valid = (
             np.all(lines[:, fixed] == lines[0, fixed], axis=1)
             & np.all(nibbles[:, payload] < 16, axis=1)
-            & np.all(nibbles[:, place["id"]] < 16, axis=1)
+            & np.all(nibbles[:, columns["id"]] < 16, axis=1)
             & np.all(nibbles[:, time] < 10, axis=1)
         )
-        nibbles, chosen = nibbles[good], numbers[same[good]]
-        extended = len(place["id"]) != 3
-        rows["id"][chosen] = _number(nibbles[:, place["id"]], 16) & 0x1FFF_FFFF | EXTENDED_ID * extended
-        rows["length"][chosen] = size
-        rows["flags"][chosen] = REMOTE_FRAME * remote | ERROR_FRAME * (kind == b"error")
+        nibbles, filled = nibbles[is_valid], line_numbers[same_length[is_valid]]
+        extended = len(columns["id"]) != 3
+        rows["id"][filled] = _number(nibbles[:, columns["id"]], 16) & 0x1FFF_FFFF | EXTENDED_ID * extended
+        rows["length"][filled] = size
+        rows["flags"][filled] = REMOTE_FRAME * remote | ERROR_FRAME * (kind == b"error")
         if len(payload):
             bytes_ = nibbles[:, payload[::2]] << 4 | nibbles[:, payload[1::2]]
-            rows["data"][chosen, : len(payload) // 2] = bytes_
+            rows["data"][filled, : len(payload) // 2] = bytes_
         if len(time):
-            rows["time_s"][chosen] = _number(nibbles[:, time], 10) / 10.0 ** len(place["fraction"])
-        if kind == b"error":  # as python-can has it: socketcand sends no details
-            rows["length"][chosen], rows["id"][chosen] = 1, rows["id"][chosen] | np.uint32(EXTENDED_ID)
-        like[same[good]] = True
-        return like
+            rows["time_s"][filled] = _number(nibbles[:, time], 10) / 10.0 ** len(columns["fraction"])
+        if kind == b"error":  # as in python-can: socketcand sends no details
+            rows["length"][filled], rows["id"][filled] = 1, rows["id"][filled] | np.uint32(EXTENDED_ID)
+        has_layout[same_length[is_valid]] = True
+        return has_layout
 
 
 def _number(digits: NDArray[np.uint8], base: int) -> IntArray:
+    """Numbers (n,) from their digits (n, k) in a base."""
     return np.asarray(digits.astype(np.int64) @ base ** np.arange(digits.shape[1])[::-1])
 
 
@@ -190,74 +204,74 @@ class _TextBus(can.BusABC):
     _format: _Format
     _thread: threading.Thread | None = None
     lost = 0  #: Frames that arrived while the queue was full.
-    largest_queue = 0  #: Largest size of the queue so far, in bytes.
+    max_queued_bytes = 0  #: Largest size of the queue so far.
 
     def _begin(self, clock: Clock, received: bytes = b"") -> None:
-        """Begin to read; ``received`` was read already."""
+        """Start the reading thread; ``received``: bytes that have already been read."""
         self._clock = clock
         self._period_s = max(_READ_PERIOD_S / clock.speed, 0.001)
         self._chunks: deque[tuple[bytes, float]] = deque()
-        self._queued = self._reported = 0
+        self._queued_bytes = self._reported_lost = 0
         self._lock = threading.Lock()
         self._arrived, self._stopping = threading.Event(), threading.Event()
-        self._failure: Exception | None = None  # for good
+        self._failure: Exception | None = None  # permanent, ended the thread
         self._error: ReplyError | None = None
-        self._ahead = concatenate([])
+        self._buffered = concatenate([])
         self._thread = threading.Thread(target=self._read_all, args=(received,), daemon=True)
         self._thread.start()
 
-    def _available(self) -> bytes:
-        """Read the bytes that are there, if any; raises OSError if the adapter is gone."""
+    def _read_available(self) -> bytes:
+        """Read the bytes that have arrived, without waiting; raises OSError if the adapter is gone."""
         raise NotImplementedError
 
     def _read_all(self, rest: bytes) -> None:
         try:
             while not self._stopping.wait(self._period_s):
-                data = self._available()
+                data = self._read_available()
                 if not data:
                     continue
                 data = rest + data
-                whole = 1 + max(data.rfind(end) for end in self._format.ends)
-                rest = data[whole:]
-                if len(rest) > _MAX_LINE:
-                    data, whole, rest = data + self._format.ends[:1], len(data) + 1, b""
-                if whole:
-                    self._put(data[:whole])
-        except Exception as error:  # noqa: BLE001 - raised in the thread of the bench
+                lines_end = 1 + max(data.rfind(end) for end in self._format.ends)
+                rest = data[lines_end:]
+                if len(rest) > _MAX_LINE_BYTES:
+                    data, lines_end, rest = data + self._format.ends[:1], len(data) + 1, b""
+                if lines_end:
+                    self._put(data[:lines_end])
+        except Exception as error:  # noqa: BLE001 - raised by recv_block
             self._failure = error
         self._arrived.set()
 
     def _put(self, lines: bytes) -> None:
         with self._lock:
-            if self._queued + len(lines) > _MAX_QUEUED:
+            if self._queued_bytes + len(lines) > _MAX_QUEUED_BYTES:
                 self.lost += sum(lines.count(end) for end in self._format.ends)
             else:
                 self._chunks.append((lines, self._clock.epoch.timestamp() + self._clock.now()))
-                self._queued += len(lines)
-                self.largest_queue = max(self.largest_queue, self._queued)
+                self._queued_bytes += len(lines)
+                self.max_queued_bytes = max(self.max_queued_bytes, self._queued_bytes)
         self._arrived.set()
 
     def recv_block(self) -> FrameBlock:
-        """Return what has arrived; see :func:`gyrobench.drivers.ins.can_bus.block_receiver`.
+        """Return the frames that have arrived; see :func:`gyrobench.drivers.ins.can_bus.block_receiver`.
 
-        Raises ReplyError once after bytes that are no frame, and after frames that were lost. Raises OSError
-        if the adapter is gone.
+        Raises ReplyError once after invalid bytes, and once after lost frames. Raises OSError if the adapter
+        is gone.
         """
         if self._error is not None:
             error, self._error = self._error, None
             raise error
-        gone = self._failure
+        failure = self._failure
         with self._lock:
-            chunks, self._chunks, self._queued = self._chunks, deque(), 0
-        block, self._ahead = self._ahead, self._ahead.take(slice(0, 0))
+            chunks, self._chunks, self._queued_bytes = self._chunks, deque(), 0
+        block, self._buffered = self._buffered, self._buffered.take(slice(0, 0))
         problems = []
         if chunks:
-            arrived, line = self._converted(chunks)
+            arrived, line = self._convert(chunks)
             block = concatenate([block, arrived]) if len(block) else arrived
             if line:
                 text = line[:40].decode("ascii", "backslashreplace")
                 problems.append(f"received bytes are no CAN frame: '{text}'")
-        lost, self._reported = self.lost - self._reported, self.lost
+        lost, self._reported_lost = self.lost - self._reported_lost, self.lost
         if lost:
             problems.append(f"{lost} frames are lost, since they came too fast or in too many layouts")
         if problems:
@@ -266,29 +280,29 @@ class _TextBus(can.BusABC):
         if len(block) == 0:
             if self._error is not None:
                 return self.recv_block()
-            if gone is not None:
-                raise gone
+            if failure is not None:
+                raise failure
         return block.matching(self._filters) if self._filters else block
 
-    def _converted(self, chunks: deque[tuple[bytes, float]]) -> tuple[FrameBlock, bytes]:
+    def _convert(self, chunks: deque[tuple[bytes, float]]) -> tuple[FrameBlock, bytes]:
         texts, stamps_s = zip(*chunks, strict=True)
         block, ends, line, left_out = self._format.frames(b"".join(texts))
         with self._lock:
             self.lost += left_out
-        if "length" in self._format.frame.groupindex:  # it has no time stamps
+        if "length" in self._format.frame.groupindex:  # slcan frames have no time stamps
             chunk = np.searchsorted(np.cumsum([len(text) for text in texts]), ends, side="right")
             block.rows["time_s"] = np.array(stamps_s)[chunk]
         return block, line
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        if not len(self._ahead):
+        if not len(self._buffered):
             self._arrived.clear()
-            self._ahead = self.recv_block()
-        if not len(self._ahead) and self._arrived.wait(timeout):
-            self._ahead = self.recv_block()
-        if not len(self._ahead):
+            self._buffered = self.recv_block()
+        if not len(self._buffered) and self._arrived.wait(timeout):
+            self._buffered = self.recv_block()
+        if not len(self._buffered):
             return None, True
-        first, self._ahead = self._ahead.take(slice(0, 1)), self._ahead.take(slice(1, None))
+        first, self._buffered = self._buffered.take(slice(0, 1)), self._buffered.take(slice(1, None))
         return first.messages()[0], True
 
     def shutdown(self) -> None:
@@ -318,11 +332,11 @@ class _SlcanBus(_TextBus, slcanBus):
         self.serialPortOrig.timeout = 0.0
         self._begin(clock)
 
-    def _available(self) -> bytes:
-        return bytes(self.serialPortOrig.read(_MAX_READ))
+    def _read_available(self) -> bytes:
+        return bytes(self.serialPortOrig.read(_MAX_READ_BYTES))
 
     def shutdown(self) -> None:
-        """Close the adapter and the port, also where the adapter is gone."""
+        """Close the adapter and the port, even if the adapter is gone."""
         try:
             super().shutdown()
         finally:
@@ -347,33 +361,33 @@ class _SocketcandBus(_TextBus):
         try:
             if tcp_tune:
                 self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            received = self._answered(b"", b"< hi >")
+            received = self._await_answer(b"", b"< hi >")
             for command in (f"< open {channel} >", "< rawmode >"):
                 self._socket.sendall(command.encode())
-                received = self._answered(received, b"< ok >")
+                received = self._await_answer(received, b"< ok >")
             super().__init__(channel, **options)
         except BaseException:
             self._socket.close()
             raise
         self._begin(clock, received)
 
-    def _answered(self, received: bytes, expected: bytes) -> bytes:
-        """Wait for an answer; returns what follows it."""
+    def _await_answer(self, received: bytes, expected: bytes) -> bytes:
+        """Wait for the ``expected`` answer; returns the bytes after it."""
         while b">" not in received:
-            received += self._received()
+            received += self._receive()
         answer, _, rest = received.partition(b">")
         if answer.lstrip() + b">" != expected:
             raise can.CanInitializationError(f"expected '{expected.decode()}', received {answer + b'>'!r}")
         return rest
 
-    def _received(self) -> bytes:
-        data = self._socket.recv(_MAX_READ)
+    def _receive(self) -> bytes:
+        data = self._socket.recv(_MAX_READ_BYTES)
         if not data:
             raise ConnectionError("the server closed the connection")
         return data
 
-    def _available(self) -> bytes:
-        return self._received() if select.select([self._socket], [], [], 0.0)[0] else b""
+    def _read_available(self) -> bytes:
+        return self._receive() if select.select([self._socket], [], [], 0.0)[0] else b""
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send a frame; raises OSError if the server is gone."""
@@ -391,10 +405,10 @@ class _SocketcandBus(_TextBus):
 #: Name of the instrument in errors.
 INSTRUMENT = "INS"
 
-#: Adapters that are read in blocks from their bytes.
+#: Bus classes of the adapters that send frames as text.
 _TEXT_BUSES: dict[str, Callable[..., can.BusABC]] = {"slcan": _SlcanBus, "socketcand": _SocketcandBus}
 
-#: Frames taken at once; a bus of 1 Mbit/s carries fewer than 10,000 in a second.
+#: Most frames in one block; a bus of 1 Mbit/s carries fewer than 10,000 in a second.
 _MAX_FRAMES = 100_000
 
 
@@ -428,22 +442,22 @@ def open_bus(
 
 
 def close_bus(bus: can.BusABC) -> None:
-    """Close a bus, also one whose adapter is gone; a second call does nothing."""
+    """Close a bus, even if its adapter is gone; a second call does nothing."""
     with contextlib.suppress(can.CanError, OSError):  # the adapter is gone
         bus.shutdown()
 
 
 def block_receiver(bus: can.BusABC) -> Callable[[], FrameBlock]:
-    """Return the function that takes the frames that have arrived, in order and without waiting.
+    """Return a function that returns the frames that have arrived, in order and without waiting.
 
-    A bus that can hand over blocks has it as its method ``recv_block``; any other is read message by message.
-    An error of the bus is raised by the first call that has no frame from before it.
+    It is the bus's method ``recv_block`` if there is one; any other bus is read message by message. If the
+    bus fails, the function first returns the frames received before, and raises the error at the next call.
     """
     return getattr(bus, "recv_block", None) or _MessageReader(bus).recv_block
 
 
 class _MessageReader:
-    """Blocks from a bus that hands over messages."""
+    """Collects the messages of a bus into blocks."""
 
     def __init__(self, bus: can.BusABC) -> None:
         self._bus = bus
@@ -454,7 +468,7 @@ class _MessageReader:
         try:
             if self._error is not None:
                 raise self._error
-            # extend() keeps the frames before an exception.
+            # extend() keeps the frames received before an exception.
             messages.extend(islice(iter(partial(self._bus.recv, 0.0), None), _MAX_FRAMES))
         except Exception as error:
             self._error = error if messages else None

@@ -1,4 +1,4 @@
-"""The INS on its CAN bus: frames as they arrive, its present state, commands."""
+"""The INS on its CAN bus: receives frames, gives its present state, and sends commands."""
 
 from __future__ import annotations
 
@@ -31,19 +31,20 @@ from gyrobench.drivers.ins.signal_map import SignalMap, bind_signals
 #: The status is sent about once a second, and the INS needs time for a command.
 _REPLY_TIMEOUT_S = 5.0
 _SEND_TIMEOUT_S = 1.0
-#: Identifiers of other nodes that are kept for messages.
-_MAX_OTHERS = 100
-#: Period at which a confirmation is looked for.
+#: Most identifiers of other nodes that are stored for messages.
+_MAX_FOREIGN_IDS = 100
+#: Period at which a confirmation is polled.
 POLL_PERIOD_S = 0.05
 
 
 class CanIns:
-    """An INS that a DBC file, a signal map and a command map describe.
+    """An INS described by a DBC file, a signal map and a command map.
 
-    ``bus`` is from :func:`~gyrobench.drivers.ins.can_bus.open_bus`. Where set, ``on_frames`` receives every
-    block of frames that is polled, also while a command waits. ``name`` is the instrument in errors.
-    ``is_shared``: whether other units send on the bus too; their frames are left out. Raises DocumentError if
-    a map does not fit the DBC.
+    ``bus`` is from :func:`~gyrobench.drivers.ins.can_bus.open_bus`. If ``on_frames`` is set, it is called
+    with every block of frames that is polled, also while a command waits. ``name`` is the instrument in
+    errors.
+    ``is_shared``: whether other units send on the same bus; their frames are then dropped. Raises
+    DocumentError if a map does not fit the DBC.
     """
 
     def __init__(
@@ -58,9 +59,9 @@ class CanIns:
     ) -> None:
         self.name = name
         self.codec = DbcCodec(database)
-        self._own: NDArray[np.uint32] = np.sort(self.codec.arbitration_ids())
+        self._own_ids: NDArray[np.uint32] = np.sort(self.codec.arbitration_ids())
         self._is_shared = is_shared
-        self._others: set[int] = set()  # identifiers of other nodes
+        self._foreign_ids: set[int] = set()  # identifiers of other nodes
         self.signal_map = signal_map
         self._signals = bind_signals(signal_map, self.codec)
         self._commands = commands or CommandMap()
@@ -78,15 +79,15 @@ class CanIns:
         close_bus(self._bus)
 
     def replace_bus(self, bus: can.BusABC) -> None:
-        """Close the bus and continue on another, after bus-off or a lost adapter; count and state stay."""
+        """Close the bus and continue on another, after bus-off or a lost adapter; keeps state and count."""
         close_bus(self._bus)
         self._bus, self._receive = bus, block_receiver(bus)
 
     def poll(self) -> FrameBlock:
-        """Take the frames that have arrived, in order; frames from before an error come first.
+        """Return the frames that have arrived, in order, and update the state from them.
 
-        Raises ConnectionFailedError if the bus is gone. Raises ReplyError if the adapter sent bytes that are
-        no frame, or frames are lost.
+        Frames received before an error are returned first. Raises ConnectionFailedError if the bus is gone.
+        Raises ReplyError if the adapter sent invalid bytes, or frames are lost.
         """
         try:
             block = self._receive()
@@ -97,47 +98,47 @@ class CanIns:
         if not len(block):
             return block
         sent = block.arbitration_id
-        is_own = self._own.take(self._own.searchsorted(sent), mode="clip") == sent
-        own = block
-        if not is_own.all():  # other nodes say nothing about the INS
-            own = block.take(is_own)
-            if len(self._others) < _MAX_OTHERS:
-                self._others.update(block.data_frames().arbitration_id.tolist())
-                self._others.difference_update(self._own.tolist())
-        self._take(own)
-        block = own if self._is_shared else block
+        is_own = self._own_ids.take(self._own_ids.searchsorted(sent), mode="clip") == sent
+        ins_frames = block
+        if not is_own.all():  # frames of other nodes do not describe the INS
+            ins_frames = block.take(is_own)
+            if len(self._foreign_ids) < _MAX_FOREIGN_IDS:
+                self._foreign_ids.update(block.data_frames().arbitration_id.tolist())
+                self._foreign_ids.difference_update(self._own_ids.tolist())
+        self._take(ins_frames)
+        block = ins_frames if self._is_shared else block
         if self.on_frames is not None and len(block):
             self.on_frames(block)
         return block
 
-    def _take(self, own: FrameBlock) -> None:
-        data_frames = own.data_frames()
+    def _take(self, ins_frames: FrameBlock) -> None:
+        data_frames = ins_frames.data_frames()
         self.frames += len(data_frames)
         if len(data_frames):
             self._newest.take(data_frames, self._clock.now())
 
-    def other_frames(self) -> str:
-        """Describe the frames that are received of other nodes, none of the DBC; empty without any."""
-        if not self._others:
+    def describe_foreign_frames(self) -> str:
+        """Describe the received frames that are not in the DBC; empty if there are none."""
+        if not self._foreign_ids:
             return ""
-        first = min(self._in_other_format or self._others)
+        first = min(self._ids_in_other_format or self._foreign_ids)
         name = f"0x{first & ~EXTENDED_ID:03x}"
-        if not self._in_other_format:
+        if not self._ids_in_other_format:
             return f"frames arrive, such as {name}, but none that is in the DBC file"
         sent, declared = (29, 11) if first & EXTENDED_ID else (11, 29)
         return f"{name} arrives as an identifier of {sent} bits, and has {declared} bits in the DBC file"
 
     @property
     def has_other_format(self) -> bool:
-        """Whether identifiers of the DBC arrive, but with 11 in place of 29 bits or the reverse."""
-        return bool(self._in_other_format)
+        """Whether identifiers of the DBC arrive with 11 bits instead of 29, or the reverse."""
+        return bool(self._ids_in_other_format)
 
     @property
-    def _in_other_format(self) -> set[int]:
-        return self._others.intersection((self._own ^ np.uint32(EXTENDED_ID)).tolist())
+    def _ids_in_other_format(self) -> set[int]:
+        return self._foreign_ids.intersection((self._own_ids ^ np.uint32(EXTENDED_ID)).tolist())
 
     def sends_frames(self, timeout_s: float) -> bool:
-        """Poll until a data frame arrives; False if none does in this time. Raises as :meth:`poll`."""
+        """Poll until a data frame arrives; False at the time-out. Raises as :meth:`poll`."""
         deadline = Deadline(self._clock, timeout_s)
         before = self.frames
         while self.frames == before and not deadline.expired():
@@ -147,27 +148,30 @@ class CanIns:
 
     @property
     def keeps_frames(self) -> bool:
-        """Whether frames wait on the bus without limit, as on an emulated one: it may be polled late."""
+        """Whether the bus keeps all frames until they are polled, as an emulated one does."""
         return getattr(self._bus, "keeps_frames", False)
 
     def status(self) -> InsStatus:
-        """State by the newest frames; does not poll."""
+        """Return the state according to the newest frames; does not poll."""
         now_s = self._clock.now()
         snapshot = self._newest.snapshot(now_s)
         return InsStatus(snapshot, self._newest.age_s(now_s), self.signal_map, self._signals)
 
     def forget(self) -> None:
-        """Drop the newest frames: the state is unknown until others arrive."""
+        """Drop the newest frames: the state is unknown until new frames arrive."""
         self._newest = NewestFrames(self.codec)
-        self._others.clear()
+        self._foreign_ids.clear()
 
     def identity(self) -> dict[str, int]:
-        """Wait for the numbers that identify the INS, none if the map has none; raises NoReplyError."""
+        """Wait for the numbers that identify the INS, by name; empty if the map has none.
+
+        Raises NoReplyError if they do not arrive.
+        """
         self._wait(lambda status: len(status.identity) == len(self.signal_map.identity), "identity")
         return self.status().identity
 
     def identify(self) -> str:
-        """Identification of the INS, in words; raises as :meth:`identity`."""
+        """Return the identification of the INS as text; raises as :meth:`identity`."""
         numbers = self.identity()
         if not numbers:
             return f"INS on {self._bus.channel_info}, DBC version '{self.codec.database.version or ''}'"
@@ -179,53 +183,54 @@ class CanIns:
 
     @property
     def reports_mode(self) -> bool:
-        """Whether the map has the mode of the INS."""
+        """Whether the signal map contains the mode of the INS."""
         return "mode" in self._signals
 
     def enter(self, mode: InsMode) -> None:
-        """Command the INS to align, to navigate or to stand by, and wait until it confirms that.
+        """Command the INS to align, to navigate or to stand by, and wait for its confirmation.
 
-        Where the map has no signal that confirms it, the command is sent without confirmation. Raises
-        RefusedError if the INS has no such command. Raises NoReplyError if the INS did not confirm in time.
-        Raises FaultError if the INS reports a fault. Raises ConnectionFailedError if the bus is gone.
+        Does not wait if the signal map has no signal for the mode. Raises RefusedError if the INS has no such
+        command, NoReplyError if it did not confirm in time, FaultError if it reports a fault, and
+        ConnectionFailedError if the bus is gone.
         """
-        self._complete(self.entering(mode))
+        self._complete(self.enter_stepwise(mode))
 
-    def entering(self, mode: InsMode) -> Iterator[None]:
-        """:meth:`enter` in steps: yields until the INS confirms it, for several INS at once.
+    def enter_stepwise(self, mode: InsMode) -> Iterator[None]:
+        """:meth:`enter` as a generator that yields until the INS confirms, to command several INS at once.
 
-        :data:`POLL_PERIOD_S` is to be waited at each yield.
+        The caller waits :data:`POLL_PERIOD_S` at each yield.
         """
-        return self._commanding(mode.name.lower(), "mode", lambda status: status.mode is mode)
+        return self._command_stepwise(mode.name.lower(), "mode", lambda status: status.mode is mode)
 
-    def setting_euler_sequence(self, sequence: EulerSequence) -> Iterator[None]:
-        """Choose the sequence of the Euler angles, in steps; yields and raises as :meth:`entering`."""
+    def set_euler_sequence_stepwise(self, sequence: EulerSequence) -> Iterator[None]:
+        """Set the sequence of the Euler angles; yields and raises as :meth:`enter_stepwise`."""
         command = self._commands.set_euler_sequence
-        given = {"$sequence": float(command.number(sequence))} if command is not None else {}
+        placeholders = {"$sequence": float(command.number(sequence))} if command is not None else {}
         path = "attitude.euler.sequence"
-        return self._commanding(
-            "set_euler_sequence", path, lambda status: status.euler_sequence is sequence, given
+        return self._command_stepwise(
+            "set_euler_sequence", path, lambda status: status.euler_sequence is sequence, placeholders
         )
 
     def send_increments(self, on: bool) -> None:
-        """Begin or stop to send increments, without confirmation; raises as :meth:`enter`."""
-        self._complete(self._commanding("send_increments", "", lambda _: True, {"$on": float(on)}))
+        """Switch the output of increments on or off, without confirmation; raises as :meth:`enter`."""
+        self._complete(self._command_stepwise("send_increments", "", lambda _: True, {"$on": float(on)}))
 
     def clear_compensation(self) -> None:
         """Erase the compensation in the INS; waits and raises as :meth:`enter`."""
         self._complete(
-            self._commanding(
+            self._command_stepwise(
                 "clear_compensation", "compensation", lambda status: status.compensation is False
             )
         )
 
     def load_compensation(self, compensation: Compensation) -> int:
-        """Load a compensation, for :meth:`apply_compensation` to put into use; returns its checksum.
+        """Load a compensation, which :meth:`apply_compensation` then puts into use; returns its checksum.
 
-        Sends all numbers, also zeros, in the units of the DBC. Waits until the INS reports the checksum, if
-        the map has a signal for it. Raises RefusedError if the INS has no such command, or does not support a
-        term of the compensation. Raises NoReplyError if the INS did not confirm in time: numbers were lost or
-        differ. Raises ConnectionFailedError if the bus is gone.
+        Sends all numbers, including zeros, in the units of the DBC. Waits until the INS reports the checksum,
+        if the map has a signal for it. Raises RefusedError if the INS has no such command, does not support a
+        term of the compensation, or its signals can't carry a number. Raises NoReplyError if the INS did not
+        report the checksum in time, as when numbers were lost. Raises ConnectionFailedError if the bus is
+        gone.
         """
         command = self._commands.load_compensation
         if command is None:
@@ -238,7 +243,7 @@ class CanIns:
                 f"{command.coefficients - 1}{''.join(f', {term}' for term in command.supported_terms())}, by "
                 "the station file's ins.commands.load_compensation",
             )
-        if altered := command.altered(self.codec, compensation):
+        if altered := command.altered_numbers(self.codec, compensation):
             raise RefusedError(
                 self.name,
                 f"can't take {', '.join(altered)}: the signals of {command.message} round or clip them. "
@@ -259,44 +264,47 @@ class CanIns:
     def apply_compensation(self, loaded: int | None = None) -> None:
         """Put the loaded compensation into use; waits and raises as :meth:`enter`.
 
-        Where the map has a signal for the checksum in use, that confirms it too. ``loaded``: the checksum of
-        what was loaded; by default what the INS reports as loaded.
+        If the map has a signal for the checksum in use, waits for that too. ``loaded``: checksum of the
+        loaded compensation; by default the one that the INS reports as loaded.
         """
 
-        def in_use(status: InsStatus) -> bool:
-            used = status.compensation_in_use
+        def is_in_use(status: InsStatus) -> bool:
+            present = status.compensation_in_use
             expected = status.compensation_loaded if loaded is None else loaded
-            return status.compensation is True and (used == expected or None in (used, expected))
+            return status.compensation is True and (present == expected or None in (present, expected))
 
         try:
-            self._complete(self._commanding("apply_compensation", "compensation", in_use))
+            self._complete(self._command_stepwise("apply_compensation", "compensation", is_in_use))
         except NoReplyError as error:
-            used = self.status().compensation_in_use
-            if not self.status().compensation or used is None:
+            present = self.status().compensation_in_use
+            if not self.status().compensation or present is None:
                 raise
             raise NoReplyError(
                 self.name,
-                f"applies a compensation with the checksum {used:08x}, which is not the one that was loaded. "
-                "It kept another one, or rounds, limits or ignores coefficients.",
+                f"applies a compensation with the checksum {present:08x}, which is not the one that was "
+                "loaded. It kept another one, or rounds, limits or ignores coefficients.",
             ) from error
 
     def _complete(self, steps: Iterator[None]) -> None:
         for _ in steps:
             self._clock.sleep(POLL_PERIOD_S)
 
-    def _commanding(
+    def _command_stepwise(
         self,
         name: str,
         path: str,
         confirms: Callable[[InsStatus], bool],
-        given: dict[str, float] | None = None,
+        placeholders: dict[str, float] | None = None,
     ) -> Iterator[None]:
-        """Send a command and wait for a later frame with the quantity ``path`` that confirms it."""
+        """Send a command; yield until a later frame with the quantity ``path`` confirms it.
+
+        Does not wait if the quantity is not mapped. ``placeholders``: values of the command's placeholders.
+        """
         command: Command | None = getattr(self._commands, name)
         if command is None:
             raise self._no_command(name)
         self.poll()
-        self._send(command, given or {})
+        self._send(command, placeholders or {})
 
         def is_confirmed(status: InsStatus) -> bool:
             if status.mode is InsMode.FAULT:
@@ -307,12 +315,13 @@ class CanIns:
 
         if path in self._signals:
             self._newest.forget(self._signals[path].message)
-            yield from self._waiting(is_confirmed, f"confirmation of '{name}'")
+            yield from self._wait_stepwise(is_confirmed, f"confirmation of '{name}'")
 
-    def _wait(self, condition: Callable[[InsStatus], bool], what: str) -> None:
-        self._complete(self._waiting(condition, what))
+    def _wait(self, condition: Callable[[InsStatus], bool], subject: str) -> None:
+        self._complete(self._wait_stepwise(condition, subject))
 
-    def _waiting(self, condition: Callable[[InsStatus], bool], what: str) -> Iterator[None]:
+    def _wait_stepwise(self, condition: Callable[[InsStatus], bool], subject: str) -> Iterator[None]:
+        """Yield until the status meets a condition; raises NoReplyError with ``subject`` at the time-out."""
         deadline = Deadline(self._clock, _REPLY_TIMEOUT_S)
         while True:
             self.poll()
@@ -325,14 +334,14 @@ class CanIns:
                 advice = "Wait until it is aligned, or check" if is_aligning else "Check its power, the bus,"
                 raise NoReplyError(
                     self.name,
-                    f"no {what} within {_REPLY_TIMEOUT_S:g} s on {self._bus}; {last}, mode "
+                    f"no {subject} within {_REPLY_TIMEOUT_S:g} s on {self._bus}; {last}, mode "
                     f"{status.mode_text}. {advice} the DBC and the signal map.",
                 )
             yield
 
-    def _send(self, command: Command, given: dict[str, float]) -> None:
+    def _send(self, command: Command, placeholders: dict[str, float]) -> None:
         try:
-            self._bus.send(command.frame(self.codec, given), timeout=_SEND_TIMEOUT_S)
+            self._bus.send(command.frame(self.codec, placeholders), timeout=_SEND_TIMEOUT_S)
         except (can.CanError, OSError) as error:
             raise self._gone(error) from error
 

@@ -1,7 +1,7 @@
 """Commands of the INS as CAN frames (the station file's ``ins.commands``).
 
-A command is a message of the DBC and the values of its signals; ``$sequence``, ``$on``, ``$axis``, ``$index``
-and ``$value`` stand for values that are known when it is sent. Those of a
+A command is a message of the DBC and the values of its signals. The placeholders ``$sequence``, ``$on``,
+``$axis``, ``$index`` and ``$value`` are replaced by values when the command is sent. The numbers of a
 :class:`~gyrobench.drivers.ins.compensation.Compensation` are sent one by one.
 """
 
@@ -18,7 +18,7 @@ from gyrobench.bench.foundations.documents import DocumentProblem, KeyPath, Stri
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.drivers.frames import EXTENDED_ID
 from gyrobench.drivers.ins.attitude import EulerSequence
-from gyrobench.drivers.ins.compensation import CORRECTION_NUMBERS, TERMS, Compensation, correction_place
+from gyrobench.drivers.ins.compensation import CORRECTION_SIZE, TERMS, Compensation, correction_axes
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
 
 
@@ -28,10 +28,11 @@ class Command(StrictModel):
     message: str = Field(description="message of the DBC")
     values: dict[str, float | str] = Field(description="value of each of its signals")
 
-    def frame(self, codec: DbcCodec, given: Mapping[str, float]) -> can.Message:
-        """Build the frame, with ``given`` values for the placeholders."""
+    def frame(self, codec: DbcCodec, placeholders: Mapping[str, float]) -> can.Message:
+        """Build the frame, with ``placeholders``: the value of each placeholder by its name."""
         values = {
-            name: given[value] if isinstance(value, str) else value for name, value in self.values.items()
+            name: placeholders[value] if isinstance(value, str) else value
+            for name, value in self.values.items()
         }
         identifier = codec.arbitration_id(self.message)
         return can.Message(
@@ -78,9 +79,9 @@ class TermIndices(StrictModel):
     half_width_k: int | None = Field(None, description="index: half width of the play")
 
     @model_validator(mode="after")
-    def _whole_terms(self) -> Self:
-        for name, others in _REQUIRED_WITH.items():
-            missing = [other for other in others if getattr(self, other) is None]
+    def _check_terms_complete(self) -> Self:
+        for name, companions in _REQUIRED_WITH.items():
+            missing = [other for other in companions if getattr(self, other) is None]
             if getattr(self, name) is not None and missing:
                 raise ValueError(f"{name} needs {' and '.join(missing)} too")
         return self
@@ -108,40 +109,40 @@ class CorrectionIndices(StrictModel):
         "highest: in the order of the keys above; 0 and 0 where those of the gyro's bias are",
     )
 
-    def first(self, sensor: str, sensed: int | None) -> int:
-        """First index of a coefficient."""
+    def first_index(self, sensor: str, sensed: int | None) -> int:
+        """First index of a coefficient; ``sensed`` is the sensed axis, None for a bias."""
         if sensed is None:
             return self.accelerometer_bias
         return (self.gyro if sensor == "gyro" else self.accelerometer)[sensed]
 
-    def firsts(self) -> list[int]:
-        """First indices of all coefficients of a sensor's axis, in the order of the keys."""
+    def first_indices(self) -> list[int]:
+        """First indices of all coefficients of one axis, in the order of the keys."""
         return [*self.gyro, self.accelerometer_bias, *self.accelerometer]
 
     def indices(self) -> list[int]:
-        """Indices of all numbers of these coefficients but their limits."""
-        return [first + place for first in self.firsts() for place in range(CORRECTION_NUMBERS)]
+        """Indices of all numbers of these coefficients, without their limits."""
+        return [first + offset for first in self.first_indices() for offset in range(CORRECTION_SIZE)]
 
     def limits_of(self, compensation: Compensation) -> dict[int, int]:
-        """Index of the lowest temperature of each coefficient, by its first index; none where unused."""
+        """Index of each coefficient's lowest temperature, by its first index; empty if none has limits."""
         is_used = any(each.range_c is not None for each in compensation.coefficients.values())
         if self.limits is None or not is_used:
             return {}
-        return {first: self.limits + 2 * place for place, first in enumerate(self.firsts())}
+        return {first: self.limits + 2 * order for order, first in enumerate(self.first_indices())}
 
 
-def _as_list(index: int | list[int] | None) -> list[int]:
+def _index_list(index: int | list[int] | None) -> list[int]:
     return [] if index is None else index if isinstance(index, list) else [index]
 
 
-#: Indices of the limits of all coefficients in :class:`CorrectionIndices`.
-_LIMITS = 14
-#: What signals of too few bits may take off a polynomial, deg/h, and off other numbers, relative.
-_MAX_LOST_DPH, _MAX_LOST = 1e-4, 0.01
-#: How far beyond its limits a compensation is evaluated, K, to state what an INS without them does there.
-_BEYOND_K = 10.0
-#: Relative rounding of a floating-point number of 32 bits, rounded up.
-_FLOAT32 = 1e-6
+#: Number of temperature limits of all coefficients in :class:`CorrectionIndices`.
+_LIMIT_COUNT = 14
+#: Largest errors by rounding in the signals: of a polynomial, deg/h; of another number, relative.
+_MAX_ROUNDING_DPH, _MAX_RELATIVE_ROUNDING = 1e-4, 0.01
+#: Distance from its limits at which a compensation is evaluated to show the extrapolation, K.
+_EXTRAPOLATION_K = 10.0
+#: Relative rounding error of a 32-bit floating-point number, rounded up.
+_FLOAT32_ROUNDING = 1e-6
 
 
 class CoefficientCommand(Command):
@@ -160,21 +161,23 @@ class CoefficientCommand(Command):
     )
 
     @model_validator(mode="after")
-    def _one_number_each(self) -> Self:
+    def _check_indices_unique(self) -> Self:
         keys = [f"T^{index}" for index in range(self.coefficients)]
-        places = dict(enumerate(keys))
+        key_by_index = dict(enumerate(keys))
         indices = {"lowest_index": self.lowest_index, "highest_index": self.highest_index, **dict(self.terms)}
-        named = [(key, each) for key, index in indices.items() for each in _as_list(index)]
+        key_indices = [(key, each) for key, index in indices.items() for each in _index_list(index)]
         if self.others is not None:
-            named += [("others", each) for each in self.others.indices()]
+            key_indices += [("others", each) for each in self.others.indices()]
             first = self.others.limits
-            named += [("others.limits", first + each) for each in range(_LIMITS) if first is not None]
-        for key, index in named:
-            if index in places:
+            key_indices += [
+                ("others.limits", first + each) for each in range(_LIMIT_COUNT) if first is not None
+            ]
+        for key, index in key_indices:
+            if index in key_by_index:
                 raise ValueError(
-                    f"{key} and {places[index]} both have the index {index}: each number needs its own"
+                    f"{key} and {key_by_index[index]} both have the index {index}: each number needs its own"
                 )
-            places[index] = key
+            key_by_index[index] = key
         return self
 
     def supported_terms(self) -> list[str]:
@@ -182,13 +185,13 @@ class CoefficientCommand(Command):
         return [term for term, name in TERMS.items() if getattr(self.terms, name) is not None]
 
     def unsupported(self, compensation: Compensation) -> list[str]:
-        """Parts of a compensation that the INS does not support, in words."""
+        """Parts of a compensation that the INS does not support, as text."""
         supported = self.supported_terms()
-        supported += compensation.corrected() if self.others is not None else ()
+        supported += compensation.corrections_in_use() if self.others is not None else ()
         parts = [term for term in compensation.terms() if term not in supported]
         if self.others is not None and self.others.limits is None:
-            for name in compensation.corrected():
-                axis = correction_place(name)[1]
+            for name in compensation.corrections_in_use():
+                axis = correction_axes(name)[1]
                 if compensation.coefficients[name].exceeds(
                     compensation.low_c[axis], compensation.high_c[axis]
                 ):
@@ -199,52 +202,58 @@ class CoefficientCommand(Command):
         return parts
 
     def extrapolation(self, compensation: Compensation) -> str:
-        """What an INS that does not get the limits of temperature may subtract beyond them; empty with them.
+        """Describe how far an INS without the temperature limits may extrapolate; empty if it gets them.
 
-        A clause, for a sentence or a note.
+        A clause for a sentence or a note.
         """
         missing = [key for key in ("lowest_index", "highest_index") if getattr(self, key) is None]
         if not missing or not compensation.polynomial_dph[:, 1:].any():
             return ""
         beyond_dph = max(
-            abs(np.polyval(row[::-1], at_c + off_k) - np.polyval(row[::-1], at_c))
-            for limits, off_k in ((compensation.low_c, -_BEYOND_K), (compensation.high_c, _BEYOND_K))
-            for row, at_c in zip(compensation.polynomial_dph, limits, strict=True)
+            abs(np.polyval(row[::-1], limit_c + offset_k) - np.polyval(row[::-1], limit_c))
+            for limits, offset_k in (
+                (compensation.low_c, -_EXTRAPOLATION_K),
+                (compensation.high_c, _EXTRAPOLATION_K),
+            )
+            for row, limit_c in zip(compensation.polynomial_dph, limits, strict=True)
         )
         return (
             f"the INS does not get the temperature limits ({' and '.join(missing)} of load_compensation): "
-            f"{_BEYOND_K:g} K outside {compensation.low_c.min():z.0f} to {compensation.high_c.max():z.0f} °C "
-            f"it may subtract {beyond_dph:.2g} deg/h more or less than was measured at the limit"
+            f"{_EXTRAPOLATION_K:g} K outside {compensation.low_c.min():z.0f} to "
+            f"{compensation.high_c.max():z.0f} °C it may subtract {beyond_dph:.2g} deg/h more or less than "
+            "was measured at the limit"
         )
 
-    def altered(self, codec: DbcCodec, compensation: Compensation) -> list[str]:
-        """Numbers of a compensation that the signals can't carry, in words: clipped, or rounded too much.
+    def altered_numbers(self, codec: DbcCodec, compensation: Compensation) -> list[str]:
+        """Numbers of a compensation that the signals would clip or round too much, as text.
 
-        A polynomial's numbers may lose as much together as changes a bias by 1e-4 deg/h, others a hundredth.
+        Rounding may change the polynomial by at most 1e-4 deg/h and any other number by at most 1 %.
         """
         signals = {value: name for name, value in self.values.items() if isinstance(value, str)}
-        decoders = {given: codec.decoder(self.message, name) for given, name in signals.items()}
-        found = []
+        decoders = {each: codec.decoder(self.message, name) for each, name in signals.items()}
+        altered = []
         for axis, numbers in enumerate(self.numbers(compensation)):
             hottest_c = max(abs(compensation.low_c[axis]), abs(compensation.high_c[axis]), 1.0)
-            lost_dph = size_dph = 0.0
+            error_dph = size_dph = 0.0
             for index, value in numbers.items():
-                given = {"$axis": float(axis), "$index": float(index), "$value": float(value)}
-                data = bytes(self.frame(codec, given).data)
+                intended = {"$axis": float(axis), "$index": float(index), "$value": float(value)}
+                data = bytes(self.frame(codec, intended).data)
                 sent = {name: decode(data) for name, decode in decoders.items()}
-                lost = abs(sent.get("$value", value) - value)
+                error = abs(sent.get("$value", value) - value)
                 if index < self.coefficients:
-                    lost_dph += lost * hottest_c**index
+                    error_dph += error * hottest_c**index
                     size_dph += abs(value) * hottest_c**index
-                is_lost = index >= self.coefficients and lost > _MAX_LOST * abs(value)
-                if is_lost or any(sent.get(name, given[name]) != given[name] for name in ("$axis", "$index")):
-                    found.append(f"the number {index} of the {'xyz'[axis]} axis")
-            if lost_dph > max(_MAX_LOST_DPH, _FLOAT32 * size_dph):
-                found.append(f"the polynomial of the {'xyz'[axis]} gyro ({lost_dph:.2g} deg/h are lost)")
-        return found
+                is_altered = index >= self.coefficients and error > _MAX_RELATIVE_ROUNDING * abs(value)
+                if is_altered or any(
+                    sent.get(name, intended[name]) != intended[name] for name in ("$axis", "$index")
+                ):
+                    altered.append(f"the number {index} of the {'xyz'[axis]} axis")
+            if error_dph > max(_MAX_ROUNDING_DPH, _FLOAT32_ROUNDING * size_dph):
+                altered.append(f"the polynomial of the {'xyz'[axis]} gyro ({error_dph:.2g} deg/h are lost)")
+        return altered
 
     def numbers(self, compensation: Compensation) -> list[dict[int, float]]:
-        """Numbers of each gyro by index, in the order of the indices."""
+        """Numbers of a compensation by index, one dictionary for each gyro, in the order of the indices."""
         return [self._numbers(compensation, axis) for axis in range(3)]
 
     def _numbers(self, compensation: Compensation, axis: int) -> dict[int, float]:
@@ -255,16 +264,16 @@ class CoefficientCommand(Command):
             if index is not None:
                 values = np.atleast_1d(getattr(compensation, name)[axis])
                 numbers.update(zip(np.atleast_1d(index).tolist(), values.tolist(), strict=True))
-        if self.others is not None and compensation.corrected():
+        if self.others is not None and compensation.corrections_in_use():
             numbers |= dict.fromkeys(self.others.indices(), 0.0)
             limits = self.others.limits_of(compensation)
             numbers |= dict.fromkeys(limits.values(), 0.0) | dict.fromkeys(
                 (i + 1 for i in limits.values()), 0.0
             )
             for name, each in compensation.coefficients.items():
-                sensor, sensor_axis, sensed = correction_place(name)
+                sensor, sensor_axis, sensed = correction_axes(name)
                 if sensor_axis == axis:
-                    first = self.others.first(sensor, sensed)
+                    first = self.others.first_index(sensor, sensed)
                     numbers |= dict(enumerate(each.numbers().tolist(), first))
                     if each.range_c is not None and first in limits:
                         numbers |= dict(enumerate(each.range_c, limits[first]))
@@ -290,32 +299,35 @@ class CommandMap(StrictModel):
     apply_compensation: Command | None = Field(None, description="puts the loaded compensation into use")
 
 
-_GIVEN = {
+_PLACEHOLDERS = {
     "set_euler_sequence": {"$sequence"},
     "send_increments": {"$on"},
     "load_compensation": {"$axis", "$index", "$value"},
 }
 
 
-def check_commands(commands: CommandMap, codec: DbcCodec, at: KeyPath = ()) -> list[DocumentProblem]:
-    """Problems with the DBC of a map that is at ``at`` in its file."""
+def check_commands(commands: CommandMap, codec: DbcCodec, location: KeyPath = ()) -> list[DocumentProblem]:
+    """Find the problems of a command map with a DBC; ``location`` is that of the map in its file."""
     problems = []
     for name in CommandMap.model_fields:
         command: Command | None = getattr(commands, name)
         if command is None:
             continue
-        given = _GIVEN.get(name, set())
-        if lacking := sorted(given - {value for value in command.values.values() if isinstance(value, str)}):
+        placeholders = _PLACEHOLDERS.get(name, set())
+        used = {value for value in command.values.values() if isinstance(value, str)}
+        if missing := sorted(placeholders - used):
             problems.append(
-                DocumentProblem((*at, name, "values"), f"no signal has {', '.join(lacking)}: give it to one")
+                DocumentProblem(
+                    (*location, name, "values"), f"no signal has {', '.join(missing)}: give it to one"
+                )
             )
         for signal, value in command.values.items():
-            here = (*at, name, "values", signal)
-            if isinstance(value, str) and value not in given:
-                known = f"a number or {', '.join(sorted(given))}" if given else "a number"
-                problems.append(DocumentProblem(here, f"expected {known}; found '{value}'"))
+            value_location = (*location, name, "values", signal)
+            if isinstance(value, str) and value not in placeholders:
+                allowed = f"a number or {', '.join(sorted(placeholders))}" if placeholders else "a number"
+                problems.append(DocumentProblem(value_location, f"expected {allowed}; found '{value}'"))
             try:
                 codec.signal(command.message, signal)
             except DocumentError as error:
-                problems.append(DocumentProblem(here, str(error)))
+                problems.append(DocumentProblem(value_location, str(error)))
     return problems

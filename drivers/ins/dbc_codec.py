@@ -1,8 +1,8 @@
-"""CAN payloads decoded and encoded in bulk, by a DBC file.
+"""Decodes and encodes CAN payloads in bulk according to a DBC file.
 
-cantools reads the file; the bulk decoding gives the same values as its decoding frame by frame. Each
-signal is extracted by one left shift of the payload as a 64-bit number and one right shift, which
-drops the neighbouring signals and, on signed numbers, extends the sign.
+cantools reads the file; the bulk decoding gives the same values as cantools gives for single frames. A signal
+is extracted from the payload, as a 64-bit number, by one left shift and one right shift. They remove the
+neighbouring signals and, for signed numbers, extend the sign.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from gyrobench.drivers.frames import EXTENDED_ID, MAX_LENGTH, FrameBlock
 
 MAX_DBC_BYTES = 2_000_000
 
-# Its warnings of duplicate messages are errors here.
+# cantools only warns of duplicate messages; they are errors here.
 logging.getLogger("cantools").setLevel(logging.ERROR)
-_MAX_MISTAKES_SHOWN = 20
+_MAX_LISTED_MISTAKES = 20
 
-#: What cantools is known to raise for an invalid file; it has no common error class.
+#: Errors that cantools raises for an invalid file; they have no common base class.
 _DBC_ERRORS = (
     cantools.Error,
     textparser.Error,
@@ -51,10 +51,10 @@ _DBC_ERRORS = (
 
 
 def load_dbc(path: Path, identifier_offset: int = 0) -> Database:
-    """Read a DBC file in UTF-8 or Windows-1252, with an offset added to the identifier of each message.
+    """Read a DBC file in UTF-8 or Windows-1252, and add an offset to the identifier of each message.
 
     Raises DocumentError if the file can't be read, is too large, or is not a valid DBC, or if an identifier
-    with its offset is none.
+    with the offset is out of range.
     """
     return _database(path, read_limited(path, MAX_DBC_BYTES, DocumentError), identifier_offset)
 
@@ -64,20 +64,21 @@ def _database(path: Path, content: bytes, identifier_offset: int) -> Database:
     database = Database()
     try:
         text = _text(content)
-        _refuse(path, _oversized(text))
+        _raise_mistakes(path, _find_oversized(text))
         database.add_dbc_string(text)
     except DocumentError:
         raise
     except _DBC_ERRORS as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise DocumentError(f"{path}: not a valid DBC file: {reason}") from error
-    _refuse(path, _undecodable(database))
+    _raise_mistakes(path, _find_undecodable(database))
     if identifier_offset:
         _add_offset(path, database, identifier_offset)
     return database
 
 
 def _add_offset(path: Path, database: Database, offset: int) -> None:
+    """Add an offset to the identifiers; raises DocumentError if one is then out of range."""
     for message in database.messages:
         identifier, highest = message.frame_id + offset, 0x1FFFFFFF if message.is_extended_frame else 0x7FF
         if not 0 <= identifier <= highest:
@@ -96,8 +97,8 @@ def _text(content: bytes) -> str:
         return content.decode("cp1252")
 
 
-def _refuse(path: Path, mistakes: Iterable[str]) -> None:
-    lines = [f"{path}: {mistake} is not possible" for mistake in islice(mistakes, _MAX_MISTAKES_SHOWN)]
+def _raise_mistakes(path: Path, mistakes: Iterable[str]) -> None:
+    lines = [f"{path}: {mistake} is not possible" for mistake in islice(mistakes, _MAX_LISTED_MISTAKES)]
     if lines:
         raise DocumentError("\n".join(lines))
 
@@ -124,25 +125,27 @@ class DbcCodec:
         return np.array([layout.arbitration_id for layout in self._layouts.values()], np.uint32)
 
     def arbitration_id(self, message_name: str) -> int:
-        """Find the identifier of a message, with :data:`EXTENDED_ID` for one of 29 bits."""
+        """Identifier of a message, with :data:`EXTENDED_ID` set if it has 29 bits."""
         return self._layout(message_name).arbitration_id
 
     def signal(self, message_name: str, signal_name: str) -> Signal:
-        """Find the description of a signal.
+        """Description of a signal in the DBC.
 
         Raises DocumentError if there is no such message or signal; the message has similar names.
         """
         layout = self._layout(message_name)
         if signal_name not in layout.fields:
-            known = _suggestion(signal_name, list(layout.fields))
-            raise DocumentError(f"the message {message_name} of the DBC has no signal '{signal_name}'{known}")
+            similar = _similar_names(signal_name, list(layout.fields))
+            raise DocumentError(
+                f"the message {message_name} of the DBC has no signal '{signal_name}'{similar}"
+            )
         return layout.fields[signal_name].signal
 
     def rows(self, block: FrameBlock, message_name: str) -> IntArray:
-        """Rows of the block with frames of a message, without frames that are too short."""
+        """Row indices of the frames of a message in the block, without frames that are too short."""
         layout = self._layout(message_name)
-        found = block.rows_with_id(layout.arbitration_id)
-        return found[block.length[found] >= layout.length]
+        rows = block.rows_with_id(layout.arbitration_id)
+        return rows[block.length[rows] >= layout.length]
 
     def count_short(self, block: FrameBlock, message_name: str) -> int:
         """Count the frames of a message with fewer bytes than in the DBC."""
@@ -150,37 +153,42 @@ class DbcCodec:
         return int(np.sum(block.length[block.rows_with_id(layout.arbitration_id)] < layout.length))
 
     def decode(self, block: FrameBlock, message_name: str) -> dict[str, FloatArray]:
-        """Values of every signal of a message, in the DBC's units, one for each selected frame.
+        """Decode every signal of a message, in the DBC's units; shape (n,) for its n frames in the block.
 
-        NaN where a multiplexed signal is absent. Integers of more than 53 bits are rounded to float64.
+        The value is NaN where a multiplexed signal is absent. Integers of more than 53 bits are rounded to
+        float64.
         """
         payloads = self.payloads(block, self.rows(block, message_name))
         names = self._layout(message_name).fields
         return {name: self.values(payloads, message_name, name) for name in names}
 
     def payloads(self, block: FrameBlock, rows: IntArray) -> Payloads:
-        """Payloads of some frames, for :meth:`values`."""
+        """Payloads of the frames at ``rows``, for :meth:`values`."""
         return Payloads(block.data.view(np.uint64)[rows].view(np.uint8))
 
     def values(self, payloads: Payloads, message_name: str, signal_name: str) -> FloatArray:
-        """Values of one signal, as of :meth:`decode`."""
+        """Decode one signal; see :meth:`decode`."""
         return self._layout(message_name).physical(signal_name, payloads)
 
     def decoder(self, message_name: str, signal_name: str) -> Callable[[bytes], float]:
-        """Return what decodes a signal of one payload as :meth:`decode`; NaN also if it is too short."""
+        """Return a function that decodes a signal of one payload; NaN if absent, or the payload is short."""
         layout = self._layout(message_name)
         field, length = layout.fields[signal_name], layout.length
-        raw_one, scale, offset = field.raw_one, float(field.signal.scale), float(field.signal.offset)
+        raw_value, scale, offset = (
+            field.raw_from_payload,
+            float(field.signal.scale),
+            float(field.signal.offset),
+        )
 
-        def decoded(data: bytes) -> float:
-            return raw_one(data) * scale + offset if len(data) >= length else math.nan
+        def decode(data: bytes) -> float:
+            return raw_value(data) * scale + offset if len(data) >= length else math.nan
 
         if field.signal.multiplexer_ids is None:
-            return decoded
-        return lambda data: decoded(data) if layout.selects(signal_name, data) else math.nan
+            return decode
+        return lambda data: decode(data) if layout.is_selected_by(signal_name, data) else math.nan
 
     def encode(self, message_name: str, values: Mapping[str, ArrayLike]) -> NDArray[np.uint8]:
-        """Payloads of a message, shape (n, length of the message).
+        """Encode the payloads of a message, shape (n, length of the message).
 
         Values are rounded to the nearest step and clipped to the field's range. Signals without a value, or
         not selected by the multiplexer, are zero. ``values`` are in the DBC's units, each of shape (n,) or
@@ -198,8 +206,8 @@ class DbcCodec:
 
     def _layout(self, message_name: str) -> _Layout:
         if message_name not in self._layouts:
-            known = _suggestion(message_name, list(self._layouts))
-            raise DocumentError(f"the DBC has no message '{message_name}'{known}")
+            similar = _similar_names(message_name, list(self._layouts))
+            raise DocumentError(f"the DBC has no message '{message_name}'{similar}")
         return self._layouts[message_name]
 
 
@@ -217,18 +225,21 @@ class _Layout:
         if self.fields[name].signal.multiplexer_ids is None:
             return values
         return np.where(
-            self._present(name, lambda selector: self.fields[selector].raw(words)), values, np.nan
+            self._is_selected(name, lambda selector: self.fields[selector].raw(words)), values, np.nan
         )
 
-    def selects(self, name: str, data: bytes) -> bool:
-        """Whether the multiplexers in a payload select the signal."""
+    def is_selected_by(self, name: str, data: bytes) -> bool:
+        """Whether the multiplexers in the payload select the signal."""
         signal = self.fields[name].signal
         selector = signal.multiplexer_signal
         if signal.multiplexer_ids is None or selector is None:
             return True
-        return self.fields[selector].raw_one(data) in signal.multiplexer_ids and self.selects(selector, data)
+        return self.fields[selector].raw_from_payload(data) in signal.multiplexer_ids and self.is_selected_by(
+            selector, data
+        )
 
     def encode(self, values: dict[str, FloatArray]) -> NDArray[np.uint8]:
+        """Encode values of n frames by signal name; see :meth:`DbcCodec.encode`."""
         count = len(next(iter(values.values()), np.zeros(1)))
         raw = {
             name: field.to_raw(values[name]) if name in values else np.zeros(count, np.uint64)
@@ -236,7 +247,9 @@ class _Layout:
         }
         little, big = np.zeros(count, "<u8"), np.zeros(count, ">u8")
         for name, field in self.fields.items():
-            bits = np.where(self._present(name, raw.__getitem__), field.placed(raw[name]), np.uint64(0))
+            bits = np.where(
+                self._is_selected(name, raw.__getitem__), field.shift_into_place(raw[name]), np.uint64(0)
+            )
             if field.big_endian:
                 big |= bits
             else:
@@ -244,18 +257,18 @@ class _Layout:
         payloads = little.view(np.uint8) | big.view(np.uint8)
         return payloads.reshape(count, MAX_LENGTH)[:, : self.length]
 
-    def _present(self, name: str, raw_of: Callable[[str], NDArray[Any]]) -> BoolArray:
-        """Whether the multiplexers select the signal."""
+    def _is_selected(self, name: str, raw_of: Callable[[str], NDArray[Any]]) -> BoolArray:
+        """Mask of the frames whose multiplexers, with raw values ``raw_of(name)``, select the signal."""
         signal = self.fields[name].signal
         selector = signal.multiplexer_signal
         if signal.multiplexer_ids is None or selector is None:
             return np.array(True)
-        return np.isin(raw_of(selector), signal.multiplexer_ids) & self._present(selector, raw_of)
+        return np.isin(raw_of(selector), signal.multiplexer_ids) & self._is_selected(selector, raw_of)
 
 
-def _suggestion(name: str, known: list[str]) -> str:
-    close = difflib.get_close_matches(name.upper(), known, n=3, cutoff=0.5)
-    return f" (did you mean {' or '.join(close)}?)" if close else f"; it has {', '.join(known)}"
+def _similar_names(name: str, names: list[str]) -> str:
+    close = difflib.get_close_matches(name.upper(), names, n=3, cutoff=0.5)
+    return f" (did you mean {' or '.join(close)}?)" if close else f"; it has {', '.join(names)}"
 
 
 Words = NDArray[np.uint64]
@@ -272,19 +285,19 @@ _FLOAT_LENGTHS = frozenset(_FLOATS)
 
 
 class Payloads:
-    """Payloads, shape (n, 8), as 64-bit numbers in both byte orders."""
+    """Payloads of n frames, shape (n, 8), as 64-bit numbers in both byte orders."""
 
     def __init__(self, data: NDArray[np.uint8]) -> None:
         self._data = data
 
     @cached_property
     def little(self) -> Words:
-        """Numbers whose first byte is the lowest, shape (n,)."""
+        """Payloads as little-endian numbers, shape (n,)."""
         return self._data.view("<u8")[:, 0].astype(np.uint64)
 
     @cached_property
     def big(self) -> Words:
-        """Numbers whose first byte is the highest, shape (n,)."""
+        """Payloads as big-endian numbers, shape (n,)."""
         return self._data.view(">u8")[:, 0].astype(np.uint64)
 
 
@@ -296,11 +309,11 @@ class BitField:
 
     @cached_property
     def big_endian(self) -> bool:
-        """Whether the field is in the words' big-endian reading."""
+        """Whether the signal is big-endian."""
         return self.signal.byte_order == "big_endian"
 
     @cached_property
-    def left(self) -> np.uint64:
+    def left_shift(self) -> np.uint64:
         """Shift that moves the field's first bit to the top of the word."""
         start, length = self.signal.start, self.signal.length
         if self.big_endian:
@@ -308,22 +321,22 @@ class BitField:
         return np.uint64(_WORD_BITS - start - length)
 
     @cached_property
-    def right(self) -> np.uint64:
+    def right_shift(self) -> np.uint64:
         """Shift that then moves the field's last bit to the bottom."""
         return np.uint64(_WORD_BITS - self.signal.length)
 
     def raw(self, words: Payloads) -> NDArray[Any]:
-        """Read the field: int64, uint64 or the signal's float type."""
-        at_top = (words.big if self.big_endian else words.little) << self.left
+        """Extract raw values, shape (n,): int64, uint64 or the signal's float type."""
+        at_top = (words.big if self.big_endian else words.little) << self.left_shift
         if self.signal.conversion.is_float:
             bits_type, float_type = _FLOATS[self.signal.length]
-            return (at_top >> self.right).astype(bits_type).view(float_type)
+            return (at_top >> self.right_shift).astype(bits_type).view(float_type)
         if self.signal.is_signed:
-            return at_top.view(np.int64) >> self.right.astype(np.int64)
-        return at_top >> self.right
+            return at_top.view(np.int64) >> self.right_shift.astype(np.int64)
+        return at_top >> self.right_shift
 
     def physical(self, words: Payloads) -> FloatArray:
-        """Read the field, scaled to the DBC's unit."""
+        """Extract values in the DBC's unit, shape (n,)."""
         values = self.raw(words).astype(np.float64)
         if self.signal.scale != 1:
             values *= self.signal.scale
@@ -332,20 +345,20 @@ class BitField:
         return values
 
     @cached_property
-    def raw_one(self) -> Callable[[bytes], float]:
-        """Reads the field of one payload, as :meth:`raw` does."""
-        signal, shift = self.signal, int(self.right) - int(self.left)
+    def raw_from_payload(self) -> Callable[[bytes], float]:
+        """Function that extracts the raw value of one payload; see :meth:`raw`."""
+        signal, shift = self.signal, int(self.right_shift) - int(self.left_shift)
         order: Literal["little", "big"] = "big" if self.big_endian else "little"
         mask, sign = (1 << signal.length) - 1, 1 << signal.length - 1 if signal.is_signed else 0
 
-        def whole(data: bytes) -> int:
+        def read_integer(data: bytes) -> int:
             raw = int.from_bytes(data.ljust(MAX_LENGTH, b"\0"), order) >> shift & mask
             return raw - 2 * (raw & sign)
 
         if signal.conversion.is_float:
             bits_type, float_type = _FLOATS[signal.length]
-            return lambda data: float(bits_type(whole(data) & mask).view(float_type))
-        return whole
+            return lambda data: float(bits_type(read_integer(data) & mask).view(float_type))
+        return read_integer
 
     def to_raw(self, values: FloatArray) -> Words:
         """Convert values in the DBC's unit to right-aligned bits; see :meth:`DbcCodec.encode`."""
@@ -359,22 +372,22 @@ class BitField:
             raise MeasurementError(f"the integer signal {self.signal.name} can't carry NaN")
         return _rounded(scaled, length, self.signal.is_signed) & np.uint64(2**length - 1)
 
-    def placed(self, raw: Words) -> Words:
+    def shift_into_place(self, raw: Words) -> Words:
         """Move right-aligned bits to their place in a word."""
-        return (raw << self.right) >> self.left
+        return (raw << self.right_shift) >> self.left_shift
 
 
 def _rounded(values: FloatArray, length: int, signed: bool) -> Words:
     low, high = (-(2 ** (length - 1)), 2 ** (length - 1) - 1) if signed else (0, 2**length - 1)
-    # 2**63 - 1 and 2**64 - 1 round up as float64 to numbers that do not fit.
-    inside = np.clip(np.rint(values), low, np.nextafter(float(high + 1), 0.0))
-    integers = inside.astype(np.int64).view(np.uint64) if signed else inside.astype(np.uint64)
+    # As float64, 2**63 - 1 and 2**64 - 1 round up to numbers that do not fit.
+    clipped = np.clip(np.rint(values), low, np.nextafter(float(high + 1), 0.0))
+    integers = clipped.astype(np.int64).view(np.uint64) if signed else clipped.astype(np.uint64)
     return np.where(values >= high, np.uint64(high), integers)
 
 
-#: The longest message of SAE J1939, whose DBC files describe it as one.
+#: Length of the longest message of SAE J1939; DBC files describe it as a single message.
 _MAX_MESSAGE_BYTES = 1785
-#: Far above any device's file; the parser's work grows with their squares.
+#: Far above any device's file; the parser's time grows with the squares of these numbers.
 _MAX_MULTIPLEXER_IDS = 65536
 _MAX_SIGNALS = 1000
 _MAX_LINE_CHARACTERS = 64_000
@@ -389,40 +402,40 @@ _MULTIPLEXER = re.compile(r"^[ \t]*SG_MUL_VAL_[^;]*", re.MULTILINE)
 _RANGE = re.compile(r"(\d+)[ \t]*-[ \t]*(\d+)")
 
 
-def _oversized(text: str) -> Iterator[str]:
-    """Sizes and numbers that no CAN device has and that exhaust the parser, with their lines."""
+def _find_oversized(text: str) -> Iterator[str]:
+    """Find sizes and counts that no CAN device has and that would exhaust the parser, with their lines."""
     for number, line in enumerate(text.splitlines(), start=1):
         if len(line) > _MAX_LINE_CHARACTERS:
             yield f"line {number}: a line of {len(line)} characters"
             return
-    message_starts = [found.start() for found in _MESSAGE_START.finditer(text)]
+    message_starts = [match.start() for match in _MESSAGE_START.finditer(text)]
     for begin, end in pairwise([0, *message_starts, len(text)]):
         count = len(_SIGNAL_START.findall(text, begin, end))
         if count > _MAX_SIGNALS:
             yield f"line {text.count(chr(10), 0, begin) + 1}: a message of {count} signals"
             return
-    for found in _MESSAGE.finditer(text):
-        if int(found["bytes"]) > _MAX_MESSAGE_BYTES:
-            yield f"line {_line(text, found)}: a message of {found['bytes']} bytes"
-    for found in _SIGNAL.finditer(text):
-        if max(int(found["start"]), int(found["length"])) > 8 * _MAX_MESSAGE_BYTES:
-            yield f"line {_line(text, found)}: a signal of {found['length']} bits at bit {found['start']}"
+    for match in _MESSAGE.finditer(text):
+        if int(match["bytes"]) > _MAX_MESSAGE_BYTES:
+            yield f"line {_line(text, match)}: a message of {match['bytes']} bytes"
+    for match in _SIGNAL.finditer(text):
+        if max(int(match["start"]), int(match["length"])) > 8 * _MAX_MESSAGE_BYTES:
+            yield f"line {_line(text, match)}: a signal of {match['length']} bits at bit {match['start']}"
     count = 0
-    for found in _MULTIPLEXER.finditer(text):
-        count += sum(int(last) - int(first) + 1 for first, last in _RANGE.findall(found[0]))
+    for match in _MULTIPLEXER.finditer(text):
+        count += sum(int(last) - int(first) + 1 for first, last in _RANGE.findall(match[0]))
         if count > _MAX_MULTIPLEXER_IDS:
-            yield f"line {_line(text, found)}: {count} multiplexer values up to here"
+            yield f"line {_line(text, match)}: {count} multiplexer values up to here"
             return
 
 
-def _undecodable(database: Database) -> Iterator[str]:
-    """Duplicate messages, and signals of classic CAN messages whose values can't be computed."""
-    for kind, all_of_kind in (
+def _find_undecodable(database: Database) -> Iterator[str]:
+    """Find duplicate messages, and signals of classic CAN messages whose values can't be computed."""
+    for kind, keys in (
         ("message called", [message.name for message in database.messages]),
-        ("message numbered", [_number(message) for message in database.messages]),
+        ("message numbered", [_identifier_text(message) for message in database.messages]),
     ):
-        twice = [each for each, count in Counter(all_of_kind).items() if count > 1]
-        yield from (f"a second {kind} {each}" for each in twice)
+        duplicates = [each for each, count in Counter(keys).items() if count > 1]
+        yield from (f"a second {kind} {each}" for each in duplicates)
     for message in database.messages:
         for signal in message.signals if message.length <= MAX_LENGTH else ():
             name = f"{message.name}.{signal.name}"
@@ -432,9 +445,9 @@ def _undecodable(database: Database) -> Iterator[str]:
                 yield f"{name}: scale {signal.scale} and offset {signal.offset}"
 
 
-def _number(message: Message) -> str:
+def _identifier_text(message: Message) -> str:
     return f"{message.frame_id}{' with 29 bits' if message.is_extended_frame else ''}"
 
 
-def _line(text: str, found: re.Match[str]) -> int:
-    return text.count("\n", 0, found.start()) + 1
+def _line(text: str, match: re.Match[str]) -> int:
+    return text.count("\n", 0, match.start()) + 1

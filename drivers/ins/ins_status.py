@@ -18,7 +18,7 @@ from gyrobench.drivers.ins.dbc_codec import DbcCodec
 from gyrobench.drivers.ins.readout import Alignment, InsMode, Readout
 from gyrobench.drivers.ins.signal_map import BoundSignal, SignalMap
 
-#: Age from which values count as unknown.
+#: Age from which values count as unknown, s.
 STALE_S = 5.0
 #: Time stamp, identifier, length and data of a row of :data:`~gyrobench.drivers.frames.FRAME_DTYPE`.
 _ROW = struct.Struct("=dIB3x8s")
@@ -29,13 +29,13 @@ _NEVER = -math.inf, b""
 class NewestFrames:
     """The newest data frame of each identifier, with its age.
 
-    Ages are by the clock of the run and, between frames, by the time stamps of the CAN interface,
-    whose origin is arbitrary.
+    The age of the last frame is measured on the clock of the run. The ages of the others follow from the
+    time stamps of the CAN interface, whose origin is arbitrary.
     """
 
     def __init__(self, codec: DbcCodec) -> None:
         self._codec = codec
-        #: Time stamp and data by identifier; another dictionary after each change, as snapshots hold it.
+        #: Time stamp and data by identifier; replaced, not changed, as snapshots refer to it.
         self._newest: dict[int, tuple[float, bytes]] = {}
         self._received_s, self._stamp_s = -math.inf, 0.0
 
@@ -45,52 +45,52 @@ class NewestFrames:
         rows = frames.take(_newest_rows(frames.arbitration_id)).rows
         self._newest = self._newest | {
             identifier: (time_s, data[:length])
-            # As bytes: rows with arrays in them become objects slowly.
+            # Unpacked from bytes: numpy is slow at converting rows with array fields to objects.
             for time_s, identifier, length, data in _ROW.iter_unpack(rows.tobytes())
         }
 
     def forget(self, message_name: str) -> None:
         """Drop the frames of a message."""
-        dropped = self._codec.arbitration_id(message_name)
-        self._newest = {each: row for each, row in self._newest.items() if each != dropped}
+        dropped_id = self._codec.arbitration_id(message_name)
+        self._newest = {each: row for each, row in self._newest.items() if each != dropped_id}
 
     def age_s(self, now_s: float) -> float:
-        """Time since the last frame."""
+        """Time since the last frame; infinite before the first."""
         return now_s - self._received_s
 
     def snapshot(self, now_s: float) -> Snapshot:
-        """The frames that are not stale."""
+        """Return the values of the frames that are not stale."""
         return Snapshot(self._newest, self._stamp_s + self.age_s(now_s) - STALE_S)
 
 
 @compiled
 def _newest_rows(identifiers: NDArray[np.uint32]) -> IntArray:
-    """Last row of each identifier."""
-    found = np.empty(identifiers.size, np.int64)
+    """Index of the last frame of each identifier."""
+    last_rows = np.empty(identifiers.size, np.int64)
     count = 0
     for row in range(identifiers.size - 1, -1, -1):
-        for place in range(count):
-            if identifiers[found[place]] == identifiers[row]:
+        for index in range(count):
+            if identifiers[last_rows[index]] == identifiers[row]:
                 break
         else:
-            found[count] = row
+            last_rows[count] = row
             count += 1
-    return found[:count]
+    return last_rows[:count]
 
 
 class Snapshot:
-    """Values of the newest frames at one moment, those stamped before ``oldest_s`` left out."""
+    """Values of the newest frames at one moment, without frames stamped before ``oldest_s``."""
 
     def __init__(self, newest: Mapping[int, tuple[float, bytes]], oldest_s: float) -> None:
         self._newest = newest
         self._oldest_s = oldest_s
 
     def value(self, bound: BoundSignal) -> float:
-        """Value of a signal; NaN without its frame."""
+        """Value of a signal; NaN if its frame is missing or stale."""
         stamp_s, data = self._newest.get(bound.arbitration_id, _NEVER)
-        return math.nan if stamp_s < self._oldest_s else bound.of_payload(data)
+        return math.nan if stamp_s < self._oldest_s else bound.decode_si(data)
 
-    def held(self, bound: BoundSignal, rows: IntArray) -> FloatArray:  # noqa: ARG002 - only now
+    def last_values(self, bound: BoundSignal, rows: IntArray) -> FloatArray:  # noqa: ARG002 - there is only the present
         """Value of a signal, shape (1,)."""
         return np.array([self.value(bound)])
 
@@ -109,11 +109,11 @@ class InsStatus:
     @cached_property
     def mode(self) -> InsMode:
         """Mode of the INS."""
-        return self._readout.mode_of(self._number("mode"))
+        return self._readout.mode_from_value(self._number("mode"))
 
     @property
     def mode_text(self) -> str:
-        """The mode in words, with the value of its signal where the map has no mode for it."""
+        """Name of the mode, with the value of its signal if the map does not define that value."""
         name = self.mode.name.lower()
         if self.mode is not InsMode.BOOT or (mapped := self._readout.map.mode) is None:
             return name
@@ -163,7 +163,7 @@ class InsStatus:
 
     @cached_property
     def velocity_enu_mps(self) -> Triple:
-        """Velocity."""
+        """Velocity East, North, Up."""
         return self._number("velocity_east"), self._number("velocity_north"), self._number("velocity_up")
 
     @cached_property
@@ -193,7 +193,7 @@ class InsStatus:
 
     @cached_property
     def identity(self) -> dict[str, int]:
-        """Numbers of the signal map's ``identity`` that have arrived."""
+        """Numbers of the signal map's ``identity`` that have been received, by name."""
         numbers = {name: self._number(f"identity.{name}") for name in self._readout.map.identity}
         return {name: int(number) for name, number in numbers.items() if math.isfinite(number)}
 

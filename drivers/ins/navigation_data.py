@@ -2,9 +2,9 @@
 
 :func:`decode_navigation` finds the epochs in the block and reads every quantity at their last frames.
 
-The frames of one epoch arrive in a row. Order of arrival and epoch counter show which frames belong
-together and which epochs are missing; the jittering time stamps of the CAN interface only distinguish
-a pause from a restart of the INS.
+The frames of one epoch arrive one after the other. The order of arrival and the epoch counter determine which
+frames belong together and which epochs are missing. The time stamps of the CAN interface jitter; they only
+serve to distinguish a pause from a restart of the INS.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ class Temperatures:
     """Temperatures inside the INS, degrees Celsius; NaN where the INS does not send them."""
 
     ins_time_s: FloatArray  #: Shape (m,). Time of the epoch with which they were sent.
-    #: optics_c, electronics_c: Shape (m, 3). Of each gyro, by body axis.
+    #: optics_c, electronics_c: Shape (m, 3). Temperatures of each gyro, by body axis.
     optics_c: FloatArray
     electronics_c: FloatArray
-    case_c: FloatArray  #: Shape (m,). Of the case.
-    #: Shape (m, 7). Largest difference between successive readings of a sensor since the row before: optics,
-    #: electronics, case; 0 for a single reading.
+    case_c: FloatArray  #: Shape (m,). Temperature of the case.
+    #: Shape (m, 7). Largest difference between successive readings of a sensor since the previous row:
+    #: optics x, y, z, electronics x, y, z, case; 0 for a single reading.
     spread_k: FloatArray
 
 
@@ -46,24 +46,24 @@ class NavigationData:
     """Output of the INS, epoch by epoch."""
 
     ins_time_s: FloatArray  #: Shape (n,). Time on the clock of the INS; increases within a segment.
-    timestamp_s: FloatArray  #: Shape (n,). Time of arrival, stamped by the CAN interface.
+    timestamp_s: FloatArray  #: Shape (n,). Time stamp of the CAN interface.
     row: IntArray  #: Shape (n,). Row of the epoch's last frame in the block.
-    segment: IntArray  #: Shape (n,). Number of restarts of the INS before.
-    velocity_enu_mps: FloatArray  #: Shape (n, 3). Velocity; Up is the last value received, else NaN.
-    #: Shape (n, 3, 3). ``C_nb``; NaN where the INS marks it invalid, and until the Euler sequence is
+    segment: IntArray  #: Shape (n,). Number of earlier restarts of the INS in the block.
+    velocity_enu_mps: FloatArray  #: Shape (n, 3). Velocity; Up is the last value received, NaN if none.
+    #: Shape (n, 3, 3). ``C_nb``; NaN where the INS marks it invalid, and before the Euler sequence has been
     #: received.
     attitude: FloatArray
     #: mode, alignment: Shape (n,). Last received :class:`~gyrobench.drivers.ins.readout.InsMode` and
     #: :class:`~gyrobench.drivers.ins.readout.Alignment`.
     mode: NDArray[np.int8]
     alignment: NDArray[np.int8]
-    temperatures: Temperatures  #: At separate, slower times.
+    temperatures: Temperatures  #: Temperatures, at their own, slower times.
     counts: EpochCounts  #: Lost and irregular epochs.
     short_frames: int  #: Frames with fewer bytes than in the DBC; dropped.
-    latitude: float = math.nan  #: That the INS uses, rad, as sent last; NaN where it sends none.
+    latitude: float = math.nan  #: Latitude that the INS uses, last value, rad; NaN if not sent.
 
     def between(self, first_row: int, end_row: int) -> slice:
-        """The epochs whose last frames are in these rows of the block."""
+        """Epochs whose last frames are in the rows ``first_row`` to ``end_row`` (exclusive) of the block."""
         begin, end = np.searchsorted(self.row, [first_row, end_row]).tolist()
         return slice(begin, end)
 
@@ -92,16 +92,16 @@ def decode_navigation(block: FrameBlock, signal_map: SignalMap, codec: DbcCodec)
 
 @dataclass(frozen=True, eq=False)
 class Increments:
-    """Output of the inertial sensors, sample by sample, in body axes."""
+    """Increments of angle and velocity from the inertial sensors, sample by sample, in body axes."""
 
     row: IntArray  #: Shape (n,). Row of the sample's last frame in the block.
-    #: angle, velocity: Shape (n, 3). Increments since the sample before, rad and m/s; NaN where saturated.
+    #: angle, velocity: Shape (n, 3). Increments since the previous sample, rad and m/s; NaN where saturated.
     angle: FloatArray
     velocity: FloatArray
-    follows: BoolArray  #: Shape (n,). Whether no sample is missing before it.
+    is_consecutive: BoolArray  #: Shape (n,). Whether the previous sample has arrived.
     interval_s: float  #: Time between samples.
-    #: Shape (2, n). Samples sent so far, first by the counter alone, or as received, then also by the arrival
-    #: of their frames; NaN where that does not show it.
+    #: Shape (2, n). Number of samples sent since the first. First row: by the counter alone, or those
+    #: received if there is no counter. Second row: also by arrival times; NaN if these don't show it.
     sent: FloatArray
 
 
@@ -116,34 +116,34 @@ def decode_increments(block: FrameBlock, signal_map: SignalMap, codec: DbcCodec)
     readout = Readout(reader, signal_map, signals)
     rows = reader.rows(max((b.message for b in signals.values()), key=codec.arbitration_id))
     angle, velocity = (
-        readout.axes(f"increments.{total}", rows)
-        if getattr(mapped, total) is not None
+        readout.axes(f"increments.{increment}", rows)
+        if getattr(mapped, increment) is not None
         else mapped.period_s * readout.axes(f"increments.{mean}", rows)
-        for total, mean in (("angle", "rate"), ("velocity", "specific_force"))
+        for increment, mean in (("angle", "rate"), ("velocity", "specific_force"))
     )
-    passed_s = np.diff(block.timestamp_s[rows])
-    counted, modulus = np.ones(len(passed_s)), 1.0
+    intervals_s = np.diff(block.timestamp_s[rows])
+    counter_steps, modulus = np.ones(len(intervals_s)), 1.0
     if mapped.counter is not None:
-        counted = np.diff(readout.value("increments.counter", rows))
+        counter_steps = np.diff(readout.value("increments.counter", rows))
         modulus = _modulus(readout, "increments.counter")
-    steps = _nearest(counted, modulus, 1.0)
-    follows = steps == 1.0 if mapped.counter is not None else np.rint(passed_s / mapped.period_s) == 1.0
-    # In usual intervals, as the declared one may be wrong; unknown where frames come in bursts.
-    usual_s = float(np.median(passed_s)) if len(passed_s) else 0.0
-    by_arrival = _nearest(counted, modulus, passed_s / usual_s if usual_s > 0.0 else np.nan)
+    steps = _unwrap_steps(counter_steps, modulus, 1.0)
+    is_next = steps == 1.0 if mapped.counter is not None else np.rint(intervals_s / mapped.period_s) == 1.0
+    # In units of the median interval, as the declared period may be wrong; NaN if frames come in bursts.
+    median_s = float(np.median(intervals_s)) if len(intervals_s) else 0.0
+    by_arrival = _unwrap_steps(counter_steps, modulus, intervals_s / median_s if median_s > 0.0 else np.nan)
     sent = np.cumsum([steps, by_arrival], axis=1)
     return Increments(
         row=rows,
         angle=angle,
         velocity=velocity,
-        follows=np.concatenate([[False], follows])[: len(rows)],
+        is_consecutive=np.concatenate([[False], is_next])[: len(rows)],
         interval_s=mapped.period_s,
         sent=np.concatenate([np.zeros((2, 1)), sent], axis=1)[:, : len(rows)],
     )
 
 
 def _temperatures(reader: BlockReader, readout: Readout, epochs: _Epochs) -> Temperatures:
-    """One row for each frame of the temperature message with the highest identifier."""
+    """Temperatures, with one row for each frame of the temperature message with the highest identifier."""
     messages = {b.message for path, b in readout.signals.items() if path.startswith(_TEMPERATURES)}
     rows = np.zeros(0, np.int64)
     if messages and len(epochs.rows):
@@ -159,19 +159,19 @@ def _temperatures(reader: BlockReader, readout: Readout, epochs: _Epochs) -> Tem
 
 
 def _spread(reader: BlockReader, readout: Readout, path: str, rows: IntArray) -> FloatArray:
-    """Largest difference (m,) between successive readings of a sensor from one of the rows to the next."""
+    """Largest difference (m,) between successive readings of a sensor, from each row to the next."""
     spread = np.zeros(len(rows) + 1)
     if path in readout.signals:
-        own = reader.rows(readout.signals[path].message)
-        since = np.searchsorted(rows, own)
-        again = since[1:] == since[:-1]
-        differences = np.abs(np.diff(readout.value(path, own)))
-        np.fmax.at(spread, since[1:][again], differences[again])
+        sensor_rows = reader.rows(readout.signals[path].message)
+        interval = np.searchsorted(rows, sensor_rows)
+        is_same_interval = interval[1:] == interval[:-1]
+        differences = np.abs(np.diff(readout.value(path, sensor_rows)))
+        np.fmax.at(spread, interval[1:][is_same_interval], differences[is_same_interval])
     return spread[:-1]
 
 
-#: A counter that is ahead of the arrival by more epochs than this has been reset.
-_MAX_AHEAD = 300.0
+#: A counter that is ahead of the arrival times by more epochs than this has been reset.
+_MAX_COUNTER_LEAD = 300.0
 _LATE_PERIODS = 2.0
 _TIME_DECIMALS = 9
 _STAMP_DECIMALS = 6
@@ -181,13 +181,13 @@ _STAMP_DECIMALS = 6
 class EpochCounts:
     """Counts of irregular epochs."""
 
-    lost: int = 0  #: Epochs that are missing or lack a frame, without those cut off by the block's edges.
-    repeated: int = 0  #: Epochs with the number of the epoch before; dropped.
-    #: Epochs that arrived more than two periods later than the fastest before them. Over many hours the drift
-    #: between the two clocks has the same effect.
+    lost: int = 0  #: Epochs that are missing or incomplete, except those cut off at the ends of the block.
+    repeated: int = 0  #: Epochs with the same number as the previous one; dropped.
+    #: Epochs delayed by more than two periods relative to the least delayed epoch before them. Over many
+    #: hours the drift between the two clocks has the same effect.
     late: int = 0
     restarts: int = 0  #: Resets of the clock or the counter of the INS.
-    #: Additional frames of a message in an epoch with other content than the frame before.
+    #: Additional frames of a message in one epoch whose content differs from that of the previous frame.
     contradicted: int = 0
 
 
@@ -198,7 +198,7 @@ class _Epochs:
     rows: IntArray  #: Shape (n,). Row of each epoch's last frame in the block.
     arrival_s: FloatArray  #: Shape (n,). Time stamp of its first navigation frame.
     ins_time_s: FloatArray  #: Shape (n,). Time on the clock of the INS.
-    #: Shape (n,). Number of restarts of the INS before; times of different segments are unrelated.
+    #: Shape (n,). Number of earlier restarts of the INS; times of different segments are unrelated.
     segment: IntArray
     counts: EpochCounts
 
@@ -217,19 +217,19 @@ def _find_epochs(reader: BlockReader, readout: Readout) -> _Epochs:
         return _Epochs(groups.rows, groups.arrival_s, times_s, one_segment, EpochCounts(lost=incomplete))
     finite = np.isfinite(numbers)
     numbers, groups = numbers[finite], groups.take(finite)
-    steps, jumped = _follow(numbers, modulus, np.diff(groups.arrival_s) / period_s)
-    new = steps != 0.0
-    position = np.cumsum(steps)[new]
-    groups = groups.take(new)
-    restart = jumped[new]
+    steps, is_reset = _epoch_steps(numbers, modulus, np.diff(groups.arrival_s) / period_s)
+    is_new = steps != 0.0
+    position = np.cumsum(steps)[is_new]
+    groups = groups.take(is_new)
+    restart = is_reset[is_new]
     lost = int(np.sum(np.rint(np.diff(position)[~restart[1:]]) - 1.0))
     times_s = _times(readout, groups, position, restart)
-    timed = ~np.isnan(times_s)
-    contradicted = _count_contradicted(reader, readout, groups.rows, np.where(restart, np.inf, steps[new]))
-    groups, times_s, segment = groups.take(timed), times_s[timed], np.cumsum(restart)[timed]
+    has_time = ~np.isnan(times_s)
+    contradicted = _count_contradicted(reader, readout, groups.rows, np.where(restart, np.inf, steps[is_new]))
+    groups, times_s, segment = groups.take(has_time), times_s[has_time], np.cumsum(restart)[has_time]
     counts = EpochCounts(
         lost=lost,
-        repeated=int(np.sum(~new)),
+        repeated=int(np.sum(~is_new)),
         late=_count_late(groups.arrival_s - times_s, segment, _LATE_PERIODS * period_s),
         restarts=int(np.sum(restart)),
         contradicted=contradicted,
@@ -239,14 +239,14 @@ def _find_epochs(reader: BlockReader, readout: Readout) -> _Epochs:
 
 @dataclass(frozen=True, eq=False)
 class _Groups:
-    """Complete groups of frames: last row, arrival, row of the time frame or -1."""
+    """Complete groups of frames that were sent together."""
 
-    rows: IntArray
-    arrival_s: FloatArray
-    time_rows: IntArray
+    rows: IntArray  #: Shape (n,). Row of the last frame.
+    arrival_s: FloatArray  #: Shape (n,). Time stamp of the first required frame.
+    time_rows: IntArray  #: Shape (n,). Row of the frame with the INS time; -1 if it is missing.
 
-    def take(self, chosen: BoolArray) -> _Groups:
-        return _Groups(self.rows[chosen], self.arrival_s[chosen], self.time_rows[chosen])
+    def take(self, mask: BoolArray) -> _Groups:
+        return _Groups(self.rows[mask], self.arrival_s[mask], self.time_rows[mask])
 
 
 def _group_frames(reader: BlockReader, readout: Readout) -> tuple[_Groups, int]:
@@ -254,53 +254,54 @@ def _group_frames(reader: BlockReader, readout: Readout) -> tuple[_Groups, int]:
     names = _messages_in_order(reader, readout)
     required = np.array([name in readout.map.messages_of_epoch() for name in names])
     stamps_s = reader.block.timestamp_s
-    place = np.full(len(stamps_s), -1, np.int8)
+    message_index = np.full(len(stamps_s), -1, np.int8)
     for index, name in enumerate(names):
-        place[reader.rows(name)] = index
-    rows = np.flatnonzero(place >= 0)
-    order = place[rows]
+        message_index[reader.rows(name)] = index
+    rows = np.flatnonzero(message_index >= 0)
+    order = message_index[rows]
     # A new epoch begins where the order restarts, or a pause separates the frames.
-    again = np.diff(order) <= 0
-    pause = ~again & (np.diff(stamps_s[rows]) > readout.map.epoch_period_s / 2.0)
-    counts = [name == _message_of("epoch_counter", readout) for name in names]
-    begins = again | (pause & ~_only_late(readout, rows, again, np.array(counts)[order]))
+    restarts = np.diff(order) <= 0
+    pause = ~restarts & (np.diff(stamps_s[rows]) > readout.map.epoch_period_s / 2.0)
+    has_count = [name == _message_of("epoch_counter", readout) for name in names]
+    begins = restarts | (pause & ~_is_delayed(readout, rows, restarts, np.array(has_count)[order]))
     group = np.cumsum(np.concatenate([[True], begins]))[: len(rows)] - 1
     table = np.full((int(group.max(initial=-1)) + 1, len(names)), -1, np.int64)
     table[group, order] = rows
     complete = np.all(table[:, required] >= 0, axis=1)
-    whole = table[complete]
-    of_time = [name == _message_of("time_s", readout) for name in names]
+    complete_rows = table[complete]
+    has_time = [name == _message_of("time_s", readout) for name in names]
     groups = _Groups(
-        rows=whole.max(axis=1, initial=-1),
-        arrival_s=stamps_s[whole[:, int(np.argmax(required))]],
-        time_rows=whole[:, of_time].max(axis=1, initial=-1),
+        rows=complete_rows.max(axis=1, initial=-1),
+        arrival_s=stamps_s[complete_rows[:, int(np.argmax(required))]],
+        time_rows=complete_rows[:, has_time].max(axis=1, initial=-1),
     )
     return groups, int(np.sum(~complete[1:-1]))
 
 
-def _only_late(readout: Readout, rows: IntArray, again: BoolArray, counts: BoolArray) -> BoolArray:
-    """Mark the frames that belong to the epoch of the frame before although they came late.
+def _is_delayed(readout: Readout, rows: IntArray, restarts: BoolArray, has_count: BoolArray) -> BoolArray:
+    """Mark the frames that came after a pause but belong to the same epoch as the previous frame.
 
-    Between two successive counts of the epochs there is one epoch. ``again`` marks where the order of the
-    frames restarts, ``counts`` the frames that hold a count.
+    The epoch counter shows it: two successive counts are one epoch apart. ``restarts`` marks where the order
+    of the frames restarts, ``has_count`` the frames that contain a count.
     """
-    counted = np.flatnonzero(counts)
+    counted = np.flatnonzero(has_count)
     if not len(counted):
-        return np.zeros(len(again), np.bool_)
+        return np.zeros(len(restarts), np.bool_)
     numbers = readout.value("epoch_counter", rows[counted])
-    steps = _nearest(np.diff(numbers), _modulus(readout, "epoch_counter"), 1.0)
-    follows = np.concatenate([[False], steps == 1.0])
+    steps = _unwrap_steps(np.diff(numbers), _modulus(readout, "epoch_counter"), 1.0)
+    is_next = np.concatenate([[False], steps == 1.0])
     later = np.arange(1, len(rows))
-    next_count = np.minimum(np.cumsum(counts)[:-1], len(counted) - 1)
-    group = np.concatenate([[0], np.cumsum(again)])
-    same = (counted[next_count] >= later) & (group[counted[next_count]] == group[later])
-    return np.asarray(same & follows[next_count], np.bool_)
+    next_count = np.minimum(np.cumsum(has_count)[:-1], len(counted) - 1)
+    group = np.concatenate([[0], np.cumsum(restarts)])
+    is_same_group = (counted[next_count] >= later) & (group[counted[next_count]] == group[later])
+    return np.asarray(is_same_group & is_next[next_count], np.bool_)
 
 
 def _messages_in_order(reader: BlockReader, readout: Readout) -> list[str]:
-    """Messages of an epoch and of the time in the order in which they are sent.
+    """Messages of an epoch, and that of the time, in the order in which they are sent.
 
-    Frames that are ready at once are sent in the order of their identifiers, unless the map gives another.
+    By default this is the order of the identifiers, as frames that are ready at the same time are sent in
+    that order.
     """
     members = readout.map.messages_of_epoch()
     time_message = _message_of("time_s", readout)
@@ -308,8 +309,8 @@ def _messages_in_order(reader: BlockReader, readout: Readout) -> list[str]:
         members.add(time_message)
     if readout.map.epoch_messages is None:
         return sorted(members, key=reader.codec.arbitration_id)
-    first = members - set(readout.map.epoch_messages)
-    return [*first, *(name for name in readout.map.epoch_messages if name in members)]
+    unlisted = members - set(readout.map.epoch_messages)
+    return [*unlisted, *(name for name in readout.map.epoch_messages if name in members)]
 
 
 def _message_of(path: str, readout: Readout) -> str | None:
@@ -321,89 +322,89 @@ def _modulus(readout: Readout, path: str) -> float:
     return readout.signals[path].modulus if path in readout.signals else np.inf
 
 
-def _follow(numbers: FloatArray, modulus: float, passed: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Steps from number to number (the first is 1), and where the numbering was reset.
+def _epoch_steps(numbers: FloatArray, modulus: float, elapsed: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Steps (n,) between epoch numbers (n,), the first being 1, and a mask of the resets of the numbering.
 
-    ``passed`` is the number of epochs in each step by arrival time; negative where that clock was set
-    back, and ignored there.
+    ``elapsed``, shape (n - 1,), is the number of epochs in each step by arrival time; ignored where it is
+    negative because that clock was set back.
     """
-    passed = np.where(passed < 0.0, 1.0, passed)
-    steps = _nearest(np.diff(numbers), modulus, passed)
-    jump = min(_MAX_AHEAD, modulus / 4.0)
-    jumped = (steps < 0.0) | (steps - passed > jump)
+    elapsed = np.where(elapsed < 0.0, 1.0, elapsed)
+    steps = _unwrap_steps(np.diff(numbers), modulus, elapsed)
+    max_lead = min(_MAX_COUNTER_LEAD, modulus / 4.0)
+    is_reset = (steps < 0.0) | (steps - elapsed > max_lead)
     count = len(numbers)
-    return np.concatenate([[1.0], steps])[:count], np.concatenate([[False], jumped])[:count]
+    return np.concatenate([[1.0], steps])[:count], np.concatenate([[False], is_reset])[:count]
 
 
-def _nearest(steps: FloatArray, modulus: float, expected: FloatArray | float) -> FloatArray:
-    """Remove from each step the wraps that bring it closest to the expected one."""
+def _unwrap_steps(steps: FloatArray, modulus: float, expected: FloatArray | float) -> FloatArray:
+    """Add the multiple of the modulus to each step that brings it closest to the expected step."""
     return steps if np.isinf(modulus) else steps + modulus * np.rint((expected - steps) / modulus)
 
 
 def _times(readout: Readout, groups: _Groups, position: FloatArray, restart: BoolArray) -> FloatArray:
-    """INS time of each epoch, NaN where it is unknown.
+    """INS time of each epoch, shape (n,); NaN where it is unknown.
 
-    Where two times of the INS contradict the count of epochs between them, its clock was reset in
-    between: those epochs have no time, and ``restart`` is marked at the second time.
+    If two times of the INS contradict the count of epochs between them, its clock was reset in between: the
+    epochs between have no time, and ``restart`` is set at the second time.
     """
     period_s = readout.map.epoch_period_s
     if readout.map.time_s is not None:
-        known = np.flatnonzero(groups.time_rows >= 0)
-        known_s = readout.time_s(groups.time_rows[known])
-        known, known_s = known[np.isfinite(known_s)], known_s[np.isfinite(known_s)]
+        timed = np.flatnonzero(groups.time_rows >= 0)
+        timed_s = readout.time_s(groups.time_rows[timed])
+        timed, timed_s = timed[np.isfinite(timed_s)], timed_s[np.isfinite(timed_s)]
     else:
-        known = np.flatnonzero(np.concatenate([[True], restart[1:]])[: len(restart)])
-        known_s = np.round(groups.arrival_s[known], _STAMP_DECIMALS)
-    offsets_s = known_s - position[known] * period_s
-    continuous = np.diff(np.cumsum(restart)[known]) == 0
+        timed = np.flatnonzero(np.concatenate([[True], restart[1:]])[: len(restart)])
+        timed_s = np.round(groups.arrival_s[timed], _STAMP_DECIMALS)
+    offsets_s = timed_s - position[timed] * period_s
+    continuous = np.diff(np.cumsum(restart)[timed]) == 0
     changes_s = np.where(
-        continuous, _nearest(np.diff(offsets_s), _modulus(readout, "time_s"), 0.0), np.diff(offsets_s)
+        continuous, _unwrap_steps(np.diff(offsets_s), _modulus(readout, "time_s"), 0.0), np.diff(offsets_s)
     )
     offsets_s[1:] = offsets_s[:1] + np.cumsum(changes_s)
     contradicted = continuous & (np.abs(changes_s) > period_s / 2.0)
-    restart[known[1:][contradicted]] = True
-    times_s = position * period_s + _interpolated(position, np.cumsum(restart), known, offsets_s)
-    for first, second in zip(known[:-1][contradicted], known[1:][contradicted], strict=True):
+    restart[timed[1:][contradicted]] = True
+    times_s = position * period_s + _interpolated(position, np.cumsum(restart), timed, offsets_s)
+    for first, second in zip(timed[:-1][contradicted], timed[1:][contradicted], strict=True):
         times_s[first + 1 : second] = np.nan
     return np.round(times_s, _TIME_DECIMALS)
 
 
 def _interpolated(
-    position: FloatArray, segment: IntArray, known: IntArray, offsets_s: FloatArray
+    position: FloatArray, segment: IntArray, timed: IntArray, offsets_s: FloatArray
 ) -> FloatArray:
-    """Offsets at every position, interpolated between known ones of the same segment."""
+    """Offsets at every position, interpolated between those at ``timed`` indices of the same segment."""
     result = np.full(len(position), np.nan)
-    for run in _runs(segment):
-        inside = slice(*np.searchsorted(known, (run.start, run.stop)))
+    for run in _segment_ranges(segment):
+        inside = slice(*np.searchsorted(timed, (run.start, run.stop)))
         if inside.start < inside.stop:
-            result[run] = np.interp(position[run], position[known[inside]], offsets_s[inside])
+            result[run] = np.interp(position[run], position[timed[inside]], offsets_s[inside])
     return result
 
 
 def _count_contradicted(reader: BlockReader, readout: Readout, ends: IntArray, steps: FloatArray) -> int:
-    """Count frames in excess of the epochs; ``steps`` is the number of epochs to each epoch's end."""
+    """Count frames in excess of one per epoch; ``steps`` is the number of epochs since the previous end."""
     if not len(ends):
         return 0
     contradicted = 0
     for message in readout.map.messages_of_epoch():
         rows = reader.rows(message)
         data = reader.block.data.view(np.uint64)[rows, 0]
-        other = np.concatenate([[True], data[1:] != data[:-1]])[: len(rows)]
-        found = np.bincount(np.searchsorted(ends, rows[other]), minlength=len(ends) + 1)
-        # Frames before the first and after the last epoch belong to epochs cut off by the block's edges.
-        contradicted += int(np.maximum(found[1 : len(ends)] - steps[1:], 0.0).sum())
+        is_different = np.concatenate([[True], data[1:] != data[:-1]])[: len(rows)]
+        counts = np.bincount(np.searchsorted(ends, rows[is_different]), minlength=len(ends) + 1)
+        # Frames before the first and after the last epoch belong to epochs cut off at the ends of the block.
+        contradicted += int(np.maximum(counts[1 : len(ends)] - steps[1:], 0.0).sum())
     return contradicted
 
 
 def _count_late(delays_s: FloatArray, segment: IntArray, tolerance_s: float) -> int:
     late = 0
-    for run in _runs(segment):
+    for run in _segment_ranges(segment):
         late += int(np.sum(delays_s[run] - np.minimum.accumulate(delays_s[run]) > tolerance_s))
     return late
 
 
-def _runs(segment: IntArray) -> Iterator[slice]:
-    """Ranges of equal segment number."""
+def _segment_ranges(segment: IntArray) -> Iterator[slice]:
+    """Yield the ranges of equal segment number."""
     edges = [0, *(np.flatnonzero(np.diff(segment)) + 1).tolist(), len(segment)]
     for start, stop in pairwise(edges):
         if start < stop:

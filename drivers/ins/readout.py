@@ -1,4 +1,4 @@
-"""Quantities of the INS at given moments: the last values that had arrived."""
+"""Quantities of the INS at given moments: the last values received before each moment."""
 
 from __future__ import annotations
 
@@ -45,15 +45,15 @@ class Alignment(IntEnum):
 class Reader(Protocol):
     """Source of the values of bound signals."""
 
-    def held(self, bound: BoundSignal, rows: IntArray) -> FloatArray:
-        """Last value that had arrived at each moment, NaN before the first."""
+    def last_values(self, bound: BoundSignal, rows: IntArray) -> FloatArray:
+        """Last value received at each moment, shape (n,); NaN before the first."""
 
 
 class Readout:
-    """Quantities of a signal map at given moments.
+    """Reads the quantities of a signal map at given moments.
 
-    Each method takes the moments, shape (n,), in the reader's units (rows of a block). It returns values
-    in SI or degrees Celsius; NaN or ``UNKNOWN`` before the first value, or where nothing is mapped.
+    Each method takes the moments, shape (n,), as row indices of the reader's block. It returns values in SI
+    or degrees Celsius; NaN or ``UNKNOWN`` before the first value, or if the quantity is not mapped.
     """
 
     def __init__(self, reader: Reader, signal_map: SignalMap, signals: Mapping[str, BoundSignal]) -> None:
@@ -65,17 +65,17 @@ class Readout:
         """Read one quantity by its path, shape (n,)."""
         if path not in self.signals:
             return np.full(len(rows), np.nan)
-        return self._reader.held(self.signals[path], rows)
+        return self._reader.last_values(self.signals[path], rows)
 
     def values(self, paths: Sequence[str], rows: IntArray) -> FloatArray:
-        """Read several quantities side by side, shape (n, number of paths)."""
-        found = np.empty((len(rows), len(paths)))
-        for place, path in enumerate(paths):
-            found[:, place] = self.value(path, rows)
-        return found
+        """Read several quantities, shape (n, number of paths)."""
+        values = np.empty((len(rows), len(paths)))
+        for column, path in enumerate(paths):
+            values[:, column] = self.value(path, rows)
+        return values
 
     def velocity_enu_mps(self, rows: IntArray) -> FloatArray:
-        """Read the velocity, shape (n, 3)."""
+        """Read the velocity East, North, Up, shape (n, 3)."""
         return self.values(("velocity_east", "velocity_north", "velocity_up"), rows)
 
     def axes(self, name: str, rows: IntArray) -> FloatArray:
@@ -90,14 +90,14 @@ class Readout:
     def mode(self, rows: IntArray) -> NDArray[np.int8]:
         """Read the :class:`InsMode`, shape (n,)."""
         values = self.value("mode", rows)
-        codes = {value: self.mode_of(value) for value in np.unique(values).tolist()}
-        found = np.full(len(rows), InsMode.UNKNOWN, np.int8)
+        codes = {value: self.mode_from_value(value) for value in np.unique(values).tolist()}
+        modes = np.full(len(rows), InsMode.UNKNOWN, np.int8)
         for value, code in codes.items():
-            found[values == value] = code
-        return found
+            modes[values == value] = code
+        return modes
 
-    def mode_of(self, value: float) -> InsMode:
-        """The :class:`InsMode` for a value of its signal, which may be NaN."""
+    def mode_from_value(self, value: float) -> InsMode:
+        """Convert a value of the mode signal to :class:`InsMode`; ``UNKNOWN`` for NaN."""
         mapped = self.map.mode
         if mapped is None or math.isnan(value):
             return InsMode.UNKNOWN
@@ -117,7 +117,7 @@ class Readout:
             Alignment.COARSE: self.map.alignment.coarse,
             Alignment.FINE: self.map.alignment.fine,
         }
-        return _coded(self.value("alignment", rows), codes, Alignment.NONE)
+        return _decode_states(self.value("alignment", rows), codes, Alignment.NONE)
 
     def attitude(self, rows: IntArray) -> FloatArray:
         """Read ``C_nb``, shape (n, 3, 3)."""
@@ -130,7 +130,7 @@ class Readout:
         return matrices
 
     def euler_sequence(self, rows: IntArray) -> NDArray[np.int8]:
-        """Read the index into ``list(EulerSequence)``; -1 where it is unknown or there is none."""
+        """Read the index into ``list(EulerSequence)``, shape (n,); -1 if it is unknown or not mapped."""
         euler = self.map.attitude.euler
         sequences = list(EulerSequence)
         if euler is not None and euler.sequence.fixed is not None:
@@ -138,7 +138,7 @@ class Readout:
         codes = (
             {index: [getattr(euler.sequence, name)] for index, name in enumerate(sequences)} if euler else {}
         )
-        return _coded(self.value("attitude.euler.sequence", rows), codes, -1)
+        return _decode_states(self.value("attitude.euler.sequence", rows), codes, -1)
 
     def _from_euler(self, euler: EulerMap, rows: IntArray) -> FloatArray:
         roll, pitch, yaw = self.values([f"attitude.euler.{n}" for n in ("roll", "pitch", "yaw")], rows).T
@@ -147,11 +147,13 @@ class Readout:
         matrices = np.full((len(rows), 3, 3), np.nan)
         sequence = self.euler_sequence(rows)
         for index, name in enumerate(EulerSequence):
-            chosen = sequence == index
-            if chosen.all():
+            has_sequence = sequence == index
+            if has_sequence.all():
                 return attitude_matrices(name, roll, pitch, yaw)
-            if chosen.any():
-                matrices[chosen] = attitude_matrices(name, roll[chosen], pitch[chosen], yaw[chosen])
+            if has_sequence.any():
+                matrices[has_sequence] = attitude_matrices(
+                    name, roll[has_sequence], pitch[has_sequence], yaw[has_sequence]
+                )
         return matrices
 
     def _from_quaternion(self, rows: IntArray) -> FloatArray:
@@ -160,13 +162,16 @@ class Readout:
         return quaternion_matrices(frames, *self.values([f"attitude.quaternion.{n}" for n in "wxyz"], rows).T)
 
 
-def _coded(values: FloatArray, meanings: Mapping[int, Sequence[int]], other: int) -> NDArray[np.int8]:
+def _decode_states(
+    values: FloatArray, raw_values: Mapping[int, Sequence[int]], default: int
+) -> NDArray[np.int8]:
+    """Code of each value, by the raw values of each code; ``default`` for other values, -1 for NaN."""
     if len(values) == 1:  # the present state, for which array operations are slow
         (value,) = values.tolist()
-        found = [code for code, raw in meanings.items() if value in raw] or [other]
-        return np.array([-1 if math.isnan(value) else found[-1]], np.int8)
-    codes = np.full(len(values), other, np.int8)
-    for code, raw in meanings.items():
+        matches = [code for code, raw in raw_values.items() if value in raw] or [default]
+        return np.array([-1 if math.isnan(value) else matches[-1]], np.int8)
+    codes = np.full(len(values), default, np.int8)
+    for code, raw in raw_values.items():
         for each in raw:
             codes[values == each] = code
     codes[np.isnan(values)] = -1
@@ -174,31 +179,32 @@ def _coded(values: FloatArray, meanings: Mapping[int, Sequence[int]], other: int
 
 
 class BlockReader:
-    """Values of bound signals in one block, each decoded when it is asked for."""
+    """Values of bound signals in one block; a signal is decoded when it is first read."""
 
     def __init__(self, block: FrameBlock, codec: DbcCodec) -> None:
         self.block = block
         self.codec = codec
         self._messages: dict[str, tuple[IntArray, Payloads]] = {}
-        #: By message, the rows last asked for and :func:`_newest` there: its signals are read together.
-        self._places: dict[str, tuple[IntArray, IntArray | None]] = {}
+        #: By message: the rows last read, and the result of :func:`_newest` for them. The signals of a
+        #: message are mostly read one after the other, at the same rows.
+        self._newest_by_message: dict[str, tuple[IntArray, IntArray | None]] = {}
 
     def rows(self, message: str) -> IntArray:
-        """Rows of the block with frames of a message."""
+        """Row indices of the frames of a message in the block."""
         return self._message(message)[0]
 
-    def held(self, bound: BoundSignal, rows: IntArray) -> FloatArray:
-        """Last value that had arrived at each row of the block; NaN before the first."""
+    def last_values(self, bound: BoundSignal, rows: IntArray) -> FloatArray:
+        """Last value received at each row of the block, shape (n,); NaN before the first."""
         frames, payloads = self._message(bound.message)
         values = bound.to_si(self.codec.values(payloads, bound.message, bound.signal.name))
         if rows is frames:
             return values
-        asked, places = self._places.get(bound.message, (None, None))
-        if asked is not rows:
-            places = _newest(frames, rows)
-            self._places[bound.message] = rows, places
-        # Index -1, before the first value, is the NaN at the end.
-        return values if places is None else np.append(values, np.nan)[places]
+        cached_rows, newest = self._newest_by_message.get(bound.message, (None, None))
+        if cached_rows is not rows:
+            newest = _newest(frames, rows)
+            self._newest_by_message[bound.message] = rows, newest
+        # Index -1, before the first value, selects the NaN appended at the end.
+        return values if newest is None else np.append(values, np.nan)[newest]
 
     def _message(self, message: str) -> tuple[IntArray, Payloads]:
         if message not in self._messages:
@@ -208,7 +214,7 @@ class BlockReader:
 
 
 def _newest(frames: IntArray, rows: IntArray) -> IntArray | None:
-    """Index of the newest frame at each row, -1 before the first; None where each row has its own."""
+    """Index of the newest frame at each row, -1 before the first; None if each row has a separate frame."""
     if len(frames) == len(rows) and (frames <= rows).all() and (rows[:-1] < frames[1:]).all():
         return None
     return np.searchsorted(frames, rows, side="right") - 1

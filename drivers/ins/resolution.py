@@ -5,11 +5,11 @@ the windows after and before the turn over g; the vertical gyro's is the mean of
 the azimuth. Both slopes are least-squares fits over a window of length T with N epochs. A step q of the
 output affects them in two ways:
 
-* As white noise of q / sqrt(12), where the signal moves through many steps: the second slope gets
-  ``sqrt(720 / N) sigma / T^2``, the first slope ``sqrt(12 / N) sigma / T``.
-* At worst, where the rounding error is q / 2 everywhere with the sign of the fit's weights:
-  ``20 q / (sqrt(3) T^2)`` and ``3 q / (2 T)``. A unit at rest drifts through a few steps only, so this
-  bound applies.
+* If the signal moves through many steps, as white noise of q / sqrt(12): the standard deviation of the
+  second slope is ``sqrt(720 / N) sigma / T^2``, that of the first slope ``sqrt(12 / N) sigma / T``.
+* In the worst case the rounding error is q / 2 at every epoch, with the sign of the fit's weights; the
+  errors are then ``20 q / (sqrt(3) T^2)`` and ``3 q / (2 T)``. A unit at rest drifts through a few steps
+  only, so this bound applies.
 
 References
 ----------
@@ -27,18 +27,18 @@ from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, STANDARD_GRAVITY
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
 from gyrobench.drivers.ins.signal_map import BoundSignal, SignalMap, bind_signals
 
-#: Bias difference between positions that a rotational INS of 1 nmi in 24 h allows.
+#: Largest bias difference between positions for a rotational INS of 1 nmi in 24 h.
 LIMIT_DPH = 0.001
 #: Length of each of the two windows.
 _WINDOW_S = 600.0
 
 _MAX_SPEED_MPS = 10.0
-_FLOATS: dict[int, type[np.floating]] = {16: np.float16, 32: np.float32, 64: np.float64}
+_FLOAT_TYPES: dict[int, type[np.floating]] = {16: np.float16, 32: np.float32, 64: np.float64}
 
 
 @dataclass(frozen=True)
 class ResolutionLimit:
-    """How one output quantity limits the bias computed from it."""
+    """Limit that the resolution of one output quantity sets to the bias computed from it."""
 
     quantity: str  #: Path in the signal map.
     signal: str
@@ -46,7 +46,7 @@ class ResolutionLimit:
     unit: str
     estimate: str  #: The gyro whose bias is computed from it.
     sigma_dph: float  #: Standard deviation of the bias if the rounding errors are independent.
-    worst_dph: float  #: Largest error of the bias by rounding.
+    worst_dph: float  #: Largest possible error of the bias caused by rounding.
 
     @property
     def sufficient(self) -> bool:
@@ -65,7 +65,7 @@ class ResolutionLimit:
 
 
 def resolution_report(signal_map: SignalMap, codec: DbcCodec) -> list[ResolutionLimit]:
-    """Compute the limits that the mapped velocity and azimuth set with two windows of ten minutes.
+    """Compute the limits set by the mapped velocity and azimuth, for two windows of ten minutes.
 
     Raises DocumentError if the signal map does not fit the DBC.
     """
@@ -113,8 +113,8 @@ def _azimuth(signal_map: SignalMap, signals: dict[str, BoundSignal]) -> tuple[st
 
 
 def _step(bound: BoundSignal, largest: float) -> float:
-    """Resolution in SI; of a floating-point signal at its largest value, also in SI."""
+    """Resolution in SI; for a floating-point signal, that at its ``largest`` value in SI."""
     if not bound.signal.conversion.is_float:
         return bound.lsb
     per_bit = abs(bound.signal.scale * bound.gain)
-    return float(np.spacing(_FLOATS[bound.signal.length](largest / per_bit))) * per_bit
+    return float(np.spacing(_FLOAT_TYPES[bound.signal.length](largest / per_bit))) * per_bit

@@ -1,8 +1,8 @@
-"""Which signal of the DBC carries which quantity (the station file's ``ins.signals``), bound to a DBC file.
+"""Assignment of DBC signals to quantities (the station file's ``ins.signals``), and its binding to a DBC.
 
 A source is ``MESSAGE.SIGNAL``, or a mapping with that under ``signal`` and its conversion (``sign``,
 ``scale``, ``unit``). Bound values are in SI (m/s, rad, s), temperatures in degrees Celsius. A speed or a
-temperature at the end of its field's range, or outside the DBC's, is saturated or marked absent: NaN.
+temperature at an end of its field's range, or outside the DBC's range, is saturated or marked absent: NaN.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.documents import DocumentProblem, KeyPath, StrictModel
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
-from gyrobench.drivers.ins.units import SPELLINGS, Dimension
+from gyrobench.drivers.ins.units import UNIT_SPELLINGS, Dimension
 
 
-def _is_signal_name(value: str) -> str:
+def _check_signal_name(value: str) -> str:
     message, dot, signal = value.partition(".")
     if not (message and dot and signal) or "." in signal:
         raise ValueError("expected MESSAGE.SIGNAL as the DBC file names them")
@@ -33,19 +33,19 @@ def _is_signal_name(value: str) -> str:
     return value
 
 
-def _signal_alone(value: Any) -> Any:
+def _from_signal_name(value: Any) -> Any:
     return {"signal": value} if isinstance(value, str) else value
 
 
-def _sequence_alone(value: Any) -> Any:
-    return {"fixed": value} if value in ("rpy_321", "pry_231") else _signal_alone(value)
+def _from_sequence_name(value: Any) -> Any:
+    return {"fixed": value} if value in ("rpy_321", "pry_231") else _from_signal_name(value)
 
 
-def _value_alone(value: Any) -> Any:
+def _from_single_value(value: Any) -> Any:
     return [value] if isinstance(value, int) else value
 
 
-def _bit_alone(value: Any) -> Any:
+def _from_single_bit(value: Any) -> Any:
     if isinstance(value, int):
         return (value, value)
     return tuple(value) if isinstance(value, list) else value
@@ -53,18 +53,16 @@ def _bit_alone(value: Any) -> Any:
 
 Bit = Annotated[int, Field(ge=0, le=63)]
 SignalName = Annotated[
-    str, Field(json_schema_extra={"pattern": r"^[^.]+\.[^.]+$"}), AfterValidator(_is_signal_name)
+    str, Field(json_schema_extra={"pattern": r"^[^.]+\.[^.]+$"}), AfterValidator(_check_signal_name)
 ]
 _SequenceName = Literal["rpy_321", "pry_231"]
 #: One raw value or several with the same meaning.
-Values = Annotated[list[int], BeforeValidator(_value_alone, json_schema_input_type=int | list[int])]
-
-
-#: The first and the last of some bits of a signal's raw value, 0 for the lowest; or one bit alone.
-Bits = Annotated[tuple[Bit, Bit], BeforeValidator(_bit_alone, json_schema_input_type=Bit | tuple[Bit, Bit])]
-
-
-_BITS = "bit, or first and last bit, of the raw value that hold the quantity; 0 is the lowest"
+Values = Annotated[list[int], BeforeValidator(_from_single_value, json_schema_input_type=int | list[int])]
+#: First and last bit of a field in a signal's raw value, 0 for the lowest; or a single bit.
+Bits = Annotated[
+    tuple[Bit, Bit], BeforeValidator(_from_single_bit, json_schema_input_type=Bit | tuple[Bit, Bit])
+]
+_BITS_DESCRIPTION = "bit, or first and last bit, of the raw value that hold the quantity; 0 is the lowest"
 
 
 class SignalSource(StrictModel):
@@ -74,11 +72,11 @@ class SignalSource(StrictModel):
     sign: Literal[1, -1] = Field(1, description="-1 where the signal has the opposite sign")
     scale: float = Field(1.0, description="factor on the value in the unit of the DBC")
     unit: str | None = Field(None, description="unit in place of the DBC's")
-    bits: Bits | None = Field(None, description=_BITS)
+    bits: Bits | None = Field(None, description=_BITS_DESCRIPTION)
 
 
 Source = Annotated[
-    SignalSource, BeforeValidator(_signal_alone, json_schema_input_type=SignalName | SignalSource)
+    SignalSource, BeforeValidator(_from_signal_name, json_schema_input_type=SignalName | SignalSource)
 ]
 
 
@@ -91,7 +89,7 @@ class AxesMap(StrictModel):
 
 
 class SequenceMap(StrictModel):
-    """The Euler sequence: fixed, or by a signal."""
+    """The Euler sequence: fixed, or given by a signal."""
 
     fixed: _SequenceName | None = Field(None, description="the sequence, where it never changes")
     signal: SignalName | None = Field(None, description="signal of the sequence")
@@ -99,7 +97,7 @@ class SequenceMap(StrictModel):
     pry_231: int = Field(1, description="its value for pitch, roll, yaw")
 
     @model_validator(mode="after")
-    def _either(self) -> SequenceMap:
+    def _check_one_source(self) -> SequenceMap:
         if (self.fixed is None) == (self.signal is None):
             raise ValueError("expected rpy_321, pry_231 or the signal of the sequence")
         return self
@@ -113,7 +111,7 @@ class EulerMap(StrictModel):
     yaw: Source = Field(description="signal of yaw or heading")
     sequence: Annotated[
         SequenceMap,
-        BeforeValidator(_sequence_alone, json_schema_input_type=_SequenceName | SignalName | SequenceMap),
+        BeforeValidator(_from_sequence_name, json_schema_input_type=_SequenceName | SignalName | SequenceMap),
     ] = Field(description="rpy_321, pry_231, or the signal of the sequence")
     yaw_positive: Literal["up", "down"] = Field(
         description="up: counter-clockwise seen from above; down: a heading, clockwise"
@@ -140,7 +138,7 @@ class AttitudeMap(StrictModel):
     valid: Source | None = Field(None, description="signal that is zero where the attitude is invalid")
 
     @model_validator(mode="after")
-    def _one_form(self) -> AttitudeMap:
+    def _check_one_form(self) -> AttitudeMap:
         if (self.euler is None) == (self.quaternion is None):
             raise ValueError("expected one of: euler, quaternion")
         return self
@@ -150,7 +148,7 @@ class ModeMap(StrictModel):
     """Mode of the INS by raw value; others count as booting."""
 
     signal: SignalName = Field(description="signal of the mode")
-    bits: Bits | None = Field(None, description=_BITS)
+    bits: Bits | None = Field(None, description=_BITS_DESCRIPTION)
     standby: Values = Field(default_factory=list, description="raw values that mean standby")
     align: Values = Field(default_factory=list, description="raw values that mean align")
     navigate: Values = Field(description="raw values that mean navigate")
@@ -161,7 +159,7 @@ class AlignmentMap(StrictModel):
     """Progress of alignment by raw value; others count as none."""
 
     signal: SignalName = Field(description="signal of the progress of alignment")
-    bits: Bits | None = Field(None, description=_BITS)
+    bits: Bits | None = Field(None, description=_BITS_DESCRIPTION)
     coarse: Values = Field(default_factory=list, description="raw values that mean coarse")
     fine: Values = Field(description="raw values that mean fine")
 
@@ -183,10 +181,10 @@ class IncrementsMap(StrictModel):
     )
 
     @model_validator(mode="after")
-    def _one_of_each(self) -> IncrementsMap:
-        for one, other in (("angle", "rate"), ("velocity", "specific_force")):
-            if (getattr(self, one) is None) == (getattr(self, other) is None):
-                raise ValueError(f"expected either {one} or {other}")
+    def _check_one_of_each(self) -> IncrementsMap:
+        for increment, mean in (("angle", "rate"), ("velocity", "specific_force")):
+            if (getattr(self, increment) is None) == (getattr(self, mean) is None):
+                raise ValueError(f"expected either {increment} or {mean}")
         return self
 
 
@@ -240,32 +238,32 @@ class SignalMap(StrictModel):
     )
 
     @model_validator(mode="after")
-    def _whole_seconds(self) -> SignalMap:
+    def _check_seconds(self) -> SignalMap:
         if self.time_ns is not None and self.time_s is None:
             raise ValueError("time_ns is added to time_s, which is missing")
         return self
 
     def messages_of_epoch(self) -> set[str]:
-        """Messages that a complete epoch must have."""
+        """Names of the messages that a complete epoch must have."""
         angles = self.attitude.euler or self.attitude.quaternion
         sources = [self.velocity_east, self.velocity_north, self.epoch_counter or self.time_s]
         sources += [source for _, source in angles or () if isinstance(source, SignalSource)]
         return {source.signal.partition(".")[0] for source in sources if source is not None}
 
     def quantities(self) -> dict[str, MappedQuantity]:
-        """Every mapped quantity by its path, such as ``attitude.euler.roll``."""
-        found: dict[str, MappedQuantity] = {}
+        """All mapped quantities by path, such as ``attitude.euler.roll``."""
+        quantities: dict[str, MappedQuantity] = {}
 
         def add(source: SignalSource | SignalName | None, dimension: Dimension, *location: str) -> None:
             if source is not None:
                 source = SignalSource(signal=source) if isinstance(source, str) else source
-                found[".".join(location)] = MappedQuantity(location, source, dimension)
+                quantities[".".join(location)] = MappedQuantity(location, source, dimension)
 
         measured: dict[tuple[str, ...], tuple[Any, Dimension]] = {
-            (name,): (getattr(self, name), dimension) for name, dimension in _MEASURED.items()
+            (name,): (getattr(self, name), dimension) for name, dimension in _DIMENSIONS.items()
         }
         if self.increments is not None:
-            for name, dimension in _INCREMENTS.items():
+            for name, dimension in _INCREMENT_DIMENSIONS.items():
                 measured["increments", name] = getattr(self.increments, name), dimension
         for path, (mapped, dimension) in measured.items():
             if isinstance(mapped, AxesMap):
@@ -289,10 +287,10 @@ class SignalMap(StrictModel):
             add(getattr(self, name), Dimension.NUMBER, name)
         for name, signal in self.identity.items():
             add(signal, Dimension.NUMBER, "identity", name)
-        return found
+        return quantities
 
 
-_MEASURED = {
+_DIMENSIONS = {
     "time_s": Dimension.TIME,
     "time_ns": Dimension.TIME,
     "epoch_counter": Dimension.NUMBER,
@@ -304,7 +302,7 @@ _MEASURED = {
     "gyro_electronics_temperature": Dimension.TEMPERATURE,
     "case_temperature": Dimension.TEMPERATURE,
 }
-_INCREMENTS = {
+_INCREMENT_DIMENSIONS = {
     "angle": Dimension.ANGLE,
     "rate": Dimension.ANGULAR_RATE,
     "velocity": Dimension.SPEED,
@@ -315,20 +313,20 @@ _INCREMENTS = {
 
 @dataclass(frozen=True)
 class BoundSignal:
-    """A quantity's signal and the linear conversion of its DBC value to SI."""
+    """The signal of a quantity, and the linear conversion of its DBC value to SI."""
 
     message: str
     arbitration_id: int  #: Identifier of the message, as in frames.
     signal: Signal
     decode: Callable[[bytes], float]  #: Decodes the signal of one payload to the DBC's unit.
-    gain: float
-    offset: float
-    saturates: bool
-    bits: tuple[int, int] | None  #: First and last bit of the raw value, where it is split.
+    gain: float  #: Factor from the DBC's unit to SI.
+    offset: float  #: Added after the gain, SI.
+    saturates: bool  #: Whether a value at an end of its range is NaN.
+    bits: tuple[int, int] | None  #: First and last bit of the raw value that hold the quantity; None for all.
 
     def to_si(self, physical: FloatArray | float) -> FloatArray:
-        """Convert a value or values in the DBC's unit to SI; NaN where the signal is saturated."""
-        physical = physical if self.bits is None else self._field(physical)
+        """Convert one or more values in the DBC's unit to SI; NaN where the signal is saturated."""
+        physical = physical if self.bits is None else self._bit_field(physical)
         values = np.asarray(physical * self.gain + self.offset, np.float64)
         if self.saturates:
             low, high = self._limits
@@ -336,8 +334,8 @@ class BoundSignal:
         return values
 
     @cached_property
-    def of_payload(self) -> Callable[[bytes], float]:
-        """Reads the value of one payload, as :meth:`to_si`."""
+    def decode_si(self) -> Callable[[bytes], float]:
+        """Function that decodes the value of one payload to SI; see :meth:`to_si`."""
         decode, gain, offset = self.decode, self.gain, self.offset
         if self.bits is not None:
             return lambda data: float(self.to_si(decode(data)))
@@ -346,14 +344,14 @@ class BoundSignal:
         low, high = self._limits
         return lambda data: gain * physical + offset if low < (physical := decode(data)) < high else math.nan
 
-    def _field(self, physical: FloatArray | float) -> FloatArray:
-        """The bits of the raw value as a number; NaN stays."""
+    def _bit_field(self, physical: FloatArray | float) -> FloatArray:
+        """Value of the bits of the raw value; NaN for NaN."""
         assert self.bits is not None  # noqa: S101 - the caller checks
         first, last = self.bits
         raw = np.rint((physical - self.signal.offset) / self.signal.scale)
-        known = np.isfinite(raw)
-        field = np.where(known, raw, 0.0).astype(np.int64) >> first & ((1 << (last - first + 1)) - 1)
-        return np.where(known, field, np.nan)
+        is_finite = np.isfinite(raw)
+        field = np.where(is_finite, raw, 0.0).astype(np.int64) >> first & ((1 << (last - first + 1)) - 1)
+        return np.where(is_finite, field, np.nan)
 
     @cached_property
     def _limits(self) -> tuple[float, float]:
@@ -363,7 +361,7 @@ class BoundSignal:
         if not signal.conversion.is_float:
             first = -(2 ** (signal.length - 1)) if signal.is_signed else 0
             ends = [signal.offset + signal.scale * raw for raw in (first, first + 2**signal.length - 1)]
-            # Half a step inwards, since the end itself may be rounded.
+            # Half a step inwards, since the value at the end may be rounded.
             low, high = min(ends) + abs(signal.scale) / 2.0, max(ends) - abs(signal.scale) / 2.0
         if signal.minimum is not None and signal.maximum is not None and signal.minimum < signal.maximum:
             margin = abs(signal.scale) / 2.0 if not signal.conversion.is_float else 0.0
@@ -380,17 +378,17 @@ class BoundSignal:
 
     @cached_property
     def modulus(self) -> float:
-        """Value at which an integer counter wraps, in SI; infinite for floating point."""
+        """Value at which an integer signal wraps, in SI; infinite for a floating-point signal."""
         if self.bits is not None:
             return self.lsb * 2.0 ** (self.bits[1] - self.bits[0] + 1)
         return np.inf if self.signal.conversion.is_float else self.lsb * 2.0**self.signal.length
 
 
 def bind_signals(signal_map: SignalMap, codec: DbcCodec) -> dict[str, BoundSignal]:
-    """Find each mapped quantity's signal, by the path of :meth:`SignalMap.quantities`.
+    """Bind each mapped quantity to its signal, by the path of :meth:`SignalMap.quantities`.
 
-    Raises DocumentError if a message or signal does not exist, or its unit can't be converted; lists all of
-    them.
+    Raises DocumentError if a message or signal does not exist, its unit can't be converted, or it is mapped
+    twice; the message lists all problems.
     """
     bound, problems = _bind(signal_map, codec)
     if problems:
@@ -398,9 +396,11 @@ def bind_signals(signal_map: SignalMap, codec: DbcCodec) -> dict[str, BoundSigna
     return bound
 
 
-def check_signals(signal_map: SignalMap, codec: DbcCodec, at: KeyPath = ()) -> list[DocumentProblem]:
-    """Problems that :func:`bind_signals` would raise, with the map at ``at`` in its file."""
-    return [DocumentProblem((*at, *found.location), found.message) for found in _bind(signal_map, codec)[1]]
+def check_signals(signal_map: SignalMap, codec: DbcCodec, location: KeyPath = ()) -> list[DocumentProblem]:
+    """Find the problems that :func:`bind_signals` raises; ``location`` is that of the map in its file."""
+    return [
+        DocumentProblem((*location, *each.location), each.message) for each in _bind(signal_map, codec)[1]
+    ]
 
 
 def _bind(signal_map: SignalMap, codec: DbcCodec) -> tuple[dict[str, BoundSignal], list[DocumentProblem]]:
@@ -411,12 +411,12 @@ def _bind(signal_map: SignalMap, codec: DbcCodec) -> tuple[dict[str, BoundSignal
             bound[path] = _bind_one(quantity, codec)
         except DocumentError as error:
             problems.append(DocumentProblem(quantity.location, str(error)))
-    problems += _two_roles(signal_map)
-    named = signal_map.epoch_messages or []
-    absent = sorted(name for name in signal_map.messages_of_epoch() - {*named} if name in codec)
-    if named and absent:
-        problems.append(DocumentProblem(("epoch_messages",), f"epoch_messages lacks {', '.join(absent)}"))
-    for index, name in enumerate(named):
+    problems += _doubly_mapped(signal_map)
+    listed = signal_map.epoch_messages or []
+    missing = sorted(name for name in signal_map.messages_of_epoch() - {*listed} if name in codec)
+    if listed and missing:
+        problems.append(DocumentProblem(("epoch_messages",), f"epoch_messages lacks {', '.join(missing)}"))
+    for index, name in enumerate(listed):
         try:
             codec.arbitration_id(name)
         except DocumentError as error:
@@ -424,29 +424,29 @@ def _bind(signal_map: SignalMap, codec: DbcCodec) -> tuple[dict[str, BoundSignal
     return bound, problems
 
 
-#: One status signal may stand for several states.
-_SHARED = ("mode", "alignment", "identity")
+#: Roles that may share a signal with others: one status signal may hold several states.
+_SHAREABLE_ROLES = ("mode", "alignment", "identity")
 
 
-def _two_roles(signal_map: SignalMap) -> list[DocumentProblem]:
-    """Measured quantities that name a signal, or bits of one, which have another role already."""
+def _doubly_mapped(signal_map: SignalMap) -> list[DocumentProblem]:
+    """Find measured quantities whose signal, or some bits of it, is already mapped to another role."""
     quantities = signal_map.quantities()
     sensors: dict[str, set[str]] = {}
     for path, quantity in quantities.items():
         if quantity.dimension is Dimension.TEMPERATURE:
             sensors.setdefault(path.partition(".")[0], set()).add(quantity.source.signal)
-    taken: dict[str, list[tuple[int, float, str]]] = {}
+    roles_by_signal: dict[str, list[tuple[int, float, str]]] = {}
     problems = []
     for path, quantity in quantities.items():
         role = path.partition(".")[0]
-        if role in sensors:  # one sensor of a whole group may stand for other temperatures too
+        if role in sensors:  # a single sensor may be mapped to several temperatures
             role = "temperature" if len(sensors[role]) == 1 else role
-        elif role not in _SHARED:
+        elif role not in _SHAREABLE_ROLES:
             role = path
         low, high = quantity.source.bits or (0, math.inf)
-        before = taken.setdefault(quantity.source.signal, [])
-        first = next((each for a, b, each in before if each != role and a <= high and low <= b), role)
-        before.append((low, high, role))
+        earlier = roles_by_signal.setdefault(quantity.source.signal, [])
+        first = next((each for a, b, each in earlier if each != role and a <= high and low <= b), role)
+        earlier.append((low, high, role))
         is_measured = quantity.dimension is not Dimension.NUMBER or path.startswith("attitude.quaternion.")
         if first != role and is_measured:
             problems.append(
@@ -462,10 +462,10 @@ def _two_roles(signal_map: SignalMap) -> list[DocumentProblem]:
 def _bind_one(quantity: MappedQuantity, codec: DbcCodec) -> BoundSignal:
     message, _, name = quantity.source.signal.partition(".")
     signal = codec.signal(message, name)
-    gain, offset = _conversion(quantity, signal)
+    gain, offset = _gain_and_offset(quantity, signal)
     factor = quantity.source.sign * quantity.source.scale
     bits = quantity.source.bits
-    if bits is not None and not (bits[0] <= bits[1] < min(signal.length, _MAX_SPLIT_BITS)):
+    if bits is not None and not (bits[0] <= bits[1] < min(signal.length, _MAX_EXACT_BITS)):
         raise DocumentError(
             f"the signal {quantity.source.signal} has bits 0 to {signal.length - 1}; bits {bits[0]} to "
             f"{bits[1]} are no part of them"
@@ -481,12 +481,12 @@ def _bind_one(quantity: MappedQuantity, codec: DbcCodec) -> BoundSignal:
     )  # fmt: skip
 
 
-#: A longer integer loses its lowest bits as a floating-point number.
-_MAX_SPLIT_BITS = 52
+#: Largest number of bits of an integer that float64 represents exactly.
+_MAX_EXACT_BITS = 52
 
 
-def _conversion(quantity: MappedQuantity, signal: Signal) -> tuple[float, float]:
-    allowed = SPELLINGS.get(quantity.dimension)
+def _gain_and_offset(quantity: MappedQuantity, signal: Signal) -> tuple[float, float]:
+    allowed = UNIT_SPELLINGS.get(quantity.dimension)
     if allowed is None:
         return 1.0, 0.0
     unit = quantity.source.unit if quantity.source.unit is not None else (signal.unit or "")

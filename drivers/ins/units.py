@@ -1,4 +1,4 @@
-"""Dimensions of what an INS sends, and the spellings of their units."""
+"""Dimensions of the quantities that an INS sends, and the spellings of their units."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ _KNOT_MPS = 1852.0 / 3600.0
 _DEGREE_RAD = np.pi / 180.0
 _ZERO_C_IN_K = 273.15
 
-#: Spellings of the units of each dimension: (gain, offset) to its SI unit or degrees Celsius.
-SPELLINGS: MappingProxyType[Dimension, dict[str, tuple[float, float]]] = MappingProxyType(
+#: Gain and offset of each unit to SI or degrees Celsius, by dimension and spelling of the unit.
+UNIT_SPELLINGS: MappingProxyType[Dimension, dict[str, tuple[float, float]]] = MappingProxyType(
     {
         Dimension.TIME: {
             **dict.fromkeys(("s", "sec"), (1.0, 0.0)),

@@ -1,14 +1,15 @@
-"""Driver of an Ideal Aerosmith single-axis table (1270VS and alike) over RS-232.
+"""Driver of an Ideal Aerosmith single-axis table (1270VS and similar) over RS-232.
 
 A command is three letters and a number, ended by a carriage return. A prompt ends each reply; a
 question mark in it means that the command was refused. Source: programs for such tables; there is
-no public manual. So the driver relies on little:
+no public manual. So the driver makes few assumptions:
 
-* ``JOG`` gives its prompt when the table has stopped or with the next ``STA``: the driver does not wait.
-* Programs disagree whether ``MCO`` is 0 or 1 for a complete motion: position and velocity decide.
-* The meaning of ``STA`` is unknown. It serves to check that the controller replies; no fault is read
-  from it. An axis that stands still off its target counts as not under servo control.
-* The position is assumed to count through full turns.
+* The prompt of ``JOG`` comes when the table has stopped, or with the next ``STA``: the driver does not
+  wait for it.
+* Programs disagree whether ``MCO`` is 0 or 1 for a complete motion: the driver uses position and velocity.
+* The meaning of ``STA`` is unknown. The driver uses it to check that the controller replies, and reads no
+  fault from it. An axis that stands still off its target counts as not under servo control.
+* The position is assumed not to wrap at full turns.
 """
 
 from __future__ import annotations
@@ -30,12 +31,12 @@ from gyrobench.drivers.text_line import TextLine
 
 _PROMPT = b">"
 _DECIMALS = 4
-#: Largest error of position and rate at the end of a move.
-_REACHED_DEG, _STANDSTILL_DPS = 0.002, 0.002
-#: Time at standstill off its target after which an axis is stuck.
+#: Largest errors of position and rate of an axis at its target.
+_POSITION_TOLERANCE_DEG, _STANDSTILL_DPS = 0.002, 0.002
+#: An axis that stands still off its target for longer than this is stuck.
 _STUCK_S = 5.0
 _POLL_S = 0.2
-#: A prompt that does not arrive within this time arrives with a later reply.
+#: A prompt that takes longer than this is expected together with a later reply.
 _PROMPT_TIME_S = 0.2
 
 
@@ -49,20 +50,20 @@ class IdealAerosmith:
         self._line = line
         self._axis = axis
         self._text = TextLine(line, b"\r", _PROMPT)
-        self._owes_prompt = True  # the program that used the line before may have left the table turning
+        self._prompt_is_pending = True  # an earlier program may have left the table turning
         self._acceleration_dps2: float | None = None
         self._target_deg = math.nan
-        self._still_since_s: float | None = None
+        self._standstill_since_s: float | None = None
 
     def identify(self) -> str:
-        """Name of the dialect: the controller can't be identified, but must reply."""
+        """Return a fixed text: the controller has no identification query, but must reply to ``STA``."""
         self._value("STA")
         return "Ideal Aerosmith single-axis table; no serial number available"
 
     def prepare(self) -> None:
-        """Switch the motor on and set the limits given before.
+        """Switch the motor on and restore the acceleration limit.
 
-        Raises FaultError: the controller refuses it.
+        Raises FaultError if the controller refuses to switch it on.
         """
         try:
             self._command("SRV1")
@@ -71,40 +72,40 @@ class IdealAerosmith:
                 self._line.instrument, "its motor can't be switched on. Look at its panel and emergency stop."
             ) from error
         if self._acceleration_dps2 is not None:
-            self._command(f"ACL{_plain(self._acceleration_dps2)}")
+            self._command(f"ACL{_format_number(self._acceleration_dps2)}")
 
     def set_limits(self, rate_dps: float, acceleration_dps2: float, jerk_dps3: float) -> None:  # noqa: ARG002
-        """Limit every motion; the jerk can't be set."""
-        self._command(f"VEL{_plain(rate_dps)}")
-        self._command(f"ACL{_plain(acceleration_dps2)}")
+        """Limit every later motion; the jerk can't be limited."""
+        self._command(f"VEL{_format_number(rate_dps)}")
+        self._command(f"ACL{_format_number(acceleration_dps2)}")
         self._acceleration_dps2 = acceleration_dps2
 
     def limits(self) -> tuple[AxisLimits, ...]:
-        """Raise RefusedError: there is no query for them."""
+        """Raise RefusedError: the controller has no query for its limits."""
         raise RefusedError(self._line.instrument, "has no query for its limits; read them from its panel")
 
     def move_to(self, angles_deg: Mapping[int, float], rate_dps: float) -> None:
         """Start to move the axis to an absolute angle."""
         target_deg = angles_deg[self._axis]
-        self._command(f"VEL{_plain(rate_dps)}")
-        self._target_deg, self._still_since_s = target_deg, None
-        self._command(f"MOV{_plain(target_deg)}")
+        self._command(f"VEL{_format_number(rate_dps)}")
+        self._target_deg, self._standstill_since_s = target_deg, None
+        self._command(f"MOV{_format_number(target_deg)}")
 
     def in_position(self) -> bool:
         """Whether the axis stands at the target of the last move.
 
-        Raises FaultError: it stands still off its target.
+        Raises FaultError if it stands still off its target.
         """
         position_deg, rate_dps = self._value("PPO"), self._value("PVE")
         if abs(rate_dps) > _STANDSTILL_DPS:
-            self._still_since_s = None
+            self._standstill_since_s = None
             return False
-        if abs(position_deg - self._target_deg) <= _REACHED_DEG:
+        if abs(position_deg - self._target_deg) <= _POSITION_TOLERANCE_DEG:
             return True
         now_s = self._line.clock.now()
-        if self._still_since_s is None:
-            self._still_since_s = now_s
-        elif now_s - self._still_since_s > _STUCK_S:
+        if self._standstill_since_s is None:
+            self._standstill_since_s = now_s
+        elif now_s - self._standstill_since_s > _STUCK_S:
             raise FaultError(
                 self._line.instrument,
                 f"stands still at {position_deg:.3f} deg; {self._target_deg:.3f} deg was commanded. Check "
@@ -112,17 +113,17 @@ class IdealAerosmith:
             )
         return False
 
-    def turn_at(self, axis: int, rate_dps: float) -> None:  # noqa: ARG002 - there is one
+    def turn_at(self, axis: int, rate_dps: float) -> None:  # noqa: ARG002 - there is only one axis
         """Turn at a constant rate until the next command."""
-        command = f"JOG{_plain(rate_dps)}"
+        command = f"JOG{_format_number(rate_dps)}"
         self._text.send(command)
         prompt = self._text.more(command, _PROMPT_TIME_S, may_be_empty=True)
-        self._owes_prompt = prompt is None
+        self._prompt_is_pending = prompt is None
         if prompt is not None and b"?" in prompt:
             raise self._refused(command, prompt)
 
     def read(self) -> TableReading:
-        """Position and velocity, one after the other; servo state and faults can't be read."""
+        """Read position, then velocity; servo state and faults can't be read."""
         return TableReading((self._value("PPO"),), (self._value("PVE"),), faults=())
 
     def stop(self) -> None:
@@ -131,9 +132,9 @@ class IdealAerosmith:
         self._target_deg = math.nan
 
     def release(self) -> None:
-        """Stop, wait for rest, switch the motor off in any case.
+        """Stop, wait for rest, and switch the motor off even if an error occurs.
 
-        Raises FaultError: the axis did not come to rest; its motor is off.
+        Raises FaultError if the axis did not come to rest; its motor is off.
         """
         try:
             self.stop()
@@ -149,20 +150,20 @@ class IdealAerosmith:
         self._line.close()
 
     def _value(self, query: str) -> float:
-        """Query a number; late prompts without a number are skipped."""
+        """Query a number; skips late prompts without a number."""
         reply = self._text.ask(query)
-        value = reply.rpartition(b"\r")[2].strip()  # a controller may repeat the query before
+        value = reply.rpartition(b"\r")[2].strip()  # some controllers echo the query first
         if b"?" in value:
             raise self._refused(query, reply)
-        self._owes_prompt = False
+        self._prompt_is_pending = False
         return self._text.number(query, value)
 
     def _command(self, command: str) -> None:
-        """Send a command and wait for its prompt, and for a late one of an earlier command."""
+        """Send a command; wait for its prompt, and for a pending prompt of an earlier command."""
         self._text.send(command)
         replies = [self._text.receive(command, may_be_empty=True)]
-        if self._owes_prompt:
-            self._owes_prompt = False
+        if self._prompt_is_pending:
+            self._prompt_is_pending = False
             second = self._text.more(command, _PROMPT_TIME_S, may_be_empty=True)
             replies += [] if second is None else [second]
         for reply in replies:
@@ -172,12 +173,12 @@ class IdealAerosmith:
                 raise self._text.unexpected(command, reply)
 
     def _refused(self, request: str, reply: bytes) -> RefusedError:
-        shown = reply.decode("ascii", errors="backslashreplace")
-        return RefusedError(self._line.instrument, f"{request} was refused: {shown!r}")
+        text = reply.decode("ascii", errors="backslashreplace")
+        return RefusedError(self._line.instrument, f"{request} was refused: {text!r}")
 
 
-def _plain(value: float) -> str:
-    """Decimal number without trailing zeros: 10.5, 90."""
+def _format_number(value: float) -> str:
+    """Format a decimal number without trailing zeros: 10.5, 90."""
     text = f"{value:.{_DECIMALS}f}".rstrip("0").rstrip(".")
     return "0" if text == "-0" else text
 

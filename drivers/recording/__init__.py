@@ -1,8 +1,8 @@
-"""Recordings of what was exchanged with an instrument: written, read, and replayed to its driver.
+"""Recordings of the exchanges with an instrument: written, read, and replayed to its driver.
 
-A recording of a line is a text file: a header in YAML that says what was recorded, a line ``---``, and
-one line a transfer, with its time in seconds since the line was opened, its direction, its bytes and
-the same as text::
+A recording of a line is a text file: a header in YAML that describes the recording, a line ``---``, and
+one line for each transfer, with its time in seconds since the line was opened, its direction, its bytes, and
+its bytes as text::
 
     recording: 1
     instrument: chamber

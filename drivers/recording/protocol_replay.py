@@ -1,7 +1,7 @@
 """pyserial handler of ``replay://FILE`` addresses: a recording as a serial port.
 
-The port replies as recorded, and only to the recorded requests. It runs on the clock that
-``?clock=NAME`` names, which a line adds to the address; on wall time without one. pyserial prescribes
+The port replies as recorded, and only to the recorded requests. It runs on the clock named in
+``?clock=NAME``, which :class:`SerialLine` adds to the address; without it, on wall time. pyserial prescribes
 the names of this module and of ``Serial``.
 """
 
@@ -19,12 +19,12 @@ from gyrobench.drivers.recording.recording_file import Recording, read_recording
 
 SCHEME = "replay://"
 
-#: Accuracy of a driver's times: a reply due within this has arrived.
+#: Accuracy of a driver's times, s: a reply that is due within this time counts as arrived.
 _TOLERANCE_S = 0.05
 
 
 class ReplayError(Exception):
-    """The driver sends other bytes than recorded, or sends them earlier."""
+    """The driver sent other bytes than recorded, or sent them earlier."""
 
 
 def with_clock(url: str, clock: Clock) -> str:
@@ -33,7 +33,7 @@ def with_clock(url: str, clock: Clock) -> str:
 
 
 class Serial(ClockedPort):
-    """Port of a recording."""
+    """A recording as a serial port."""
 
     def open(self) -> None:
         """Open the recording at its beginning."""
@@ -53,7 +53,10 @@ class Serial(ClockedPort):
         self.is_open = True
 
     def write(self, data: bytes, /) -> int:  # type: ignore[override]
-        """Send; raises SerialException with the place in the recording for other bytes than recorded."""
+        """Compare bytes with the recording.
+
+        Raises SerialException if they differ; the message has the place in the recording.
+        """
         self.collect()
         try:
             self._script.send(bytes(data), self.clock.now())
@@ -62,68 +65,70 @@ class Serial(ClockedPort):
         return len(data)
 
     def next_due_s(self) -> float | None:
-        """Time of the next recorded bytes."""
+        """Time at which the next recorded bytes arrive; None if no bytes are to arrive."""
         return self._script.next_due_s
 
     def collect(self) -> None:
         """Add recorded bytes that are due."""
         if not self.is_open:
             raise PortNotOpenError
-        self._arrived += self._script.arrived(self.clock.now())
+        self._arrived += self._script.take_due(self.clock.now())
 
 
 class _ReplayScript:
-    """The transfers of a recording that are still to come.
+    """The remaining transfers of a recording.
 
-    A reply arrives as long after its request as recorded. ``now_s`` is the time at which the line is opened,
-    on the same clock as the times of the methods.
+    A reply arrives after the same delay from its request as recorded. ``now_s`` is the time at which the line
+    is opened, on the same clock as the times of the methods.
     """
 
     def __init__(self, recording: Recording, now_s: float) -> None:
         self._path = recording.path
-        self._left = list(reversed(recording.transfers))
+        self._remaining = list(reversed(recording.transfers))
         self._zero_s = now_s
         self._sent = b""
 
     @property
     def next_due_s(self) -> float | None:
         """Time of the next bytes; None while the instrument waits for a request."""
-        if not self._left or self._left[-1].is_sent:
+        if not self._remaining or self._remaining[-1].is_sent:
             return None
-        return self._zero_s + self._left[-1].time_s
+        return self._zero_s + self._remaining[-1].time_s
 
-    def arrived(self, now_s: float) -> bytes:
-        """Bytes that are due since the last call."""
+    def take_due(self, now_s: float) -> bytes:
+        """Return the bytes that have become due since the last call."""
         data = b""
         while (due_s := self.next_due_s) is not None and due_s <= now_s:
-            data += self._left.pop().data
+            data += self._remaining.pop().data
         return data
 
     def send(self, data: bytes, now_s: float) -> None:
-        """Compare what the driver sends with the recording.
+        """Compare the bytes that the driver sends with the recording.
 
         Raises ReplayError if they differ; the message has the place in the recording and both byte strings.
         """
         # Drop a reply that the driver did not wait for, within the accuracy of recorded times.
         while (due_s := self.next_due_s) is not None and due_s <= now_s + _TOLERANCE_S:
-            self._left.pop()
+            self._remaining.pop()
         sent = self._sent + data
         while sent:
-            if not self._left:
-                raise ReplayError(f"{self._path}: the recording ends before {_shown(sent)}")
-            expected = self._left[-1]
+            if not self._remaining:
+                raise ReplayError(f"{self._path}: the recording ends before {_quoted(sent)}")
+            expected = self._remaining[-1]
             place = f"{self._path}:{expected.line}"
             if not expected.is_sent:
-                raise ReplayError(f"{place}: {_shown(sent)} is sent before the reply {_shown(expected.data)}")
+                raise ReplayError(
+                    f"{place}: {_quoted(sent)} is sent before the reply {_quoted(expected.data)}"
+                )
             if not (expected.data.startswith(sent) or sent.startswith(expected.data)):
-                raise ReplayError(f"{place}: expected {_shown(expected.data)}; got {_shown(sent)}")
+                raise ReplayError(f"{place}: expected {_quoted(expected.data)}; got {_quoted(sent)}")
             if len(sent) < len(expected.data):
                 break
             sent = sent[len(expected.data) :]
-            self._left.pop()
+            self._remaining.pop()
             self._zero_s = now_s - expected.time_s
         self._sent = sent
 
 
-def _shown(data: bytes) -> str:
+def _quoted(data: bytes) -> str:
     return f"{data.hex(' ')} ({data.decode('ascii', 'backslashreplace')!r})"

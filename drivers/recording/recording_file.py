@@ -1,4 +1,4 @@
-"""The file of a recording: its header and transfers, read and written."""
+"""Reads and writes the file of a recording: its header and transfers."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Call(StrictModel):
 
 
 class RecordingHeader(StrictModel):
-    """What was recorded."""
+    """Description of a recording: instrument, line settings, source, and calls of the driver."""
 
     recording: Literal[1] = Field(1, description="version of the format")
     instrument: Literal["table", "chamber", "ins"] = Field(description="kind of instrument")
@@ -64,21 +64,21 @@ class RecordingHeader(StrictModel):
 class Transfer:
     """Bytes in one direction."""
 
-    time_s: float  #: Since the line was opened, on the recording clock.
-    is_sent: bool  #: Whether they were sent to the instrument.
+    time_s: float  #: Time since the line was opened, on the clock of the recording.
+    is_sent: bool  #: Whether the bytes were sent to the instrument.
     data: bytes
-    line: int = 0  #: Line of the file, from 1; 0 for none.
+    line: int = 0  #: Line of the file, from 1; 0 if it does not come from a file.
 
     def text(self) -> str:
-        """The line of the file."""
+        """The transfer as a line of the file."""
         direction = ">" if self.is_sent else "<"
-        shown = "".join(chr(byte) if 32 <= byte < 127 else "." for byte in self.data)
-        return f"{self.time_s:10.6f} {direction}  {self.data.hex(' '):<{_TEXT_COLUMN}}|{shown}|\n"
+        characters = "".join(chr(byte) if 32 <= byte < 127 else "." for byte in self.data)
+        return f"{self.time_s:10.6f} {direction}  {self.data.hex(' '):<{_TEXT_COLUMN}}|{characters}|\n"
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A recording as read; ``document`` knows where in the file its header's keys stand."""
+    """A recording that was read; ``document`` gives the places of the header's keys in the file."""
 
     path: Path
     document: Document
@@ -88,18 +88,18 @@ class Recording:
 
 def join_transfers(transfers: Iterable[Transfer]) -> list[Transfer]:
     """Join transfers that belong together, such as a reply whose length is read before its text."""
-    whole: list[Transfer] = []
+    joined: list[Transfer] = []
     for transfer in transfers:
-        last = whole[-1] if whole else None
+        last = joined[-1] if joined else None
         if last and last.is_sent == transfer.is_sent and transfer.time_s - last.time_s < _MAX_PAUSE_S:
-            whole[-1] = Transfer(last.time_s, last.is_sent, last.data + transfer.data, last.line)
+            joined[-1] = Transfer(last.time_s, last.is_sent, last.data + transfer.data, last.line)
         else:
-            whole.append(transfer)
-    return whole
+            joined.append(transfer)
+    return joined
 
 
 def _header_text(header: RecordingHeader) -> str:
-    """The beginning of the file, up to the first transfer."""
+    """Text of the file up to the first transfer."""
     data = header.model_dump(exclude_defaults=True)
     data = {"recording": header.recording, "instrument": header.instrument} | data
     return (
@@ -108,14 +108,14 @@ def _header_text(header: RecordingHeader) -> str:
 
 
 def recording_text(header: RecordingHeader, transfers: Iterable[Transfer]) -> str:
-    """The whole file."""
+    """Text of the whole file."""
     return _header_text(header) + "".join(transfer.text() for transfer in transfers)
 
 
 def read_recording(path: Path) -> Recording:
     """Read a recording.
 
-    Raises DocumentError if the file can't be read, or a line of it is wrong; the message has its place.
+    Raises DocumentError if the file can't be read or a line of it is wrong; the message has the place.
     """
     if path.is_dir():
         raise DocumentError(
@@ -130,47 +130,47 @@ def read_recording(path: Path) -> Recording:
         )
     document = parse_document(head + "\n", path)
     header = validate(document, RecordingHeader)
-    first = head.count("\n") + 3
-    return Recording(path, document, header, tuple(_transfers(path, body.splitlines(), first)))
+    first_line = head.count("\n") + 3
+    return Recording(path, document, header, tuple(_transfers(path, body.splitlines(), first_line)))
 
 
-def _transfers(path: Path, lines: list[str], first: int) -> Iterable[Transfer]:
+def _transfers(path: Path, lines: list[str], first_line: int) -> Iterable[Transfer]:
     last_s = 0.0
-    for number, line in enumerate(lines, first):
+    for number, line in enumerate(lines, first_line):
         if not line.strip() or line.startswith("#"):
             continue
-        found = _TRANSFER.fullmatch(line)
-        if found is None:
+        match = _TRANSFER.fullmatch(line)
+        if match is None:
             raise DocumentError(
                 f"{path}:{number}:1: not a transfer; write TIME > BYTES or TIME < BYTES, each byte as two "
                 "hexadecimal digits"
             )
-        time_s = float(found[1])
+        time_s = float(match[1])
         if time_s < last_s:
             raise DocumentError(f"{path}:{number}:1: its time is before that of the line above")
         last_s = time_s
-        yield Transfer(time_s, found[2] == ">", bytes.fromhex(found[3]), number)
+        yield Transfer(time_s, match[2] == ">", bytes.fromhex(match[3]), number)
 
 
 class RecordingFile:
-    """A recording that is being written; each transfer is in the file at once.
+    """A recording in progress; each transfer is written to the file at once.
 
-    ``path`` must not exist. The recording begins now, on ``clock``. Raises RunFolderError if the file can't
-    be created.
+    ``path`` must not exist. The times of transfers begin now, on ``clock``. Raises RunFolderError if the file
+    can't be created.
     """
 
     def __init__(self, path: Path, header: RecordingHeader, clock: Clock) -> None:
         self._clock = clock
         self._start_s = clock.now()
-        began = clock.utc().isoformat(timespec="seconds")
+        recorded_utc = clock.utc().isoformat(timespec="seconds")
         try:
             self._file = path.open("x", encoding="utf-8", buffering=1)
-            self._file.write(_header_text(header.model_copy(update={"recorded_utc": began})))
+            self._file.write(_header_text(header.model_copy(update={"recorded_utc": recorded_utc})))
         except OSError as error:
             raise cant_be_written(path, error) from error
 
     def add(self, is_sent: bool, data: bytes) -> None:
-        """Write a transfer with the present time; a full disk ends the recording, not the line."""
+        """Write a transfer with the present time; a write error ends the recording only."""
         if data and not self._file.closed:
             try:
                 self._file.write(Transfer(self._clock.now() - self._start_s, is_sent, data).text())
@@ -183,17 +183,18 @@ class RecordingFile:
             self._file.close()
 
 
-#: Folders and headers of the recordings that are on; lines are opened deep inside the bench, in any thread.
+#: Folders and headers of the recordings in progress; any thread may open a line, deep inside the bench.
 _recordings: list[tuple[Path, Mapping[str, RecordingHeader]]] = []
 
 
 @contextlib.contextmanager
 def recording_lines(folder: Path, headers: Mapping[str, RecordingHeader]) -> Iterator[None]:
-    """Record every line that is opened meanwhile, into a new file at each opening.
+    """Record every line that is opened within the context; each opening begins a new file.
 
-    ``folder`` is created if absent; files are named after the instrument and numbered. ``headers`` are by the
-    instrument's name in errors ("rate table", "chamber"); lines of other instruments are not recorded. Raises
-    RunFolderError if the folder can't be created; opening a line raises it if its file can't be.
+    ``folder`` is created if absent; files are named after the instrument and numbered. The keys of
+    ``headers`` are the names of instruments in errors ("rate table", "chamber"); lines of other instruments
+    are not recorded. Raises RunFolderError if the folder can't be created; opening a line raises it if its
+    file can't be created.
     """
     make_folder(folder)
     recording = (folder, headers)
@@ -205,7 +206,7 @@ def recording_lines(folder: Path, headers: Mapping[str, RecordingHeader]) -> Ite
 
 
 def new_line_recording(instrument: str, clock: Clock, baudrate: int, parity: str) -> RecordingFile | None:
-    """Begin the recording of a line that is opened; None if no recording of its instrument is on."""
+    """Begin the recording of a line that is opened; None if its instrument is not being recorded."""
     for folder, headers in _recordings:
         if instrument in headers:
             header = headers[instrument].model_copy(update={"baudrate": baudrate, "parity": parity})

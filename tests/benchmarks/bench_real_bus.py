@@ -72,7 +72,7 @@ def test_ten_thousand_frames_per_second(name, tmp_path):
             epochs += 1
     log.cut()
     cpu_s, took_s = time.process_time() - begin_cpu_s, time.monotonic() - begin_s
-    lost, largest = bus.lost, bus.largest_queue
+    lost, largest = bus.lost, bus.max_queued_bytes
     sent, sent_s, sender_cpu_s = map(float, sender.stdout.readline().split())
     driver.close()
     sender.communicate("")

@@ -6,7 +6,7 @@ from pymodbus.framer.rtu import FramerRTU
 
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.errors import NoReplyError, ReplyError
-from gyrobench.drivers.modbus_rtu import PAUSE_AFTER_READ_S, ModbusRtu, crc16, framed
+from gyrobench.drivers.modbus_rtu import PAUSE_AFTER_READ_S, ModbusRtu, append_crc, crc16
 from gyrobench.drivers.serial_line import NEXT_REPLY_S, SerialLine
 
 TIMEOUT_S = 1.0
@@ -32,18 +32,18 @@ WATLOW_F4_FRAMES = [
 @pytest.mark.parametrize("text", WATLOW_F4_FRAMES)
 def test_known_frames_have_their_crc(text):
     frame = bytes.fromhex(text)
-    assert framed(frame[:-2]) == frame
+    assert append_crc(frame[:-2]) == frame
     assert crc16(frame) == 0
 
 
 @given(st.binary(min_size=2, max_size=60))
 def test_the_crc_is_that_of_another_implementation(content):
-    assert framed(content)[-2:] == FramerRTU.compute_CRC(content).to_bytes(2, "big")
+    assert append_crc(content)[-2:] == FramerRTU.compute_CRC(content).to_bytes(2, "big")
 
 
 @given(content=st.binary(min_size=2, max_size=20), bit=st.integers(0, 15))
 def test_a_wrong_bit_is_noticed(content, bit):
-    frame = bytearray(framed(content))
+    frame = bytearray(append_crc(content))
     frame[bit // 8] ^= 1 << (bit % 8)
     assert crc16(bytes(frame)) != 0
 
@@ -64,7 +64,7 @@ class LatePort:
     def write(self, request):
         register, count = int.from_bytes(request[2:4]), int.from_bytes(request[4:6])
         values = b"".join((register + i).to_bytes(2) for i in range(count))
-        reply = framed(bytes((1, 3, len(values))) + values)
+        reply = append_crc(bytes((1, 3, len(values))) + values)
         for delay_s, is_damaged in self.script.pop(0):
             arrives_s = self.clock.now() + delay_s
             self._due += [(arrives_s, byte ^ is_damaged) for byte in reply]

@@ -134,7 +134,7 @@ def _await_start(station: Station, ins: CanIns, clock: Clock) -> None:
     deadline = Deadline(clock, _START_S if station.file.unit.power == "chamber_event" else 0.0)
     while not ins.sends_frames(_FIRST_FRAME_S):
         if deadline.expired():
-            others = f", but {found}" if (found := ins.other_frames()) else ""
+            others = f", but {found}" if (found := ins.describe_foreign_frames()) else ""
             what = (
                 "the DBC file and ins.identifier_offset" if others else "the bus, its bit rate and the cable"
             )

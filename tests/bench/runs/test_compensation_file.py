@@ -16,7 +16,7 @@ from gyrobench.bench.runs.compensation_file import (
     write_compensation,
 )
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.drivers.ins.compensation import NUMBERS, Compensation, Correction
+from gyrobench.drivers.ins.compensation import PARAMETER_NAMES, Compensation, Correction
 
 POLYNOMIAL = "polynomial_dph: [[1.0], [2.0], [3.0]]\nlow_c: [-20, -20, -20]\nhigh_c: [70, 70, 70]\n"
 
@@ -45,7 +45,7 @@ def test_a_compensation_is_for_the_unit_that_it_names(written, tmp_path, line, u
 
 def test_a_compensation_is_read_as_it_was_written(tmp_path):
     random = np.random.default_rng(2)
-    numbers = {name: random.uniform(1.0, 2.0, 3) for name in NUMBERS}
+    numbers = {name: random.uniform(1.0, 2.0, 3) for name in PARAMETER_NAMES}
     for name in ("saturating_dph_per_k", "growing_dph_per_k", "gravity_dph_per_g"):
         numbers[name] = random.normal(size=(3, 3))
     numbers |= {"polynomial_dph": random.normal(size=(3, 4)), "high_c": np.full(3, 60.0)}

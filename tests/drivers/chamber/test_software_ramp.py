@@ -40,10 +40,10 @@ def test_the_set_point_moves_in_small_steps_at_the_rate(bench):
     steps = bench.advance(150.0)
     assert all(-0.01 < after - before < 0.25 for before, after in pairwise(steps))
     assert steps[-1] == pytest.approx(23.0 + 2.0 * (bench.clock.now() - start_s) / 60.0, abs=0.3)
-    assert bench.chamber.is_moving
+    assert bench.chamber.is_ramping
     assert (bench.chamber.set_point_c(), bench.chamber.read().set_point_c) == (33.0, 33.0)
     assert bench.advance(180.0)[-1] == 33.0
-    assert not bench.chamber.is_moving
+    assert not bench.chamber.is_ramping
 
 
 def test_most_calls_between_steps_send_nothing(bench):
@@ -66,7 +66,7 @@ def test_a_ramp_ends_where_the_set_point_is_changed_at_the_panel(bench):
     assert bench.chamber.read().set_point_c == 40.0
     with pytest.raises(RefusedError, match=r"changed from .* to 40\.0"):
         bench.advance(60.0)
-    assert not bench.chamber.is_moving
+    assert not bench.chamber.is_ramping
     assert bench.air.set_point_c == 40.0
 
 
@@ -102,12 +102,12 @@ def test_another_driver_of_the_line_continues(bench):
 def test_what_can_not_be_reached_is_refused_before_anything_moves(bench, temperature_c, rate):
     with pytest.raises(RefusedError):
         bench.chamber.set_temperature(temperature_c, rate)
-    assert (bench.air.set_point_c, bench.chamber.is_moving) == (23.0, False)
+    assert (bench.air.set_point_c, bench.chamber.is_ramping) == (23.0, False)
 
 
 def test_off_ends_a_ramp(bench):
     bench.chamber.set_temperature(33.0, 2.0)
     bench.chamber.switch(True)
     bench.chamber.switch(False)
-    assert not bench.chamber.is_moving
+    assert not bench.chamber.is_ramping
     assert bench.advance(60.0)[-1] < 23.1

@@ -15,7 +15,7 @@ from gyrobench.bench.foundations.errors import (
 )
 from gyrobench.drivers.chamber import Chamber, ChamberReading
 from gyrobench.drivers.chamber.watlow_f4 import from_register, to_register
-from gyrobench.drivers.modbus_rtu import framed
+from gyrobench.drivers.modbus_rtu import append_crc
 
 FRAMES = {
     "read PV, error and alarm 1": "01 03 00 64 00 03 44 14",
@@ -177,10 +177,10 @@ def test_an_f4s_takes_set_points_but_no_ramps(make_bench):
 
 def test_an_exception_names_register_and_value(bench):
     chamber = bench.driver()
-    bench.respond = lambda _: framed(bytes((1, 0x86, 3)))
+    bench.respond = lambda _: append_crc(bytes((1, 0x86, 3)))
     with pytest.raises(RefusedError, match=r"write 1 to register 2010 \(event 2\): exception 03, illegal"):
         chamber.switch_event(2, True)
-    bench.respond = lambda _: framed(bytes((1, 0x83, 2)))
+    bench.respond = lambda _: append_crc(bytes((1, 0x83, 2)))
     with pytest.raises(RefusedError, match=r"read register 100 \(process value 1\): exception 02, illegal"):
         chamber.read()
 
@@ -201,10 +201,10 @@ def test_a_value_that_is_not_kept_is_noticed(bench):
     ("reply", "problem"),
     [
         (bytes.fromhex("01 03 06 00 FA 00 00 00 00 00 00"), "CRC"),
-        (framed(bytes.fromhex("02 03 06 00 FA 00 00 00 00")), "another device"),
-        (framed(bytes.fromhex("01 04 06 00 FA 00 00 00 00")), "another device"),
-        (framed(bytes.fromhex("01 03 04 00 FA 00 00 00 00")), "another device"),
-        (framed(bytes.fromhex("01 86 02")), "another device"),
+        (append_crc(bytes.fromhex("02 03 06 00 FA 00 00 00 00")), "another device"),
+        (append_crc(bytes.fromhex("01 04 06 00 FA 00 00 00 00")), "another device"),
+        (append_crc(bytes.fromhex("01 03 04 00 FA 00 00 00 00")), "another device"),
+        (append_crc(bytes.fromhex("01 86 02")), "another device"),
     ],
     ids=["CRC", "address", "function", "length", "exception of another function"],
 )
@@ -217,7 +217,7 @@ def test_a_reply_to_something_else_is_an_error(bench, reply, problem):
 
 def test_an_echo_of_another_value_is_an_error(bench):
     chamber = bench.driver()
-    bench.respond = lambda _: framed(bytes.fromhex("01 06 07 D0 00 00"))
+    bench.respond = lambda _: append_crc(bytes.fromhex("01 06 07 D0 00 00"))
     with pytest.raises(ReplyError, match="another device"):
         chamber.switch_event(1, True)
 
@@ -238,7 +238,7 @@ def test_after_a_missing_reply_the_line_must_be_silent(bench):
 def test_stale_input_is_not_taken_for_the_answer(bench):
     chamber = bench.driver(WallClock())
     replying = bench.respond
-    bench.respond = lambda request: replying(request) + framed(bytes.fromhex("01 03 04 03 E7 00 00"))
+    bench.respond = lambda request: replying(request) + append_crc(bytes.fromhex("01 03 04 03 E7 00 00"))
     bench.air.air_c = 31.0
     assert [chamber.read().temperature_c for _ in range(3)] == [31.0] * 3
 
@@ -260,7 +260,7 @@ def test_a_controller_in_fahrenheit_is_refused(bench):
     replying = bench.respond
 
     def american(request: bytes) -> bytes:
-        unit = framed(bytes.fromhex("01 03 02 00 00"))
+        unit = append_crc(bytes.fromhex("01 03 02 00 00"))
         return unit if request[2:4] == (901).to_bytes(2, "big") else replying(request)
 
     bench.respond = american
@@ -269,14 +269,14 @@ def test_a_controller_in_fahrenheit_is_refused(bench):
 
 
 def test_a_device_with_impossible_decimals_is_no_f4(bench):
-    bench.respond = lambda _: framed(bytes.fromhex("01 03 02 00 09"))
+    bench.respond = lambda _: append_crc(bytes.fromhex("01 03 02 00 09"))
     with pytest.raises(ReplyError, match="9 decimals"):
         bench.driver()
 
 
 def test_a_late_reply_is_not_taken_for_the_decimals_when_the_line_is_opened(bench):
     """That of an alarm register from before; then every temperature would be read ten times as large."""
-    late, answer = [framed(bytes((1, 3, 2, 0, 0)))], bench.respond
+    late, answer = [append_crc(bytes((1, 3, 2, 0, 0)))], bench.respond
     bench.respond = lambda request: late.pop() if late else answer(request)
     with pytest.raises(ReplyError, match="reads 0, then 1 decimals"):
         bench.driver()
@@ -297,7 +297,8 @@ def test_any_number_is_encoded_to_half_a_digit_or_not_at_all(value, decimals):
 
 
 @given(
-    reply=st.binary(max_size=12) | st.binary(min_size=1, max_size=8).map(lambda tail: framed(b"\x01" + tail))
+    reply=st.binary(max_size=12)
+    | st.binary(min_size=1, max_size=8).map(lambda tail: append_crc(b"\x01" + tail))
 )
 def test_no_reply_raises_anything_but_an_instrument_error(bench, reply):
     replying = bench.respond
@@ -365,7 +366,7 @@ def test_a_controller_that_is_busy_when_it_is_opened_is_not_taken_for_one_withou
     answer = bench.respond
 
     def busy(request: bytes) -> bytes:
-        return framed(bytes((1, 0x83, 6))) if request[2:4] == b"\x04\x4c" else answer(request)
+        return append_crc(bytes((1, 0x83, 6))) if request[2:4] == b"\x04\x4c" else answer(request)
 
     bench.respond = busy
     with pytest.raises(RefusedError, match="exception 06"):

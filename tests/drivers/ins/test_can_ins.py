@@ -254,7 +254,7 @@ def test_commands_wait_until_the_status_confirms_them(driver, unit, clock):
     assert driver.status().mode is InsMode.ALIGN
     driver.enter(InsMode.NAVIGATE)
     assert driver.status().mode is InsMode.NAVIGATE
-    driver._complete(driver.setting_euler_sequence(EulerSequence.PRY_231))
+    driver._complete(driver.set_euler_sequence_stepwise(EulerSequence.PRY_231))
     assert driver.status().euler_sequence is EulerSequence.PRY_231
     driver.apply_compensation()
     assert driver.status().compensation is True
@@ -439,7 +439,7 @@ def test_numbers_that_the_signal_rounds_or_clips_are_refused_and_nothing_is_sent
             driver.load_compensation(compensation)
         assert unit.coefficients == {}
     else:
-        assert load.altered(driver.codec, compensation) == []
+        assert load.altered_numbers(driver.codec, compensation) == []
 
 
 def test_another_compensation_in_use_than_the_one_loaded_confirms_nothing(
@@ -471,7 +471,7 @@ def test_commands_that_the_station_lacks_are_refused(buses, signal_map, codec, c
     assert not driver.supports("align")
     for command in (
         lambda: driver.enter(InsMode.ALIGN),
-        lambda: next(driver.setting_euler_sequence(EulerSequence.RPY_321)),
+        lambda: next(driver.set_euler_sequence_stepwise(EulerSequence.RPY_321)),
         lambda: driver.load_compensation(POLYNOMIAL),
     ):
         with pytest.raises(RefusedError, match="has no command"):

@@ -150,7 +150,7 @@ def test_a_held_value_is_the_last_that_arrived(codec, signal_map, frames_of):
     block = frames_of("INS_STATUS", [0.0, 1.0, 2.0], {"MODE": [1, 2, 3]})
     block.arbitration_id[0] = 0x7FF
     bound = bind_signals(signal_map, codec)["mode"]
-    held = BlockReader(block, codec).held(bound, np.array([0, 1, 2, 100]))
+    held = BlockReader(block, codec).last_values(bound, np.array([0, 1, 2, 100]))
     assert np.isnan(held[0])
     assert held[1:].tolist() == [2, 3, 3]
 
@@ -241,7 +241,7 @@ def test_a_signal_is_split_into_bit_fields_as_the_maker_s_own_dbc_needs(tmp_path
     split, named = bind_signals(signal_map, own), bind_signals(as_shipped, shipped)
     payload = (1 << 27 | 1 << 5 | 1 << 4 | 3).to_bytes(4, "little") + b"\xff\xff"
     for path in ("mode", "alignment", "attitude.valid"):
-        one, other = (bound[path].of_payload(payload) for bound in (split, named))
+        one, other = (bound[path].decode_si(payload) for bound in (split, named))
         assert one == other != 0.0
     values = split["mode"].to_si(np.array([3.0, 2.0**27 + 4.0, np.nan]))
     np.testing.assert_array_equal(values, [3.0, 4.0, np.nan])

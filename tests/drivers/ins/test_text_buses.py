@@ -283,8 +283,8 @@ def test_a_server_that_hangs_up_is_an_error_after_its_frames():
 
 
 def test_frames_that_find_the_queue_full_are_counted_and_reported(adapter, monkeypatch, signal_map, codec):
-    monkeypatch.setattr(can_bus, "_MAX_QUEUED", 5000)
-    monkeypatch.setattr(can_bus, "_MAX_READ", 1000)
+    monkeypatch.setattr(can_bus, "_MAX_QUEUED_BYTES", 5000)
+    monkeypatch.setattr(can_bus, "_MAX_READ_BYTES", 1000)
     driver = CanIns(bus := adapter.open(), signal_map, codec.database, WallClock())
     line = adapter.text[: 1 + min(adapter.text.index(end) for end in (b"\r", b">") if end in adapter.text)]
     sent = 600
@@ -299,7 +299,7 @@ def test_frames_that_find_the_queue_full_are_counted_and_reported(adapter, monke
         except ReplyError as error:
             reported += "lost" in str(error)
     assert count + bus.lost == sent
-    assert 0 < bus.largest_queue <= 5000
+    assert 0 < bus.max_queued_bytes <= 5000
     driver.close()
 
 
@@ -317,7 +317,9 @@ def test_frames_of_other_nodes_are_no_sign_of_life_of_the_ins(signal_map, codec)
 
     sent(b"t30080102030405060708\r")
     assert driver.status().age_s == float("inf")
-    assert driver.other_frames() == "frames arrive, such as 0x300, but none that is in the DBC file"
+    assert (
+        driver.describe_foreign_frames() == "frames arrive, such as 0x300, but none that is in the DBC file"
+    )
     sent(b"t00480102030405060708\r")
     heard_s = clock.now()
     sent(b"t30080102030405060708\rT0000000480102030405060708\r")
@@ -336,10 +338,10 @@ def test_an_identifier_of_another_length_is_named(signal_map, codec, length):
     adapter.send(b"T00000004%d" % length + b"00" * length + b"\r")
     while not driver.has_other_format:
         driver.poll()
-    assert driver.other_frames() == (
+    assert driver.describe_foreign_frames() == (
         "0x004 arrives as an identifier of 29 bits, and has 11 bits in the DBC file"
     )
     driver.forget()
-    assert driver.other_frames() == ""
+    assert driver.describe_foreign_frames() == ""
     driver.close()
     adapter.close()
