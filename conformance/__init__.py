@@ -1,7 +1,6 @@
-"""What every dialect of a table or chamber has to do, as tests that run its driver against its emulator.
+"""Conformance tests of dialects: they run the driver of a table or chamber against its emulator.
 
     pytest --pyargs gyrobench.conformance --dialect NAME
 
-tests the dialects of that name that installed packages offer, in virtual time; without ``--dialect``
-all of them.
+tests the installed dialects of that name in virtual time; without ``--dialect``, all installed dialects.
 """

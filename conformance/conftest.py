@@ -1,4 +1,4 @@
-"""Which dialects are tested."""
+"""Selects the dialects under test, and provides them as fixtures."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ _GROUPS = {"test_chamber.py": CHAMBERS, "test_rate_table.py": RATE_TABLES}
 
 @pytest.fixture
 def chamber(request: pytest.FixtureRequest) -> ChamberUnderTest:
-    """A chamber of each dialect under test."""
+    """Provide a chamber of each dialect under test."""
     return ChamberUnderTest(request.param, _options(request.config))
 
 
 @pytest.fixture
 def table(request: pytest.FixtureRequest) -> TableUnderTest:
-    """A table of each dialect under test."""
+    """Provide a table of each dialect under test."""
     return TableUnderTest(request.param, _options(request.config))
 
 
 @pytest.fixture(params=range(4))
 def noise(request: pytest.FixtureRequest) -> Callable[[], Noise]:
-    """Make the same noise each time."""
+    """Return a function that makes equal noise at each call."""
     return lambda: Noise(request.param)
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Leave out the tests of the kind of instrument that no dialect under test is for."""
+    """Ignore the tests of a kind of instrument for which there is no dialect under test."""
     group = _GROUPS.get(collection_path.name)
     return True if group and not _under_test(config, group) else None
 
@@ -53,15 +53,15 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 
 def _under_test(config: pytest.Config, group: str) -> list[str]:
-    """Names of the dialects of a group that are tested."""
-    chosen: list[str] = config.getoption("dialect")
-    offered = {name: installed(name) for name in (CHAMBERS, RATE_TABLES)}
-    known = sorted({name for names in offered.values() for name in names})
-    if unknown := sorted(set(chosen) - set(known)):
+    """Names of the dialects of a group that are under test."""
+    selected: list[str] = config.getoption("dialect")
+    by_group = {name: installed(name) for name in (CHAMBERS, RATE_TABLES)}
+    available = sorted({name for names in by_group.values() for name in names})
+    if unknown := sorted(set(selected) - set(available)):
         raise pytest.UsageError(
-            f"--dialect {unknown[0]}: no installed package offers it; installed: {', '.join(known)}"
+            f"--dialect {unknown[0]}: no installed package offers it; installed: {', '.join(available)}"
         )
-    return [name for name in offered[group] if name in chosen or not chosen]
+    return [name for name in by_group[group] if name in selected or not selected]
 
 
 def _check_options(config: pytest.Config, group: str, name: str) -> None:
@@ -77,6 +77,6 @@ def _check_options(config: pytest.Config, group: str, name: str) -> None:
 
 
 def _options(config: pytest.Config) -> dict[str, Any]:
-    """Keys of the dialect's section in a station file."""
-    given: list[str] = config.getoption("dialect_option")
-    return {key: yaml.safe_load(value) for key, _, value in (text.partition("=") for text in given)}
+    """Additional keys of the dialect, as in a station file, from ``--dialect-option KEY=VALUE``."""
+    texts: list[str] = config.getoption("dialect_option")
+    return {key: yaml.safe_load(value) for key, _, value in (text.partition("=") for text in texts)}

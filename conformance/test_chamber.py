@@ -1,4 +1,4 @@
-"""What every dialect of a chamber has to do, and its emulator with it."""
+"""Requirements for every dialect of a chamber, tested with its emulator."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from gyrobench.conformance.instruments import ChamberUnderTest, Noise
 from gyrobench.drivers.chamber import Chamber
 from gyrobench.drivers.emulators.dialect import Restartable, WithAlarms, WithProfiles, WithTemperatureSensor
 
-#: Two set points that every chamber reaches.
+#: Two set points that every chamber can reach.
 _WARM_C, _COOL_C = 40.0, 15.0
 _RAMP_C_PER_MIN = 1.0
-#: How exactly a controller keeps a set point: one with whole degrees is allowed.
+#: Tolerance of a set point: a controller may round it to whole degrees.
 _RESOLUTION_C = 0.5
-#: Longest time that a request may take, with all repetitions.
+#: Longest duration of a call, with all repetitions.
 _MAX_TIME_S = 30.0
 
 
 def test_it_opens_and_names_its_controller_in_one_line(chamber: ChamberUnderTest) -> None:
     name = chamber.open().identify()
-    assert name.strip(), "identify() has to name the controller for the run's provenance"
-    assert "\n" not in name, "identify() has to give one line"
+    assert name.strip(), "identify() must identify the controller, for the run's provenance"
+    assert "\n" not in name, "identify() must return a single line"
 
 
 def test_opening_and_closing_change_nothing(chamber: ChamberUnderTest) -> None:
@@ -38,7 +38,7 @@ def test_opening_and_closing_change_nothing(chamber: ChamberUnderTest) -> None:
     driver.close()
     chamber.open()
     after = chamber.air.set_point_c, chamber.air.running, dict(chamber.events)
-    assert after == before, "a driver that is opened or closed must leave the chamber as it is"
+    assert after == before, "opening or closing a driver must not change the state of the chamber"
 
 
 def test_a_set_point_arrives_at_the_controller_and_is_read_back(chamber: ChamberUnderTest) -> None:
@@ -64,7 +64,7 @@ def test_a_reading_that_includes_set_point_and_state_reads_them_from_the_control
     for on in (True, False):
         driver.switch(on)
         reading = driver.read()
-        assert reading.is_on in (on, None), "is_on has to be read back, or None if it can't be"
+        assert reading.is_on in (on, None), "is_on must be read back, or be None if it can't be"
         assert reading.set_point_c is None or reading.set_point_c == pytest.approx(_WARM_C, abs=_RESOLUTION_C)
 
 
@@ -96,7 +96,9 @@ def test_a_ramp_takes_its_time_or_is_not_offered(chamber: ChamberUnderTest) -> N
     start_c = driver.read().temperature_c
     driver.set_temperature(start_c + 20.0, _RAMP_C_PER_MIN)
     chamber.wait(600.0)
-    assert 5.0 < driver.read().temperature_c - start_c < 12.0, "after half of the time about half of the way"
+    assert 5.0 < driver.read().temperature_c - start_c < 12.0, (
+        "after half of the time the air must be about half way"
+    )
     chamber.wait(1800.0)
     assert driver.read().temperature_c == pytest.approx(start_c + 20.0, abs=1.0)
 
@@ -107,7 +109,7 @@ def test_without_a_rate_an_earlier_ramp_has_no_effect(chamber: ChamberUnderTest)
     if getattr(driver, "can_ramp", True):
         driver.set_temperature(_COOL_C, 0.5)
     driver.set_temperature(_WARM_C, None)
-    assert chamber.air.ramp_rate_c_per_min is None, "None asks for the fastest approach"
+    assert chamber.air.ramp_rate_c_per_min is None, "a rate of None must give the fastest approach"
 
 
 def test_commands_can_be_repeated(chamber: ChamberUnderTest) -> None:
@@ -117,7 +119,7 @@ def test_commands_can_be_repeated(chamber: ChamberUnderTest) -> None:
         driver.switch(True)
         driver.switch_event(1, True)
         assert chamber.air.running
-        assert driver.is_event_on(1), "a command sets a state and does not toggle it"
+        assert driver.is_event_on(1), "a command must set a state, not toggle it"
 
 
 @pytest.mark.parametrize("temperature_c", [math.nan, math.inf, -math.inf])
@@ -165,7 +167,7 @@ def test_event_outputs_are_switched_one_by_one_and_read_back(chamber: ChamberUnd
     driver.switch_event(1, False)
     assert not driver.is_event_on(1)
     assert driver.is_event_on(2)
-    assert chamber.events.get(2), "the emulator has to report its event outputs to on_event"
+    assert chamber.events.get(2), "the emulator must report its event outputs to on_event"
 
 
 def test_an_event_output_that_does_not_exist_is_refused(chamber: ChamberUnderTest) -> None:
@@ -184,19 +186,19 @@ def test_it_has_no_alarm_to_begin_with_and_clearing_does_not_stop_it(chamber: Ch
 
 
 def test_an_alarm_is_named_while_its_cause_is_present(chamber: ChamberUnderTest) -> None:
-    alarm = chamber.capable(WithAlarms)
+    alarm = chamber.require_capability(WithAlarms)
     driver = chamber.open()
     alarm.raise_alarm(1, True)
-    assert any(text.strip() for text in driver.read().alarms), "a reading has to name it in words"
+    assert any(text.strip() for text in driver.read().alarms), "a reading must describe the alarm"
     driver.clear_alarms()
-    assert driver.read().alarms, "an alarm with a present cause stays"
+    assert driver.read().alarms, "an alarm must stay active while its cause persists"
     alarm.end_alarm(1)
     driver.clear_alarms()
     assert driver.read().alarms == ()
 
 
 def test_a_broken_sensor_is_a_fault_until_it_is_repaired(chamber: ChamberUnderTest) -> None:
-    sensor = chamber.capable(WithTemperatureSensor)
+    sensor = chamber.require_capability(WithTemperatureSensor)
     driver = chamber.open()
     sensor.break_sensor(1)
     with pytest.raises(FaultError):
@@ -209,11 +211,11 @@ def test_a_broken_sensor_is_a_fault_until_it_is_repaired(chamber: ChamberUnderTe
 def test_a_profile_of_its_own_is_reported_and_set_points_are_refused_meanwhile(
     chamber: ChamberUnderTest,
 ) -> None:
-    panel = chamber.capable(WithProfiles)
+    panel = chamber.require_capability(WithProfiles)
     driver = chamber.open()
     assert not driver.running_profile()
     panel.start_profile(85.0)
-    assert driver.running_profile(), "running_profile() has to describe it"
+    assert driver.running_profile(), "running_profile() must describe the profile"
     with pytest.raises(RefusedError):
         driver.set_temperature(_WARM_C, None)
     driver.end_profile()
@@ -221,7 +223,7 @@ def test_a_profile_of_its_own_is_reported_and_set_points_are_refused_meanwhile(
 
 
 def test_after_a_loss_of_power_it_reads_the_state_that_the_controller_has(chamber: ChamberUnderTest) -> None:
-    supply = chamber.capable(Restartable)
+    supply = chamber.require_capability(Restartable)
     driver = chamber.open()
     driver.set_temperature(_WARM_C, None)
     driver.switch(True)
@@ -242,7 +244,7 @@ def test_silence_ends_in_no_reply_within_a_bounded_time(chamber: ChamberUnderTes
         started_s = chamber.clock.now()
         with pytest.raises(NoReplyError):
             action()
-        assert chamber.clock.now() - started_s < _MAX_TIME_S, "a request has to have a time limit"
+        assert chamber.clock.now() - started_s < _MAX_TIME_S, "each request must have a time limit"
 
 
 def test_it_answers_again_after_a_silence(chamber: ChamberUnderTest) -> None:
@@ -251,7 +253,7 @@ def test_it_answers_again_after_a_silence(chamber: ChamberUnderTest) -> None:
     with pytest.raises(NoReplyError):
         driver.read()
     chamber.wire.is_connected = True
-    assert chamber.recovered(driver.set_point_c) == pytest.approx(chamber.air.set_point_c, abs=_RESOLUTION_C)
+    assert chamber.retry(driver.set_point_c) == pytest.approx(chamber.air.set_point_c, abs=_RESOLUTION_C)
 
 
 @pytest.mark.parametrize("delay_s", [0.4, 1.0, 2.0, 4.0])
@@ -267,7 +269,7 @@ def test_a_late_reply_is_not_taken_for_that_of_another_request(
             driver.read()
         chamber.wire.latency_s = chamber.emulator.latency_s
         chamber.wait(pause_s)
-        assert chamber.recovered(driver.set_point_c) == pytest.approx(_COOL_C, abs=_RESOLUTION_C)
+        assert chamber.retry(driver.set_point_c) == pytest.approx(_COOL_C, abs=_RESOLUTION_C)
 
 
 def test_disturbed_replies_give_values_or_errors_of_the_bench(
@@ -281,7 +283,7 @@ def test_disturbed_replies_give_values_or_errors_of_the_bench(
                 action()
         with suppress(InstrumentError):
             reading = driver.read()
-            assert math.isfinite(reading.temperature_c), "a reading is a number or an error"
+            assert math.isfinite(reading.temperature_c), "a reading must be a finite number, or an error"
             assert all(isinstance(text, str) for text in reading.alarms)
 
 
@@ -299,10 +301,10 @@ def test_the_emulator_accepts_any_bytes(chamber: ChamberUnderTest) -> None:
     for _ in range(300):
         data = draw.choice(requests)[: draw.randrange(12)] + draw.randbytes(draw.randrange(12))
         reply = chamber.emulator.feed(data, chamber.clock.now())
-        assert isinstance(reply, bytes), "feed() has to answer bytes to any bytes"
+        assert isinstance(reply, bytes), "feed() must accept any bytes and return bytes"
     chamber.wait(30.0)
-    assert math.isfinite(chamber.recovered(driver.read).temperature_c), (
-        "after that it has to answer a good request"
+    assert math.isfinite(chamber.retry(driver.read).temperature_c), (
+        "it must answer a valid request afterwards"
     )
 
 

@@ -1,6 +1,6 @@
-"""Software emulators of the instruments, behind their real interfaces.
+"""Software emulators of the instruments, reached through the real interfaces.
 
-Three layers, each in its own files: the physics of the bench (:mod:`gyrobench.drivers.emulators.world`),
-each instrument's state machine and wire protocol (one file a dialect), and the ways to reach
-them (a pyserial URL, a python-can interface, or separate processes).
+Three layers, each in separate files: the physics of the bench (:mod:`gyrobench.drivers.emulators.world`),
+the state machine and wire protocol of each instrument (one file for each dialect), and the access to them
+(a pyserial URL, a python-can interface, or a separate process).
 """

@@ -1,7 +1,7 @@
-"""One axis as the Acutrol 3000 runs it: servo and interlock, mode, demands, limits, status bits.
+"""State machine of one axis of the Acutrol 3000: servo and interlock, mode, demands, limits, status bits.
 
-The mode numbers in the state register, and the lower of two bits being the positive direction,
-are assumptions; the rest follows the manual TM-8004.
+Two assumptions: the mode numbers in the state register, and that the lower of two direction bits is the
+positive direction. The rest follows the manual TM-8004.
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ from enum import IntEnum
 
 from gyrobench.drivers.emulators.world.table_axis import AxisState, TableAxis
 
-#: The rate trip stands this much above the rate limit until it is set.
+#: Default ratio of the trip rate to the rate limit.
 _RATE_TRIP_FACTOR = 1.2
 _TRACKING_ERROR_LIMIT_DEG = 1.0
 _MAX_DELTA_DEG = 180.0
-_AT_LIMIT_DEG = 1e-6
+_LIMIT_TOLERANCE_DEG = 1e-6
 
 
 class ErrorCode(IntEnum):
-    """Why a message is refused.
+    """Reasons to refuse a message.
 
-    The public manual lists no error codes: the numbers are an assumption, any nonzero code.
+    The public manual lists no error codes, so the numbers are assumptions; any code is not zero.
     """
 
     NONE = 0
@@ -56,7 +56,7 @@ def refuse_if(condition: bool, code: ErrorCode = ErrorCode.PARAMETER_OUT_OF_RANG
 
 
 class ServoMode(IntEnum):
-    """What the servo follows."""
+    """Mode of the servo: the kind of demand that it follows."""
 
     OFF = 0
     POSITION = 1
@@ -86,24 +86,25 @@ class SoftwareFault(IntEnum):
 
 @dataclass
 class Demands:
-    """The last demands of an axis, and which of them wait for their mode."""
+    """The last demands of an axis, and which of them take effect when their mode is entered."""
 
     position_deg: float
     rate_dps: float = 0.0
     acceleration_dps2: float = 0.0
-    position_waits: bool = False
-    rate_waits: bool = False
+    position_is_pending: bool = False
+    rate_is_pending: bool = False
 
 
 class AclAxis:
-    """State of one axis around its physics.
+    """Controller state of one axis.
 
-    The controller works in servo frames: a message is executed at the time of the frame started for it.
+    The controller works in servo frames: a message is executed at the time of its frame, which
+    :meth:`begin_frame` starts.
 
     Attributes
     ----------
     limits, trip_rates_dps : dict by ServoMode
-        Limits, and the rate at which the axis trips, of each mode.
+        Limits, and the rate at which the axis trips, in each mode.
     """
 
     def __init__(self, physics: TableAxis) -> None:
@@ -125,12 +126,12 @@ class AclAxis:
         self.demands = Demands(self.state.position_deg)
 
     def begin_frame(self, now_s: float) -> None:
-        """Read the axis; a rate or a following error beyond its limit trips it."""
+        """Read the encoder; trips the axis if its rate or following error exceeds the limit."""
         self._now_s = now_s
         self.state = self.physics.encoder(now_s)
         if self.closed:
-            turns = self.physics.is_moving(now_s)
-            if turns and abs(self.state.rate_dps) > self.trip_rates_dps[self.mode]:
+            is_moving = self.physics.is_moving(now_s)
+            if is_moving and abs(self.state.rate_dps) > self.trip_rates_dps[self.mode]:
                 self.trip(SoftwareFault.RATE_TRIP)
             elif abs(self.following_error_deg) > self.tracking_error_limit_deg:
                 self.trip(SoftwareFault.TRACKING_ERROR)
@@ -167,7 +168,7 @@ class AclAxis:
         self.mode = ServoMode.OFF
 
     def reset(self) -> None:
-        """Clear latched faults, unless the axis is servoed or the condition persists."""
+        """Clear latched faults, unless the servo is closed or the condition persists."""
         if not self.closed:
             self.software_faults = 0
             self.latched_interlocks = self.open_interlocks
@@ -193,7 +194,7 @@ class AclAxis:
         self._set_defaults()
 
     def set_mode(self, mode: ServoMode) -> None:
-        """Change the mode and execute the demand that waits for it; without one, stop."""
+        """Change the mode and execute its pending demand; without one, stop."""
         refuse_if(mode in _MODES_NOT_EMULATED, ErrorCode.NOT_AVAILABLE)
         if not self.closed:
             refuse_if(mode is not ServoMode.OFF, ErrorCode.NOT_SERVOED)
@@ -201,9 +202,9 @@ class AclAxis:
         if mode is self.mode and mode is not ServoMode.OFF:
             return
         self.mode = mode
-        if mode is ServoMode.POSITION and self.demands.position_waits:
+        if mode is ServoMode.POSITION and self.demands.position_is_pending:
             self._move()
-        elif mode in _RATE_MODES and self.demands.rate_waits:
+        elif mode in _RATE_MODES and self.demands.rate_is_pending:
             self._turn()
         else:
             self._stop()
@@ -215,41 +216,41 @@ class AclAxis:
         self.set_mode(ServoMode.POSITION)
 
     def demand_position(self, position_deg: float) -> None:
-        """Move there in position mode; in another mode, store the demand."""
+        """Demand a position: move there in position mode; in another mode, store the demand."""
         limits = self.limits[ServoMode.POSITION]
         refuse_if(not limits.low_deg <= position_deg <= limits.high_deg)
         self.demands.position_deg = position_deg
-        self.demands.position_waits = True
+        self.demands.position_is_pending = True
         if self.closed and self.mode is ServoMode.POSITION:
             self._move()
 
     def demand_delta(self, delta_deg: float) -> None:
         """Change the position demand by a delta; in a rate mode, start from the present position."""
         refuse_if(abs(delta_deg) > _MAX_DELTA_DEG)
-        turning = self.mode in _RATE_MODES and not self.demands.position_waits
-        base_deg = self.state.position_deg if turning else self.demands.position_deg
+        is_turning = self.mode in _RATE_MODES and not self.demands.position_is_pending
+        base_deg = self.state.position_deg if is_turning else self.demands.position_deg
         self.demand_position(base_deg + delta_deg)
 
     def demand_rate(self, rate_dps: float) -> None:
-        """Turn in a rate mode; in another mode, store the demand."""
+        """Demand a rate: turn in a rate mode; in another mode, store the demand."""
         refuse_if(abs(rate_dps) > self.absolute_limits.rate_dps)
         self.demands.rate_dps = rate_dps
-        self.demands.rate_waits = True
+        self.demands.rate_is_pending = True
         if self.closed and self.mode in _RATE_MODES:
             self._turn()
 
     def demand_acceleration(self, acceleration_dps2: float) -> None:
-        """Store the demand: the modes that follow an acceleration are not emulated."""
+        """Store an acceleration demand; the modes that follow one are not emulated."""
         refuse_if(abs(acceleration_dps2) > self.absolute_limits.acceleration_dps2)
         self.demands.acceleration_dps2 = acceleration_dps2
 
     def _move(self) -> None:
-        self.demands.position_waits = False
+        self.demands.position_is_pending = False
         self._apply_limits(ServoMode.POSITION)
         self.physics.move_to(self.demands.position_deg, self._now_s)
 
     def _turn(self) -> None:
-        self.demands.rate_waits = False
+        self.demands.rate_is_pending = False
         self._apply_limits(self.mode)
         self.physics.turn_at(self.demands.rate_dps, self._now_s)
 
@@ -293,8 +294,8 @@ class AclAxis:
         limits, rate_dps = self.limits[self.mode], self.demands.rate_dps
         turning = self.mode in _RATE_MODES
         value = (turning and rate_dps > limits.rate_dps) << 4 | (turning and rate_dps < -limits.rate_dps) << 5
-        value |= (position_deg > limits.high_deg - _AT_LIMIT_DEG) << 6
-        value |= (position_deg < limits.low_deg + _AT_LIMIT_DEG) << 7
+        value |= (position_deg > limits.high_deg - _LIMIT_TOLERANCE_DEG) << 6
+        value |= (position_deg < limits.low_deg + _LIMIT_TOLERANCE_DEG) << 7
         return value | (complete and self.mode is ServoMode.POSITION) << 8 | (complete and turning) << 9
 
     def legacy_register(self) -> int:

@@ -1,9 +1,9 @@
 """The ACL, the command language of the Acutrol 3000 (manual TM-8004): its text, and the commands of an axis.
 
-A message is a row of units ``:MAIN:Sub argument,argument`` joined by ``;``. A unit that starts
-without a colon continues in the node of the unit before it. Keywords may be shortened to their
-leading letters; an ambiguous one means the first in the list below. Several values of one answer are
-joined by ``;``, as the manual shows for the oscillator.
+A message consists of units ``:MAIN:Sub argument,argument`` separated by ``;``. A unit without a leading
+colon continues in the node of the previous unit. Keywords may be abbreviated; an ambiguous abbreviation means
+the first match in the list below. Several values in one answer are separated by ``;``, as the manual shows
+for the oscillator.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _MAX_NUMBER_CHARACTERS = 28
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
 _HEADER = re.compile(r"(\*[A-Za-z]+|:?[A-Za-z]+(:[A-Za-z]+)*)(\??)", re.ASCII)
 
-#: The keywords, in the order in which an abbreviation is searched for.
+#: The keywords, in the order in which an abbreviation is matched.
 _KEYWORDS: dict[str, tuple[str, ...]] = {
     "INTERLOCK": ("CLOSE", "OPEN", "RESET"),
     "MODE": ("POSITION", "RATE", "ARATE", "SYNTHESIS", "TRACK", "OFF", "HOME"),
@@ -35,9 +35,9 @@ _KEYWORDS: dict[str, tuple[str, ...]] = {
 
 Argument = float | str
 Arguments = Sequence[Argument]
-#: Returns the answer of a query, nothing for a command.
+#: Executes a unit; returns the answer to a query, an empty text for a command.
 Handler = Callable[[Arguments], str]
-#: Handlers by keywords and by whether they answer a query.
+#: Handlers by keywords and whether the unit is a query.
 Handlers = dict[tuple[tuple[str, ...], bool], Handler]
 
 _LIMIT_DECIMALS = 4
@@ -51,7 +51,7 @@ _SINGLE_LIMITS = {
 
 
 class Unit(NamedTuple):
-    """One command or query, its keywords written out."""
+    """One command or query, with its keywords in full."""
 
     header: tuple[str, ...]
     is_query: bool
@@ -76,10 +76,10 @@ def _parse_unit(text: str, node: tuple[str, ...]) -> Unit:
     if match is None:
         raise AclError(ErrorCode.SYNTAX)
     arguments = tuple(_parse_argument(word.strip()) for word in rest[0].split(",")) if rest else ()
-    return Unit(_written_out(match[1], node), bool(match[3]), arguments)
+    return Unit(_full_header(match[1], node), bool(match[3]), arguments)
 
 
-def _written_out(header: str, node: tuple[str, ...]) -> tuple[str, ...]:
+def _full_header(header: str, node: tuple[str, ...]) -> tuple[str, ...]:
     header = header.upper()
     if header.startswith("*"):
         return (header,)
@@ -90,16 +90,16 @@ def _written_out(header: str, node: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _keyword(word: str, path: tuple[str, ...]) -> str:
-    known = _KEYWORDS if not path else _KEYWORDS[path[0]] if len(path) == 1 else ()
-    found = _find_keyword(word, tuple(known))
-    if found is None:
+    keywords = _KEYWORDS if not path else _KEYWORDS[path[0]] if len(path) == 1 else ()
+    keyword = _find_keyword(word, tuple(keywords))
+    if keyword is None:
         raise AclError(ErrorCode.UNKNOWN_COMMAND)
-    return found
+    return keyword
 
 
-def _find_keyword(word: str, known: tuple[str, ...]) -> str | None:
-    """First of the known keywords that starts with the word, in any case."""
-    return next((keyword for keyword in known if word and keyword.startswith(word.upper())), None)
+def _find_keyword(word: str, keywords: tuple[str, ...]) -> str | None:
+    """Return the first keyword that starts with the word, ignoring case; None if there is none."""
+    return next((keyword for keyword in keywords if word and keyword.startswith(word.upper())), None)
 
 
 def _parse_argument(word: str) -> Argument:
@@ -113,82 +113,83 @@ def _parse_argument(word: str) -> Argument:
 
 
 def format_nr2(value: float, decimals: int) -> str:
-    """Write a number in NR2: fixed point, no exponent, no plus sign, no negative zero."""
+    """Format a number as NR2: fixed point, without exponent, plus sign or negative zero."""
     return f"{value:z.{decimals}f}"
 
 
 def _number(argument: Argument) -> float:
-    """Take an argument as a number."""
+    """Return an argument as a number; raises AclError if it is none."""
     if isinstance(argument, str):
         raise AclError(ErrorCode.WRONG_PARAMETER_TYPE)
     return argument
 
 
 def whole_number(argument: Argument) -> int:
-    """Take an argument as a whole number."""
+    """Return an argument as an integer; raises AclError if it is none."""
     value = _number(argument)
     refuse_if(not value.is_integer())
     return int(value)
 
 
 def expect(arguments: Arguments, *counts: int) -> None:
-    """Refuse another number of arguments."""
+    """Raise AclError unless the number of arguments is one of ``counts``."""
     if len(arguments) not in counts:
         raise AclError(ErrorCode.WRONG_PARAMETER_COUNT)
 
 
 class AxisCommands:
-    """Handlers of the commands and queries that name an axis."""
+    """Handlers of the commands and queries that address an axis."""
 
     def __init__(self, axes: Mapping[int, AclAxis], decimals: int) -> None:
         self._axes = dict(axes)
         self._decimals = decimals
-        self._one = lru_cache(maxsize=512)(self._find)
+        self._axis = lru_cache(maxsize=512)(self._find_axis)
         self._register = lru_cache(maxsize=512)(self._find_register)
 
     def handlers(self) -> Handlers:
-        """All commands and queries of the axes."""
+        """Return the handlers of all commands and queries."""
         commands: dict[str, Handler] = {
-            "INTERLOCK CLOSE": self._each(0, AclAxis.close),
-            "INTERLOCK OPEN": self._each(0, AclAxis.open),
+            "INTERLOCK CLOSE": self._axis_command(0, AclAxis.close),
+            "INTERLOCK OPEN": self._axis_command(0, AclAxis.open),
             "INTERLOCK RESET": self._reset,
             "MODE": self._set_mode,
-            "MODE HOME": self._each(0, AclAxis.home),
+            "MODE HOME": self._axis_command(0, AclAxis.home),
             **{
-                f"MODE {mode.name}": self._each(0, partial(AclAxis.set_mode, mode=mode)) for mode in ServoMode
+                f"MODE {mode.name}": self._axis_command(0, partial(AclAxis.set_mode, mode=mode))
+                for mode in ServoMode
             },
-            "DEMAND POSITION": self._each(1, AclAxis.demand_position),
-            "DEMAND RATE": self._each(1, AclAxis.demand_rate),
-            "DEMAND ACCELERATION": self._each(1, AclAxis.demand_acceleration),
-            "DEMAND DELTAPOSITION": self._each(1, AclAxis.demand_delta),
-            "DEMAND SHORTVECTOR": self._each(2, _demand_short_vector),
-            "DEMAND VECTOR": self._each(3, _demand_vector),
+            "DEMAND POSITION": self._axis_command(1, AclAxis.demand_position),
+            "DEMAND RATE": self._axis_command(1, AclAxis.demand_rate),
+            "DEMAND ACCELERATION": self._axis_command(1, AclAxis.demand_acceleration),
+            "DEMAND DELTAPOSITION": self._axis_command(1, AclAxis.demand_delta),
+            "DEMAND SHORTVECTOR": self._axis_command(2, _demand_short_vector),
+            "DEMAND VECTOR": self._axis_command(3, _demand_vector),
             "LIMIT": self._set_mode_limits,
             "LIMIT VTRIP": self._limit_setter(AclAxis.set_trip_rate),
-            "LIMIT GLOBAL": self._each(4, _set_global_limits),
+            "LIMIT GLOBAL": self._axis_command(4, _set_global_limits),
             "STATUS ECP": self._legacy_status,
         }
         queries: dict[str, Handler] = {
-            "INTERLOCK": self._ask(lambda axis: axis.interlock),
-            "MODE": self._ask(lambda axis: axis.mode.name.capitalize()),
-            "DEMAND POSITION": self._ask_numbers(lambda axis: (axis.demands.position_deg,)),
-            "DEMAND RATE": self._ask_numbers(lambda axis: (axis.demands.rate_dps,)),
-            "DEMAND ACCELERATION": self._ask_numbers(lambda axis: (axis.demands.acceleration_dps2,)),
+            "INTERLOCK": self._axis_query(lambda axis: axis.interlock),
+            "MODE": self._axis_query(lambda axis: axis.mode.name.capitalize()),
+            "DEMAND POSITION": self._axis_numbers_query(lambda axis: (axis.demands.position_deg,)),
+            "DEMAND RATE": self._axis_numbers_query(lambda axis: (axis.demands.rate_dps,)),
+            "DEMAND ACCELERATION": self._axis_numbers_query(lambda axis: (axis.demands.acceleration_dps2,)),
             "LIMIT": self._mode_limits,
             "LIMIT VTRIP": self._limit_query(lambda axis, mode: axis.trip_rates_dps[mode]),
-            "LIMIT ABSOLUTE": self._ask(_absolute_limits),
+            "LIMIT ABSOLUTE": self._axis_query(_absolute_limits),
             "STATUS CSR": self._status_register,
             "STATUS ECP": self._legacy_status,
         }
         for name, bound in _SINGLE_LIMITS.items():
             commands[f"LIMIT {name}"] = self._limit_setter(partial(_set_bound, bound))
-            queries[f"LIMIT {name}"] = self._limit_query(partial(_bound, bound))
+            queries[f"LIMIT {name}"] = self._limit_query(partial(_limit_value, bound))
         reads = {
-            "READ POSITION": self._ask_numbers(lambda axis: axis.state[:1]),
-            "READ RATE": self._ask_numbers(lambda axis: axis.state[1:2]),
-            "READ ACCELERATION": self._ask_numbers(lambda axis: axis.state[2:]),
-            "READ SHORTVECTOR": self._ask_numbers(lambda axis: axis.state[:2]),
-            "READ VECTOR": self._ask_numbers(lambda axis: axis.state),
+            "READ POSITION": self._axis_numbers_query(lambda axis: axis.state[:1]),
+            "READ RATE": self._axis_numbers_query(lambda axis: axis.state[1:2]),
+            "READ ACCELERATION": self._axis_numbers_query(lambda axis: axis.state[2:]),
+            "READ SHORTVECTOR": self._axis_numbers_query(lambda axis: axis.state[:2]),
+            "READ VECTOR": self._axis_numbers_query(lambda axis: axis.state),
             "READ VARIABLE": self._variable,
         }
         # the question mark of a read may be omitted
@@ -199,43 +200,45 @@ class AxisCommands:
             for header, handler in handlers.items()
         }
 
-    def _find(self, argument: Argument) -> AclAxis:
+    def _find_axis(self, argument: Argument) -> AclAxis:
         axis_number = whole_number(argument)
         refuse_if(axis_number not in self._axes)
         return self._axes[axis_number]
 
-    def _several(self, argument: Argument) -> list[AclAxis]:
-        return list(self._axes.values()) if argument == "ALL" else [self._one(argument)]
+    def _addressed_axes(self, argument: Argument) -> list[AclAxis]:
+        return list(self._axes.values()) if argument == "ALL" else [self._axis(argument)]
 
-    def _each(self, count: int, act: Callable[..., None]) -> Handler:
-        """Command with an axis or ALL and then ``count`` numbers."""
+    def _axis_command(self, count: int, act: Callable[..., None]) -> Handler:
+        """Make the handler of a command with an axis or ALL, and then ``count`` numbers."""
 
         def command(arguments: Arguments) -> str:
             expect(arguments, count + 1)
             values = [_number(argument) for argument in arguments[1:]]
-            for axis in self._several(arguments[0]):
+            for axis in self._addressed_axes(arguments[0]):
                 act(axis, *values)
             return ""
 
         return command
 
-    def _ask(self, answer: Callable[[AclAxis], str]) -> Handler:
-        """Query of one axis."""
+    def _axis_query(self, answer: Callable[[AclAxis], str]) -> Handler:
+        """Make the handler of a query with an axis."""
 
         def query(arguments: Arguments) -> str:
             expect(arguments, 1)
-            return answer(self._one(arguments[0]))
+            return answer(self._axis(arguments[0]))
 
         return query
 
-    def _ask_numbers(self, values: Callable[[AclAxis], Iterable[float]]) -> Handler:
-        return self._ask(lambda axis: ";".join([format_nr2(value, self._decimals) for value in values(axis)]))
+    def _axis_numbers_query(self, values: Callable[[AclAxis], Iterable[float]]) -> Handler:
+        return self._axis_query(
+            lambda axis: ";".join([format_nr2(value, self._decimals) for value in values(axis)])
+        )
 
     def _reset(self, arguments: Arguments) -> str:
-        """Reset all axes; some clients name an axis, which has no effect."""
+        """Reset all axes, even if a client names a single one."""
         expect(arguments, 0, 1)
         for argument in arguments:
-            self._several(argument)
+            self._addressed_axes(argument)
         for axis in self._axes.values():
             axis.reset()
         return ""
@@ -243,7 +246,7 @@ class AxisCommands:
     def _set_mode(self, arguments: Arguments) -> str:
         expect(arguments, 2)
         mode = _mode(arguments[1])
-        for axis in self._several(arguments[0]):
+        for axis in self._addressed_axes(arguments[0]):
             axis.set_mode(mode)
         return ""
 
@@ -251,39 +254,39 @@ class AxisCommands:
         expect(arguments, 5)
         values = [_number(argument) for argument in arguments[2:]]
         bounds = dict(zip(("rate_dps", "acceleration_dps2", "jerk_dps3"), values, strict=True))
-        for axis in self._several(arguments[0]):
+        for axis in self._addressed_axes(arguments[0]):
             axis.set_limits(_mode(arguments[1]), **bounds)
         return ""
 
     def _mode_limits(self, arguments: Arguments) -> str:
         expect(arguments, 2)
-        limits = self._one(arguments[0]).limits[_mode(arguments[1])]
+        limits = self._axis(arguments[0]).limits[_mode(arguments[1])]
         return _limit_values(limits.rate_dps, limits.acceleration_dps2, limits.jerk_dps3)
 
     def _limit_setter(self, act: Callable[[AclAxis, ServoMode, float], None]) -> Handler:
-        """Command with a mode, an axis or ALL, and a number."""
+        """Make the handler of a command with a mode, an axis or ALL, and a number."""
 
         def command(arguments: Arguments) -> str:
             expect(arguments, 3)
-            for axis in self._several(arguments[1]):
+            for axis in self._addressed_axes(arguments[1]):
                 act(axis, _mode(arguments[0]), _number(arguments[2]))
             return ""
 
         return command
 
     def _limit_query(self, value: Callable[[AclAxis, ServoMode], float]) -> Handler:
-        """Query of one axis in one mode."""
+        """Make the handler of a query with a mode and an axis."""
 
         def query(arguments: Arguments) -> str:
             expect(arguments, 2)
-            return _limit_values(value(self._one(arguments[1]), _mode(arguments[0])))
+            return _limit_values(value(self._axis(arguments[1]), _mode(arguments[0])))
 
         return query
 
     def _variable(self, arguments: Arguments) -> str:
         expect(arguments, 1)
         axis_number, variable = divmod(whole_number(arguments[0]), 1000)
-        axis = self._one(float(axis_number))
+        axis = self._axis(float(axis_number))
         state = axis.state
         following_error_deg = axis.following_error_deg
         values = {
@@ -308,7 +311,7 @@ class AxisCommands:
         return str(value >> bit & 1)
 
     def _find_register(self, name: str) -> Callable[[], int]:
-        """Find what reads a status register; ACP, SUP and RI are always zero."""
+        """Return the function that reads a status register; ACP, SUP and RI are always zero."""
         if name == "SI":
             return lambda: sum(axis.faulted << _number - 1 for _number, axis in self._axes.items())
         if name in ("ACP", "SUP", "RI"):
@@ -316,7 +319,7 @@ class AxisCommands:
         match = _REGISTER.fullmatch(name)
         if match is None:
             raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
-        axis = self._one(float(match[1]))
+        axis = self._axis(float(match[1]))
         registers: dict[str, Callable[[], int]] = {
             "STATE": axis.state_register,
             "DYN": axis.dynamics_register,
@@ -327,7 +330,7 @@ class AxisCommands:
 
     def _legacy_status(self, arguments: Arguments) -> str:
         expect(arguments, 2)
-        axis, word = self._one(arguments[0]), whole_number(arguments[1])
+        axis, word = self._axis(arguments[0]), whole_number(arguments[1])
         refuse_if(word not in (1, 2))
         return str(int(axis.mode) if word == 1 else axis.legacy_register())
 
@@ -343,7 +346,7 @@ def _set_bound(bound: str, axis: AclAxis, mode: ServoMode, value: float) -> None
     axis.set_limits(mode, **{bound: value})
 
 
-def _bound(bound: str, axis: AclAxis, mode: ServoMode) -> float:
+def _limit_value(bound: str, axis: AclAxis, mode: ServoMode) -> float:
     return float(getattr(axis.limits[mode], bound))
 
 

@@ -1,12 +1,12 @@
 """Emulator of the Acutrol 3000 table controller at its serial port or TCP socket.
 
-Source: command language manual TM-8004; prefix of the replies as in TM-9374A. Every message is
-answered by an error code and a length, 32 bits each, and then the text: the answers of its
-queries joined by ``;``, or ``OK``.
+Sources: command language manual TM-8004; TM-9374A for the prefix of the replies. The reply to a message is
+an error code and a length, 32 bits each, and then a text: the answers to its queries separated by ``;``, or
+``OK``.
 
-Assumptions where the public manuals are silent: the error codes; a refused message is answered with the
-error's text; a message with a wrong keyword is refused as a whole, while one refused by an axis is
-executed up to there; the status request enable register starts with the interlock bit set.
+Assumptions where the public manuals are silent: the error codes; the reply to a refused message contains the
+error's text; a message with a wrong keyword is refused as a whole, but one that an axis refuses is executed
+up to that unit; the status request enable register initially has the interlock bit set.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _INTERLOCK_SUMMARY, _EVENT_SUMMARY, _MASTER_SUMMARY, _ERRORS_QUEUED = 1 << 0, 1 
 
 
 class Acutrol3000Emulator:
-    """The controller over its axes.
+    """The emulated controller with its axes.
 
     ``axes`` have position limits. ``word_order`` is the byte order of the two words before each reply,
     ``decimals`` the number of decimals in replies.
@@ -59,8 +59,8 @@ class Acutrol3000Emulator:
         self._identity = identity
         self._errors: deque[ErrorCode] = deque(maxlen=_ERRORS_KEPT)
         self._set_defaults()
-        self._handlers = {**AxisCommands(self.axes, decimals).handlers(), **self._own_handlers()}
-        self._calls = lru_cache(maxsize=512)(self._calls_of)
+        self._handlers = {**AxisCommands(self.axes, decimals).handlers(), **self._system_handlers()}
+        self._calls = lru_cache(maxsize=512)(self._find_calls)
 
     def _set_defaults(self) -> None:
         self._buffer = b""
@@ -71,11 +71,11 @@ class Acutrol3000Emulator:
         self._locked_out = False
 
     def is_servoed(self, axis: int) -> bool:
-        """Whether the servo of that axis is closed."""
+        """Whether the servo of an axis is closed."""
         return self.axes[axis].closed
 
     def power_off(self, now_s: float) -> None:
-        """Lose power: servos open, limits, modes and registers are those after switching on."""
+        """Lose power: the servos open; limits, modes and registers return to their defaults."""
         for axis in self.axes.values():
             axis.begin_frame(now_s)
             axis.power_cycle()
@@ -85,11 +85,11 @@ class Acutrol3000Emulator:
         """Restart."""
 
     def refusal(self, code: ErrorCode) -> bytes:
-        """Reply to a message that is refused with this code."""
-        return self._framed(code, code.text)
+        """Return the reply that refuses a message with this code."""
+        return self._encode_reply(code, code.text)
 
     def feed(self, data: bytes, now_s: float) -> bytes:
-        """Take bytes; return the replies to the messages that they complete."""
+        """Receive bytes; returns the replies to the messages that they complete."""
         *messages, self._buffer = (self._buffer + data).split(b"\n")
         replies = b""
         for message in messages:
@@ -100,7 +100,7 @@ class Acutrol3000Emulator:
         return replies
 
     def trip(self, axis: int, fault: SoftwareFault, now_s: float) -> None:
-        """Open an axis's servo by a fault that the controller detects; a reset clears it."""
+        """Open the servo of an axis because of a fault that the controller detects; a reset clears it."""
         self.axes[axis].begin_frame(now_s)
         self.axes[axis].trip(fault)
 
@@ -122,10 +122,10 @@ class Acutrol3000Emulator:
             text = self._execute(message.decode("latin-1"), now_s)
         except AclError as error:
             code, text = error.code, error.code.text
-            self._note(code)
-        return self._framed(code, text)
+            self._record_error(code)
+        return self._encode_reply(code, text)
 
-    def _framed(self, code: ErrorCode, text: str) -> bytes:
+    def _encode_reply(self, code: ErrorCode, text: str) -> bytes:
         body = text.encode("ascii")
         return self._prefix.pack(code, len(body)) + body
 
@@ -137,8 +137,8 @@ class Acutrol3000Emulator:
         refuse_if(len(text) > MAX_MESSAGE_CHARACTERS, ErrorCode.MESSAGE_TOO_LONG)
         return text
 
-    def _calls_of(self, message: str) -> list[tuple[Handler, Arguments]]:
-        """Handlers of the units of a message, with their arguments. Raises AclError if one is unknown."""
+    def _find_calls(self, message: str) -> list[tuple[Handler, Arguments]]:
+        """Return handler and arguments of each unit of a message. Raises AclError if one is unknown."""
         units = parse_message(message)
         refuse_if(sum(unit.header == ("READ", "VARIABLE") for unit in units) > _MAX_VARIABLES)
         try:
@@ -146,11 +146,11 @@ class Acutrol3000Emulator:
         except KeyError:
             raise AclError(ErrorCode.UNKNOWN_COMMAND) from None
 
-    def _note(self, code: ErrorCode) -> None:
+    def _record_error(self, code: ErrorCode) -> None:
         self._errors.append(code)
         self._events |= _EXECUTION_ERROR if code >= ErrorCode.PARAMETER_OUT_OF_RANGE else _COMMAND_ERROR
 
-    def _own_handlers(self) -> Handlers:
+    def _system_handlers(self) -> Handlers:
         return {
             (("*IDN",), True): self._answer(lambda: self._identity),
             (("*STB",), True): self._answer(lambda: str(self._status_byte())),
@@ -172,7 +172,7 @@ class Acutrol3000Emulator:
 
     @staticmethod
     def _answer(value: Callable[[], str]) -> Handler:
-        """Make a handler that takes no arguments."""
+        """Make the handler of a query without arguments."""
 
         def query(arguments: Arguments) -> str:
             expect(arguments, 0)
@@ -222,7 +222,7 @@ class Acutrol3000Emulator:
         return ""
 
     def _refuse_format(self, _: Arguments) -> str:
-        """Binary numbers exist only on the GPIB."""
+        """Raise AclError: binary numbers are available only on the GPIB."""
         raise AclError(ErrorCode.NOT_AVAILABLE)
 
 

@@ -1,12 +1,12 @@
-"""The emulated bench: one world and its three instruments, shared by all clients.
+"""The emulated bench: a simulated world with its three instruments, shared by all clients.
 
-An address selects it: ``emulator://table?clock=NAME&world=FILE&seed=N&faults=FILE`` (pyserial), or
-the same keys as options of python-can's ``interface="emulator"``. Equal clock, world, seed and list of
-faults select the same bench. Without a clock the bench runs on wall time, without a world it is
-``gyro_a``, without a list of faults nothing fails.
+An address selects the bench: ``emulator://table?clock=NAME&world=FILE&seed=N&faults=FILE`` (pyserial), or
+the same keys as options of python-can's ``interface="emulator"``. The same clock, world, seed and list of
+faults select the same bench. By default the bench runs on wall time, its world is ``gyro_a``, and there are
+no faults.
 
-The keys ``table`` and ``chamber`` select their dialects, ``units`` is the number of inertial units on the
-table; the first address of a bench decides, and later ones may omit them.
+The keys ``table`` and ``chamber`` select their dialects, and ``units`` is the number of inertial units on the
+table. The first address of a bench sets them; later addresses may omit them.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _DEFAULT_TABLE, _DEFAULT_CHAMBER = "acutrol3000", "watlow_f4"
 
 @dataclass(frozen=True)
 class BenchAddress:
-    """Selection of an emulated bench, and the dialects of its table and chamber."""
+    """Keys of the address of an emulated bench; see the documentation of this module."""
 
     clock: str = ""
     world: str = _DEFAULT_WORLD
@@ -54,7 +54,7 @@ class BenchAddress:
     faults: str = ""
     table: str = ""
     chamber: str = ""
-    units: int = 1  #: Minimum number of units; a world may have more.
+    units: int = 1  #: Minimum number of units; the world may have more.
 
 
 ADDRESS_KEYS = tuple(field.name for field in fields(BenchAddress))
@@ -63,11 +63,11 @@ ADDRESS_KEYS = tuple(field.name for field in fields(BenchAddress))
 class EmulatedBench:
     """One simulated world behind the emulators of its instruments.
 
-    It starts at the clock's present time, everything switched off and at room temperature, with ``units`` or
-    as many as the world has. ``faults`` are injected, and logged in ``faults_log`` in place of the list's own
-    ``log``; ``table`` and ``chamber`` are the dialects of these two; ``chamber_options`` are keyword
-    arguments of the chamber's emulator. Raises DocumentError if the world file, the list of faults or an
-    option is wrong, the seed is negative, or no emulator of a dialect is installed.
+    It starts at the clock's present time, with everything switched off and at room temperature, and at least
+    ``units`` inertial units. ``faults`` is the list of faults to inject; they are logged in ``faults_log``,
+    by default in the file that the list names. ``table`` and ``chamber`` are dialects; ``chamber_options``
+    are keyword arguments of the chamber's emulator. Raises DocumentError if the world file, the list of
+    faults or an option is wrong, the seed is negative, or no emulator of a dialect is installed.
     """
 
     def __init__(
@@ -88,36 +88,37 @@ class EmulatedBench:
         self._injector: Injector | None = None
         self._seed, self._start_s = seed, math.floor(clock.now())
         self._file = load_world(world)
-        #: The units in order of their numbers, from 1; ``world``, ``ins`` and ``bus`` are those of the first.
+        #: The units in the order of their numbers, from 1; ``world``, ``ins`` and ``bus`` are of the first.
         self.units: list[EmulatedUnit] = []
         self.world = World(self._file, seed, self._start_s)
         self.dialects = {"table": table, "chamber": chamber}
         #: table, chamber, ins: The emulated instruments.
         self.table = load(EMULATORS, table, TableEmulation).make(self.world.axes)
         self.chamber = self._chamber(chamber, chamber_options or {})
-        #: serial, bus: ``table`` and ``chamber`` at their ports, and the INS at the bus, with faults.
+        #: serial, bus: The instruments as clients reach them, with faults: ``table`` and ``chamber`` at their
+        #: ports, and the INS at its bus.
         self.serial: dict[str, SerialInstrument] = {"table": self.table, "chamber": self.chamber}
         #: The plugs of ``table`` and ``chamber``, and of each unit's bus: ``ins``, ``ins-2`` and so on.
         self.connections = {"table": Connection(), "chamber": Connection()}
-        #: CAN buses with clients, by channel: they connect the units.
+        #: CAN buses with clients, by channel; each connects one or more units.
         self.channels: dict[str, CanChannel] = {}
         self.injected: list[Injection] = []  #: The faults injected so far.
         self._lines: dict[str, FaultySerial] = {}
         self._parts: list[BenchParts] = []
-        if faults is not None:  # without, a run starts faster without their models
+        if faults is not None:  # imported only if needed: a run without faults starts faster
             from gyrobench.drivers.emulators.faults.fault import FaultySerial
 
             self._lines = {name: FaultySerial(instrument) for name, instrument in self.serial.items()}
             self.serial = dict(self._lines)
             self.connections = {name: line.connection for name, line in self._lines.items()}
-        self.has_units(max(units, 1 + len(self._file.units)))
+        self.ensure_units(max(units, 1 + len(self._file.units)))
         self.ins, self.bus = self.units[0].ins, self.units[0].bus
         if faults is not None:
             self._inject(faults, faults_log)
         self.advance()
 
-    def has_units(self, count: int) -> None:
-        """Put further units on the table until there are that many."""
+    def ensure_units(self, count: int) -> None:
+        """Add units to the table until there are at least ``count``."""
         for number in range(len(self.units) + 1, count + 1):
             world = self.world
             if number > 1:
@@ -144,13 +145,14 @@ class EmulatedBench:
             load_faults,
         )
 
-        listed = load_faults(path)
-        check_faults(path, listed, self._parts)
-        self.injected = injected = InjectionLog(log or (path.parent / listed.log if listed.log else None))
-        self._injector = Injector(listed.faults, self._parts, self._seed, self._start_s, injected)
+        fault_list = load_faults(path)
+        check_faults(path, fault_list, self._parts)
+        default_log = path.parent / fault_list.log if fault_list.log else None
+        self.injected = injected = InjectionLog(log or default_log)
+        self._injector = Injector(fault_list.faults, self._parts, self._seed, self._start_s, injected)
 
     def advance(self, units: Sequence[EmulatedUnit] | None = None) -> None:
-        """Advance the world to the present: some units, if there are no faults, or all."""
+        """Advance the world to the present; only some ``units`` if they are given and there are no faults."""
         now_s = self.clock.now()
         if self._injector is not None:
             self._injector.advance(now_s)
@@ -159,7 +161,7 @@ class EmulatedBench:
             unit.world.advance(now_s)
 
     def advance_instruments(self) -> None:
-        """Advance what table and chamber depend on: the air alone, if there are no faults."""
+        """Advance what table and chamber depend on: without faults, only the air of the chamber."""
         if self._injector is not None:
             self.advance()
         else:
@@ -167,26 +169,26 @@ class EmulatedBench:
 
     @property
     def keeps_frames(self) -> bool:
-        """Whether it makes no difference when the frames of the INS are received: no real time, no faults."""
+        """Whether clients may receive the frames of the INS at any later time: virtual time, no faults."""
         return self.clock.is_virtual and self._injector is None
 
     def _chamber(self, dialect: str, options: Mapping[str, str]) -> SerialInstrument:
         make = load(EMULATORS, dialect, ChamberEmulation).make
         parameters = signature(make, eval_str=True).parameters
-        known = [name for name, each in parameters.items() if each.kind is Parameter.KEYWORD_ONLY]
-        given = {}
+        allowed = [name for name, each in parameters.items() if each.kind is Parameter.KEYWORD_ONLY]
+        arguments = {}
         for key, text in options.items():
             try:
-                given[key] = TypeAdapter(parameters[key].annotation).validate_python(text)
+                arguments[key] = TypeAdapter(parameters[key].annotation).validate_python(text)
             except (KeyError, ValidationError) as error:
-                why = f"no such option; there are {', '.join(known)}"
+                reason = f"no such option; there are {', '.join(allowed)}"
                 if isinstance(error, ValidationError):
-                    why = in_plain_words(error.errors()[0]["msg"])
-                raise DocumentError(f"emulated chamber {dialect}: {key}={text}: {why}") from error
-        return make(self.world.air, self.chamber_event, **given)
+                    reason = in_plain_words(error.errors()[0]["msg"])
+                raise DocumentError(f"emulated chamber {dialect}: {key}={text}: {reason}") from error
+        return make(self.world.air, self.chamber_event, **arguments)
 
     def chamber_event(self, number: int, on: bool) -> None:
-        """Switch the units that this event output of the chamber powers."""
+        """Switch the supply of the units that this event output of the chamber powers."""
         units = [unit for unit in self.units if unit.power_event == number]
         if units and self._injector is None:
             self.advance()
@@ -195,16 +197,16 @@ class EmulatedBench:
 
 
 def channel_name(number: int) -> str:
-    """CAN channel of the unit of that number: ``ins``, ``ins-2`` and so on."""
+    """CAN channel of a unit by its number: ``ins``, ``ins-2`` and so on."""
     return "ins" if number == 1 else f"ins-{number}"
 
 
 @functools.cache
 def compile_world() -> None:
-    """Compile everything that simulated benches compute, or load it from numba's cache, once per process.
+    """Compile all kernels of simulated benches, or load them from numba's cache, once per process.
 
-    A temporary bench aligns, navigates, compensates and turns. Where the first function was not in the cache,
-    the start and the duration are logged.
+    Runs a temporary bench that aligns, navigates, compensates and turns. If the first kernel is not in the
+    cache, logs the start and the duration.
     """
     started_s, compilations = time.perf_counter(), Kernel.compilations()
     bench = EmulatedBench(VirtualClock(), find_document("worlds", _DEFAULT_WORLD), 0)
@@ -231,10 +233,10 @@ _wall_clocks: dict[str, WallClock] = {}
 
 
 def bench_at(address: BenchAddress) -> EmulatedBench:
-    """Find the bench of that address, or create it.
+    """Return the bench of an address; creates it at the first call.
 
-    Raises DocumentError if the world file or the list of faults is wrong or missing, the seed is negative, no
-    clock has that name. Raises GyrobenchError if the bench has other dialects.
+    Raises DocumentError if the world file or the list of faults is wrong or missing, the seed is negative, or
+    there is no clock of that name. Raises GyrobenchError if the bench exists with other dialects.
     """
     clock: Clock
     try:
@@ -256,7 +258,7 @@ def bench_at(address: BenchAddress) -> EmulatedBench:
             chamber=address.chamber or _DEFAULT_CHAMBER,
             units=address.units,
         )
-    bench.has_units(address.units)
+    bench.ensure_units(address.units)
     for name, dialect in (("table", address.table), ("chamber", address.chamber)):
         if dialect and dialect != bench.dialects[name]:
             raise GyrobenchError(
@@ -266,9 +268,9 @@ def bench_at(address: BenchAddress) -> EmulatedBench:
 
 
 def parse_address(url: str) -> tuple[str, BenchAddress]:
-    """Instrument name and bench of ``emulator://instrument?clock=..&world=..`` and so on.
+    """Parse ``emulator://instrument?clock=..&world=..`` to the instrument's name and the bench's address.
 
-    Raises DocumentError if the address has an unknown key, a seed that is not an integer, or is not a URL.
+    Raises DocumentError if the address is not a URL, or has an unknown key or a value that is not valid.
     """
     try:
         parts = urlsplit(url)
@@ -277,11 +279,11 @@ def parse_address(url: str) -> tuple[str, BenchAddress]:
     values = dict(parse_qsl(parts.query, keep_blank_values=True))
     unknown = values.keys() - ADDRESS_KEYS
     if unknown:
-        found = ", ".join(map(repr, sorted(unknown)))
-        raise DocumentError(f"{url}: unknown option {found}; allowed: {', '.join(ADDRESS_KEYS)}")
+        keys = ", ".join(map(repr, sorted(unknown)))
+        raise DocumentError(f"{url}: unknown option {keys}; allowed: {', '.join(ADDRESS_KEYS)}")
     numbers = {key: values.get(key, default) for key, default in (("seed", "0"), ("units", "1"))}
     for key, text in numbers.items():
         if not text.isdecimal():
             raise DocumentError(f"{url}: {key} must be a non-negative integer; found {text!r}")
-    given = {**values, **{key: int(text) for key, text in numbers.items()}}
-    return parts.netloc, BenchAddress(**given)  # type: ignore[arg-type]
+    fields_of_address = {**values, **{key: int(text) for key, text in numbers.items()}}
+    return parts.netloc, BenchAddress(**fields_of_address)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Emulated CAN adapters with the emulated INS on their bus: slcan (LAWICEL protocol) and socketcand."""
+"""Emulated CAN adapters, slcan (LAWICEL protocol) and socketcand, with the emulated INS on their bus."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _DATA_FRAME = re.compile(
     r"(?:t(?P<base>[0-9A-Fa-f]{3})|T(?P<extended>[0-9A-Fa-f]{8}))"
     r"(?P<length>[0-8])(?P<data>(?:[0-9A-Fa-f]{2})*)"
 )
-#: Settings without effect here: bit rate, no time stamps, acceptance code and mask; the empty line.
+#: Commands without effect here: bit rate, time stamps off, acceptance code and mask; the empty line.
 _SETTING = re.compile(r"S[0-8]|s[0-9A-Fa-f]{4}|Z0|[Mm][0-9A-Fa-f]{8}|")
 _COMMAND = re.compile(rb"<\s*([^<>]*?)\s*>")
 _SEND = re.compile(r"send ([0-9A-Fa-f]{1,8}) ([0-8])((?: [0-9A-Fa-f]{1,2})*)")
@@ -37,36 +37,36 @@ class CanAdapter(ABC):
     def __init__(self, bus: CanNode, connection: Connection) -> None:
         self._bus = bus
         self._connection = connection
-        self._opened: int | None = None
+        self._open_generation: int | None = None
         self._input = b""
         self._received = bytearray()
         bus.listeners.append(self._on_bus)
 
     @abstractmethod
     def feed(self, data: bytes, now_s: float) -> bytes:
-        """Take bytes; see :class:`gyrobench.drivers.emulators.dialect.SerialInstrument`."""
+        """Receive bytes; see :meth:`gyrobench.drivers.emulators.dialect.SerialInstrument.feed`."""
 
     def leave_bus(self) -> None:
-        """Receive no more frames."""
+        """Stop receiving frames from the bus."""
         self._bus.listeners.remove(self._on_bus)
 
     def from_bus(self) -> bytes:
-        """Encoded frames received from the bus since the last call."""
+        """Return the frames received from the bus since the last call, as bytes for the client."""
         frames = bytes(self._received)
         self._received.clear()
         return frames
 
     def _open_bus(self) -> bool:
         if not self._connection.broken:
-            self._opened = self._connection.generation
+            self._open_generation = self._connection.generation
         return not self._connection.broken
 
     @property
     def _is_open(self) -> bool:
-        return self._opened == self._connection.generation
+        return self._open_generation == self._connection.generation
 
     def _send(self, identifier: str, extended: bool, data: bytes, length: str) -> bool:
-        """Send a frame to the bus, its identifier in hexadecimal; returns whether it is valid."""
+        """Send a frame, with its identifier in hexadecimal, to the bus; returns False if it is invalid."""
         try:
             message = can.Message(
                 arbitration_id=int(identifier, 16), data=data, is_extended_id=extended, check=True
@@ -84,7 +84,7 @@ class CanAdapter(ABC):
 
     @abstractmethod
     def _encode(self, frames: FrameBlock) -> str:
-        """Text of frames from the bus."""
+        """Encode frames from the bus as text."""
 
 
 class SlcanAdapter(CanAdapter):
@@ -92,14 +92,14 @@ class SlcanAdapter(CanAdapter):
 
     ``O`` opens the channel, ``L`` opens it in listen-only mode, ``C`` closes it, ``Sn`` and ``sxxyy`` set the
     bit rate, ``V`` and ``N`` read version and number; ``tiiildd..`` and ``Tiiiiiiiildd..`` are data frames in
-    either direction. A valid command is answered with CR (for a frame, ``z`` or ``Z`` and CR), another with
-    BEL.
+    either direction. The answer to a valid command is CR (to a frame, ``z`` or ``Z`` and CR), to any other
+    command BEL.
     """
 
     _listen_only = False
 
     def feed(self, data: bytes, now_s: float) -> bytes:  # noqa: ARG002
-        """Take bytes; return the answers to the lines that they complete."""
+        """Receive bytes; returns the answers to the lines that they complete."""
         *lines, rest = (self._input + data).split(_CR)
         self._input = rest[: _MAX_LINE + 1]
         return b"".join(self._execute(line[: _MAX_LINE + 1].decode("ascii", "replace")) for line in lines)
@@ -110,7 +110,7 @@ class SlcanAdapter(CanAdapter):
                 self._listen_only = line == "L"
                 return _CR if self._open_bus() else _BEL
             case "C":
-                self._opened = None
+                self._open_generation = None
                 return _CR
             case "V":
                 return b"V1013\r"
@@ -131,20 +131,20 @@ class SlcanAdapter(CanAdapter):
 
 
 class SocketcandDaemon(CanAdapter):
-    """One client's part of a daemon on TCP: CAN as text in angle brackets, with one bus.
+    """The side of a socketcand daemon that serves one TCP client: CAN as text in angle brackets, one bus.
 
-    It implements the commands of python-can's client: ``open``, ``rawmode``, ``send`` and ``echo``; frames go
-    out as ``< frame ID SECONDS DATA >``. An unknown command, or one in the wrong state, is answered with an
-    error.
+    It implements the commands that python-can uses: ``open``, ``rawmode``, ``send`` and ``echo``; frames are
+    sent as ``< frame ID SECONDS DATA >``. The answer to an unknown command, or to one in the wrong state, is
+    an error.
     """
 
-    #: What the daemon sends to a new client.
+    #: Sent to a new client.
     GREETING = b"< hi >"
 
     _raw = False
 
     def feed(self, data: bytes, now_s: float) -> bytes:  # noqa: ARG002
-        """Take bytes; return the answers to the commands that they complete."""
+        """Receive bytes; returns the answers to the commands that they complete."""
         self._input += data
         reply, end = b"", 0
         for command in _COMMAND.finditer(self._input):
@@ -176,6 +176,6 @@ class SocketcandDaemon(CanAdapter):
 
 
 def _hexadecimal(frames: FrameBlock) -> list[str]:
-    """Data of each frame in hexadecimal."""
+    """Data bytes of each frame in hexadecimal."""
     digits = frames.data.tobytes().hex().upper()
     return [digits[16 * k : 16 * k + 2 * length] for k, length in enumerate(frames.length.tolist())]

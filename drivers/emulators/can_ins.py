@@ -1,4 +1,4 @@
-"""Emulated INS on CAN: frames out, commands in, in one of several sets of frames."""
+"""Emulated INS on CAN: sends frames and receives commands, in one of several frame formats."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from gyrobench.drivers.emulators.world.inertial_unit import Epochs, Mode
 from gyrobench.drivers.emulators.world.world import World
 from gyrobench.drivers.frames import FrameBlock, concatenate
 
-#: Makes each shipped set of frames, by the name of its DBC file; packages add others (``CAN_FORMATS``).
+#: Shipped frame formats by the name of the DBC file; packages add others (``CAN_FORMATS``).
 SHIPPED_FORMATS: MappingProxyType[str, type[CanFormat]] = MappingProxyType(
     {"gyrobench_ins": GyrobenchFormat, "sbg": SbgFormat, "canaerospace": CanaerospaceFormat}
 )
@@ -31,18 +31,21 @@ _DEFAULT_FORMAT = "gyrobench_ins"
 
 
 class CanNode(Protocol):
-    """A side of the bus with the INS behind it; each listener gets the frames as the world advances."""
+    """A CAN node that represents the INS.
+
+    As the world advances, each listener is called with the frames that the node sends.
+    """
 
     listeners: list[Callable[[FrameBlock], None]]
 
     def receive(self, message: can.Message) -> None:
-        """Take a frame from the bus."""
+        """Receive a frame from the bus."""
 
 
 class CanInsEmulator:
     """The INS at its CAN connector; a :class:`CanNode`.
 
-    Clients that wait for frames must advance the world. ``epoch_unix_s`` is the calendar time at world time
+    A client that waits for frames must advance the world. ``epoch_unix_s`` is the Unix time at world time
     zero.
     """
 
@@ -54,9 +57,9 @@ class CanInsEmulator:
         world.on_epochs = self._send_epochs
 
     def use_format(self, name: str) -> None:
-        """Send and receive the frames of the DBC file of that name.
+        """Use the frame format of the DBC file of that name.
 
-        Raises DocumentError if there is no such set of frames, or its package is broken.
+        Raises DocumentError if there is no such format, or its package is broken.
         """
         offered = installed(CAN_FORMATS)
         if name not in SHIPPED_FORMATS and name not in offered:
@@ -74,7 +77,7 @@ class CanInsEmulator:
         self.format = make(self._world, self._epoch_unix_s)
 
     def receive(self, message: can.Message) -> None:
-        """Take a frame from the bus; ignored if unknown, and while the INS is off or boots."""
+        """Receive a frame; ignores unknown frames, and all frames while the INS is off or boots."""
         if message.is_extended_id or message.is_error_frame or message.is_remote_frame:
             return
         if self._world.unit.mode is not Mode.OFF:
@@ -92,9 +95,9 @@ class EmulatedUnit:
 
     world: World
     ins: CanInsEmulator
-    bus: CanNode  #: The INS at its bus, with faults.
-    connection: Connection  #: Its plug.
-    power_event: int  #: Event output of the chamber that feeds it.
+    bus: CanNode  #: The INS as clients reach it, with faults.
+    connection: Connection  #: Plug of the bus.
+    power_event: int  #: Event output of the chamber that powers the unit.
 
 
 class CanChannel:
@@ -106,7 +109,7 @@ class CanChannel:
         self._offsets: list[int] = []
 
     def connect(self, unit: EmulatedUnit, identifier_offset: int = 0) -> None:
-        """Connect a unit, once."""
+        """Connect a unit; a second call for the same unit does nothing."""
 
         def forward(frames: FrameBlock) -> None:
             if identifier_offset:
@@ -121,18 +124,18 @@ class CanChannel:
 
     @property
     def generation(self) -> int:
-        """Changes whenever the bench's controller leaves the bus or may reopen it."""
+        """Changes whenever the bench's CAN controller leaves the bus or may reopen it."""
         return sum(unit.connection.generation for unit in self.units)
 
     def receive(self, message: can.Message) -> None:
-        """Take a frame from the bus."""
+        """Pass a frame to each unit, with the unit's offset subtracted from the identifier."""
         for unit, offset in zip(self.units, self._offsets, strict=True):
             if message.arbitration_id >= offset:
-                own = copy.copy(message)
-                own.arbitration_id -= offset
-                unit.bus.receive(own)
+                unit_message = copy.copy(message)
+                unit_message.arbitration_id -= offset
+                unit.bus.receive(unit_message)
 
     def in_order(self, blocks: list[FrameBlock]) -> FrameBlock:
-        """Join blocks from all units in order of time."""
+        """Join the blocks of all units in the order of their time stamps."""
         frames = concatenate(blocks)
         return frames.in_order() if len(self.units) > 1 else frames

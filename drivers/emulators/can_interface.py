@@ -20,17 +20,17 @@ _CHANNEL = re.compile(r"ins(?:-([2-9]|[1-9][0-9]))?")
 class EmulatorBus(can.BusABC):
     """A bus with an emulated INS on it, on the bench's clock.
 
-    Channel ``ins`` is the first unit on the table, ``ins-2``, ``ins-3`` and so on are further ones. The
+    Channel ``ins`` is the first unit on the table; ``ins-2``, ``ins-3`` and so on are further units. The
     options are the address of the bench, see :mod:`gyrobench.drivers.emulators.bench`, and
 
     * ``frames``: a name in :data:`gyrobench.drivers.emulators.can_ins.SHIPPED_FORMATS`, or of a package;
-    * ``power_event``: the chamber's event output that powers the unit, in place of that in the world;
+    * ``power_event``: the chamber's event output that powers the unit, instead of that in the world file;
     * ``unit`` and ``identifier_offset``: connect the unit of that number to this channel, with the offset
       added to its identifiers. All clients of a channel receive the frames of all units on it;
-    * ``epoch_period_s``: the period of the epochs that the client expects, in s.
+    * ``epoch_period_s``: the epoch period that the client expects, s.
 
     Raises can.CanInitializationError if there is no such channel, clock, world or list of faults, or the
-    world has another period of the epochs.
+    epoch period of the world differs from the expected one.
     """
 
     def __init__(
@@ -44,16 +44,16 @@ class EmulatorBus(can.BusABC):
         **options: Any,
     ) -> None:
         address = BenchAddress(**{key: options.pop(key) for key in ADDRESS_KEYS if key in options})
-        matched = _CHANNEL.fullmatch(channel)
-        if matched is None:
+        match = _CHANNEL.fullmatch(channel)
+        if match is None:
             raise can.CanInitializationError(
                 f"no emulated CAN channel {channel!r}; available: ins, and ins-2 to ins-99 for further units"
             )
-        number = int(matched[1] or 1) if unit is None else unit
+        number = int(match[1] or 1) if unit is None else unit
         try:
             self._bench = bench_at(address)
             self._bench.advance()
-            self._bench.has_units(number)
+            self._bench.ensure_units(number)
             self._unit = self._bench.units[number - 1]
             _check_period(address.world, self._unit.world.file.ins.epoch_period_s, epoch_period_s)
             if frames:
@@ -67,7 +67,7 @@ class EmulatorBus(can.BusABC):
         self._generation = self._channel.generation
         self.keeps_frames = self._bench.keeps_frames
         self._blocks: list[FrameBlock] = []
-        #: Frames of the oldest block, once :meth:`recv` is used.
+        #: Frames taken from the blocks by :meth:`recv` but not yet returned.
         self._messages: deque[can.Message] = deque()
         self.channel_info = f"emulated INS {number}, world {address.world}, seed {address.seed}"
         super().__init__(channel, **options)
@@ -104,7 +104,7 @@ class EmulatorBus(can.BusABC):
             self._bench.advance(self._channel.units)
 
     def recv_block(self) -> FrameBlock:
-        """Take all frames that have arrived and pass the filters, without waiting."""
+        """Return all frames that have arrived and pass the filters, without waiting."""
         self._bench.advance(self._channel.units)
         self._check_bus()
         frames = self._channel.in_order(self._blocks)
@@ -127,7 +127,7 @@ class EmulatorBus(can.BusABC):
 
 
 def _check_period(world: str, period_s: float, expected_s: float | None) -> None:
-    """Refuse a world whose INS has another period of the epochs, in s, than its client expects."""
+    """Raise DocumentError if the world's epoch period differs from the one that the client expects, s."""
     if expected_s is not None and not math.isclose(period_s, expected_s, rel_tol=1e-6):
         raise DocumentError(
             f"{world}: the INS of this world sends an epoch in {period_s:g} s, the station expects one in "

@@ -1,6 +1,6 @@
 """Check world files and lists of faults: ``python -m gyrobench.drivers.emulators.check_file check world W``.
 
-The bench never reads these files: it runs this program to check one or to get its JSON Schema.
+The bench never reads these files itself: it runs this program to check a file or to get its JSON Schema.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ _KINDS: dict[str, tuple[type[StrictModel], str]] = {
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Check a file, or print the schema of a kind; returns the exit code, 2 for a wrong file."""
+    """Check a file, or print the JSON Schema of a kind of file; returns the exit code, 2 for a wrong file."""
     parser = argparse.ArgumentParser(
         prog="python -m gyrobench.drivers.emulators.check_file", description=__doc__
     )
     tasks = parser.add_subparsers(dest="task", required=True)
     for task, meaning in (("check", "check a file"), ("schema", "print a JSON Schema")):
-        of_task = tasks.add_parser(task, help=meaning)
-        of_task.add_argument("kind", choices=_KINDS)
+        task_parser = tasks.add_parser(task, help=meaning)
+        task_parser.add_argument("kind", choices=_KINDS)
         if task == "check":
-            of_task.add_argument("file", type=Path)
-    asked = parser.parse_args(arguments)
-    model, title = _KINDS[asked.kind]
-    if asked.task == "schema":
+            task_parser.add_argument("file", type=Path)
+    options = parser.parse_args(arguments)
+    model, title = _KINDS[options.kind]
+    if options.task == "schema":
         sys.stdout.write(json.dumps(json_schema(model, title)) + "\n")
         return 0
     try:
-        validate(read_document(asked.file), model)
+        validate(read_document(options.file), model)
     except DocumentError as error:
         sys.stderr.write(f"{error}\n")
         return _WRONG_FILE

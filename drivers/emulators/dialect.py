@@ -1,8 +1,9 @@
-"""What an emulator of a dialect is, and what faults can do to it beyond its line.
+"""Interfaces of the emulator of a dialect.
 
-Every emulator is at least a :class:`SerialInstrument`; those with text protocols are a
-:class:`TextInstrument`. The capabilities below are optional; a fault that needs one of them is refused where
-the emulator lacks it.
+Every emulator implements :class:`SerialInstrument`; :class:`TextInstrument` is a base class for text
+protocols. An entry point names its :class:`TableEmulation` or :class:`ChamberEmulation`. The other protocols
+here are optional capabilities that faults use; a fault is refused if the emulator lacks the capability that
+it needs.
 """
 
 from __future__ import annotations
@@ -15,28 +16,29 @@ from typing import Protocol, runtime_checkable
 
 from gyrobench.drivers.emulators.world.table_axis import TableAxis
 
-#: Called for every event output that changes: its number, counted from 1, and its state.
+#: Called when an event output changes, with its number, from 1, and its new state.
 OnEvent = Callable[[int, bool], None]
 
 
 class SerialInstrument(Protocol):
-    """An instrument that takes bytes and answers with bytes."""
+    """An emulated instrument on a serial line: bytes in, bytes out."""
 
     latency_s: float  #: Time from the last byte of a request to the first byte of its reply.
 
     def feed(self, data: bytes, now_s: float) -> bytes:
-        """Take bytes from the line at time ``now_s`` and return the reply, if one is complete.
+        """Receive bytes at time ``now_s``; returns the replies to the requests that they complete.
 
-        The world has already been advanced to ``now_s``. Any byte sequence is accepted.
+        Returns empty bytes if there is no reply. The world has already been advanced to ``now_s``. Must
+        accept any bytes, also incomplete and invalid requests.
         """
 
 
 class Connection:
-    """The plug between an instrument and its clients."""
+    """The plug between an instrument and its clients, which faults pull."""
 
     def __init__(self) -> None:
-        self.broken = False  #: Whether nothing is transmitted at present.
-        #: Changes with every disconnect and reconnect: a client that opened an earlier one must reopen.
+        self.broken = False  #: Whether the plug is pulled, so that nothing is transmitted.
+        #: Increases with each disconnection and reconnection; a client from before must reopen its port.
         self.generation = 0
 
     def disconnect(self) -> None:
@@ -52,31 +54,31 @@ class Connection:
 
 @dataclass(frozen=True)
 class TableEmulation:
-    """A dialect of emulated tables; offered as an entry point of the group ``gyrobench.emulators``."""
+    """A dialect of emulated tables; registered as an entry point of the group ``gyrobench.emulators``."""
 
-    #: Makes the controller from the physics of each axis by its number: 1 outer, 2 inner. A table with a
-    #: single axis is the inner one.
+    #: Returns the controller. Argument: the physics of each axis by its number, 1 outer, 2 inner. A table
+    #: with a single axis uses the inner one.
     make: Callable[[Mapping[int, TableAxis]], SerialInstrument]
 
 
 @dataclass(frozen=True)
 class ChamberEmulation:
-    """A dialect of emulated chambers; offered as an entry point of the group ``gyrobench.emulators``."""
+    """A dialect of emulated chambers; registered as an entry point of the group ``gyrobench.emulators``."""
 
-    #: Makes the controller from the air that it controls, a function to call when an event output changes,
-    #: and options by keyword.
+    #: Returns the controller. Arguments: the :class:`ChamberAir` that it controls, an :data:`OnEvent`
+    #: function that it calls when an event output changes, and options as keyword arguments.
     make: Callable[..., SerialInstrument]
 
 
 @runtime_checkable
 class Restartable(Protocol):
-    """It can lose power and restart."""
+    """An instrument that can lose power and restart."""
 
     def power_off(self, now_s: float) -> None:
         """Lose power: outputs drop, a table stops by its brakes."""
 
     def power_on(self, now_s: float) -> None:
-        """Restart with the settings that survive without power."""
+        """Restart with the settings that are kept without power."""
 
 
 @runtime_checkable
@@ -84,7 +86,7 @@ class Servoed(Protocol):
     """A table whose axes are held by servos."""
 
     def is_servoed(self, axis: int) -> bool:
-        """Whether the servo of that axis is closed; KeyError where there is no such axis."""
+        """Whether the servo of an axis is closed; raises KeyError if there is no such axis."""
 
 
 @runtime_checkable
@@ -92,10 +94,10 @@ class WithTemperatureSensor(Protocol):
     """A chamber whose temperature sensor can fail."""
 
     def break_sensor(self, error: int) -> None:
-        """Make the sensor fail with that error; control stops."""
+        """Make the sensor fail with the error of that number; control stops."""
 
     def repair_sensor(self) -> None:
-        """End the sensor's failure."""
+        """Repair the sensor."""
 
 
 @runtime_checkable
@@ -103,7 +105,7 @@ class WithAlarms(Protocol):
     """A chamber with alarms."""
 
     def raise_alarm(self, number: int, high: bool) -> None:
-        """Set the condition of alarm 1 or 2."""
+        """Begin the condition of alarm 1 or 2, above its high limit or below its low limit."""
 
     def end_alarm(self, number: int) -> None:
         """End the condition of the alarm."""
@@ -111,33 +113,33 @@ class WithAlarms(Protocol):
 
 @runtime_checkable
 class WithProfiles(Protocol):
-    """A chamber whose controller can run a profile by itself."""
+    """A chamber whose controller can run a profile."""
 
     def start_profile(self, to_c: float) -> None:
-        """Start a profile to a temperature at the panel."""
+        """Start at the panel a profile that goes to ``to_c``."""
 
 
 @runtime_checkable
 class WithTemperatureUnit(Protocol):
-    """A chamber whose panel can change the unit of temperatures."""
+    """A chamber whose unit of temperature can be changed at the panel."""
 
     def use_fahrenheit(self, fahrenheit: bool) -> None:
-        """Change the unit."""
+        """Change the unit to degrees Fahrenheit, or back to Celsius."""
 
 
 @runtime_checkable
 class WithDecimals(Protocol):
-    """A chamber whose numbers have decimals that its panel can change."""
+    """A chamber whose number of decimals can be changed at the panel."""
 
-    decimals: int  #: Decimals of temperatures.
+    decimals: int  #: Number of decimals of temperatures.
 
 
 @runtime_checkable
 class WithRamp(Protocol):
-    """A chamber of which some models do not ramp their set point."""
+    """A chamber controller of which some models can't ramp their set point."""
 
     def remove_ramp(self) -> None:
-        """Become a model without ramps."""
+        """Change the emulated model to one without ramps."""
 
 
 @runtime_checkable
@@ -145,7 +147,7 @@ class SpeaksModbus(Protocol):
     """A device with Modbus RTU frames."""
 
     def refusal(self, function: int, code: int) -> bytes:
-        """Frame with an exception code in reply to that function."""
+        """Return the reply frame that refuses a function with an exception code."""
 
 
 _MAX_CHARACTERS = 200
@@ -154,7 +156,10 @@ _NUMBER = re.compile(r"[-+]?(?:[0-9]{1,9}(?:\.[0-9]{0,9})?|\.[0-9]{1,9})")
 
 
 class TextInstrument(ABC):
-    """An instrument that answers lines of text; a subclass gives the answer to each."""
+    """Base class of instruments with text protocols; a subclass implements ``_reply``.
+
+    ``_now_s`` is the time of the last :meth:`feed`.
+    """
 
     def __init__(self, latency_s: float) -> None:
         self.latency_s = latency_s
@@ -162,20 +167,20 @@ class TextInstrument(ABC):
         self._discard_input()
 
     def feed(self, data: bytes, now_s: float) -> bytes:
-        """Take bytes at time ``now_s``; return the replies to the requests that they complete."""
+        """Receive bytes at time ``now_s``; returns the replies to the requests that they complete."""
         self._now_s = now_s
         return b"".join(self._reply(request) for request in self._take_requests(data))
 
     @abstractmethod
     def _reply(self, request: str) -> bytes:
-        """Execute one request, never empty, and return the bytes of the reply."""
+        """Execute one request, which is not empty; returns the bytes of the reply."""
 
     def _discard_input(self) -> None:
         """Discard an incomplete request, as on power-off."""
         self._input, self._overlong = b"", False
 
     def _take_requests(self, data: bytes) -> list[str]:
-        """Requests that these bytes complete; overlong ones are dropped."""
+        """Return the requests that these bytes complete; drops those that are too long."""
         *complete, self._input = _ENDS.split(self._input + data)
         requests = []
         for request in complete:
@@ -188,5 +193,5 @@ class TextInstrument(ABC):
 
 
 def decimal(text: str) -> float | None:
-    """Value of a plain decimal number; None for any other text."""
+    """Parse a decimal number without exponent; None for any other text."""
     return float(text) if _NUMBER.fullmatch(text.strip()) else None

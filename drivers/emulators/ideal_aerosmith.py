@@ -1,11 +1,11 @@
 """Emulator of an Ideal Aerosmith single-axis table controller at its serial port.
 
-Commands are three letters and a number. Each is answered with a prompt; a question mark before it reports
-an unknown command. Source: programs that drive such tables; there is no public manual. Sinusoids and
-calibration are not emulated.
+Commands are three letters and a number. The reply to each is a prompt; a question mark before the prompt
+reports an unknown command. Source: programs that drive such tables; there is no public manual. Sinusoidal
+motion and calibration are not emulated.
 
-Assumptions where the sources are silent: ``STA`` answers 1 while moving and 0 otherwise; absolute and
-relative moves give their prompt at once; motions need the motor switched on.
+Assumptions where the sources are silent: the answer to ``STA`` is 1 while the axis moves, otherwise 0; the
+prompt of absolute and relative moves comes at once; the axis moves only with the motor switched on.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Literal
 from gyrobench.drivers.emulators.dialect import TableEmulation, TextInstrument, decimal
 from gyrobench.drivers.emulators.world.table_axis import TableAxis
 
-#: The axis of the world that such a table has.
+#: The axis of the world that the table uses.
 _AXIS = 2
 _PROMPT = b">"
 _COMMAND = re.compile(r"([A-Z]{3}|P(?=[-+.\d]))(.*)")
@@ -28,10 +28,10 @@ _STANDSTILL_DPS = 1e-3
 
 
 class IdealAerosmithEmulator(TextInstrument):
-    """The controller over its one axis.
+    """The emulated controller with its axis.
 
-    ``done`` is the answer to ``MCO`` when a motion is complete: programs in the field disagree.
-    ``jog_prompt`` is the time of the prompt of ``JOG``: with the stop or the next ``STA``, or at once.
+    ``done`` is the answer to ``MCO`` when a motion is complete; programs in the field disagree about it.
+    ``jog_prompt`` is when the prompt of ``JOG`` comes: with the stop or the next ``STA``, or at once.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class IdealAerosmithEmulator(TextInstrument):
         self._decimals = decimals
         self._zero_deg = self._home_deg = 0.0
         self._set_defaults()
-        #: Commands with a number, and those without.
+        #: Commands with a number, and commands without.
         self._with_number: dict[str, Callable[[float], bytes | None]] = {
             "JOG": self._jog,
             "MOV": self._move_to,
@@ -63,15 +63,15 @@ class IdealAerosmithEmulator(TextInstrument):
             "HOF": self._set_home,
             "MCO": self._motion_complete,
         }
-        self._alone: dict[str, Callable[[], bytes | None]] = {
+        self._without_number: dict[str, Callable[[], bytes | None]] = {
             "HOM": lambda: self._move_to(self._home_deg),
             "STO": self._stop,
-            "PPO": lambda: self._number(self._position_deg),
-            "PVE": lambda: self._number(self.axis.encoder(self._now_s).rate_dps),
+            "PPO": lambda: self._format_number(self._position_deg),
+            "PVE": lambda: self._format_number(self.axis.encoder(self._now_s).rate_dps),
             "STA": lambda: b"1" if self.axis.is_moving(self._now_s) else b"0",
             "MCO": lambda: self._motion_complete(_DEFAULT_TOLERANCE_DEG),
-            "ZER": self._zero,
-            "PZR": self._zero,
+            "ZER": self._set_zero,
+            "PZR": self._set_zero,
         }
 
     def is_servoed(self, axis: int) -> bool:
@@ -115,14 +115,14 @@ class IdealAerosmithEmulator(TextInstrument):
         return late_prompt + (answer + b"\r" if answer else b"") + _PROMPT
 
     def _execute(self, name: str, rest: str) -> bytes | None:
-        """Answer to one command, possibly empty; None for an unknown or impossible command."""
+        """Execute a command; returns its answer, possibly empty, or None if it is unknown or impossible."""
         if not rest:
-            alone = self._alone.get(name)
-            return alone() if alone else None
-        with_number, value = self._with_number.get(name), decimal(rest)
-        return with_number(value) if with_number and value is not None else None
+            command = self._without_number.get(name)
+            return command() if command else None
+        command_with_number, value = self._with_number.get(name), decimal(rest)
+        return command_with_number(value) if command_with_number and value is not None else None
 
-    def _number(self, value: float) -> bytes:
+    def _format_number(self, value: float) -> bytes:
         return f"{value:.{self._decimals}f}".encode("ascii")
 
     def _jog(self, rate_dps: float) -> bytes | None:
@@ -167,14 +167,14 @@ class IdealAerosmithEmulator(TextInstrument):
         self._home_deg = position_deg
         return b""
 
-    def _zero(self) -> bytes:
+    def _set_zero(self) -> bytes:
         self._zero_deg = self.axis.encoder(self._now_s).position_deg
         return b""
 
     def _motion_complete(self, tolerance_deg: float) -> bytes:
         state = self.axis.encoder(self._now_s)
-        near = abs(state.position_deg - self._target_deg) <= tolerance_deg
-        is_done = near and abs(state.rate_dps) < _STANDSTILL_DPS
+        is_near = abs(state.position_deg - self._target_deg) <= tolerance_deg
+        is_done = is_near and abs(state.rate_dps) < _STANDSTILL_DPS
         return str(self._done if is_done else 1 - self._done).encode("ascii")
 
 

@@ -1,4 +1,4 @@
-"""A Modbus RTU server: frames in, frames out, holding registers behind.
+"""A Modbus RTU server with holding registers.
 
 Frames and exception codes: MODBUS Application Protocol V1.1b3; CRC and silent interval: MODBUS
 over Serial Line V1.02.
@@ -22,7 +22,7 @@ from pymodbus.pdu.register_message import (
     WriteSingleRegisterResponse,
 )
 
-#: A silence longer than this ends a frame: the 3.5 characters of the standard, and the latency of a
+#: Silence that ends a frame: longer than the 3.5 characters of the standard, to allow for the latency of a
 #: computer's serial port.
 _SILENT_INTERVAL_S = 0.05
 
@@ -40,7 +40,7 @@ _REQUESTS: dict[int, type[ModbusPDU]] = {
 class HoldingRegister:
     """One signed 16-bit register.
 
-    ``write`` is None for a read-only register; ``allowed`` returns whether a value may be written.
+    ``write`` is None for a read-only register; ``allowed`` tests whether a value may be written.
     """
 
     read: Callable[[], int]
@@ -51,27 +51,29 @@ class HoldingRegister:
 _framer = FramerRTU(DecodePDU(is_server=True))
 
 
-def _framed(address: int, reply: ModbusPDU) -> bytes:
+def _encode_frame(address: int, reply: ModbusPDU) -> bytes:
     reply.dev_id = address
     return _framer.buildFrame(reply)
 
 
 def exception_frame(address: int, function: int, code: int) -> bytes:
-    """Frame in which the device at that address refuses a function."""
-    return _framed(address, ExceptionResponse(function, code))
+    """Return the frame in which the device at an address refuses a function."""
+    return _encode_frame(address, ExceptionResponse(function, code))
 
 
 @lru_cache(maxsize=1024)
-def _frame_of_numbers(address: int, numbers: tuple[int, ...]) -> bytes:
-    return _framed(address, ReadHoldingRegistersResponse(registers=list(numbers)))
+def _register_reply(address: int, numbers: tuple[int, ...]) -> bytes:
+    return _encode_frame(address, ReadHoldingRegistersResponse(registers=list(numbers)))
 
 
-# A poll repeats its requests, and most replies, for hours.
+# Cached, as a poll repeats its requests, and most replies, for hours.
 @lru_cache(maxsize=1024)
 def _first_frame(received: bytes) -> tuple[bytes, bool]:
-    """A complete and intact frame, without its CRC, or nothing; and whether the bytes are done with.
+    """Find a complete frame.
 
-    The function code gives the length; with an unknown one, all bytes since the last silence are the frame.
+    Returns the intact frame without its CRC, else empty bytes; and whether the received bytes can be dropped.
+    The function code determines the length; with an unknown code, all bytes since the last silence are the
+    frame.
     """
     if len(received) < FramerRTU.MIN_SIZE:
         return b"", False
@@ -84,8 +86,8 @@ def _first_frame(received: bytes) -> tuple[bytes, bool]:
 
 
 @lru_cache(maxsize=1024)
-def _decoded(function: int, content: bytes) -> ModbusPDU:
-    """Decode a request, which nothing changes; raises ValueError or struct.error."""
+def _decode_request(function: int, content: bytes) -> ModbusPDU:
+    """Decode a request, which callers must not change; raises ValueError or struct.error."""
     request = _REQUESTS[function]()
     request.decode(content)
     return request
@@ -104,7 +106,7 @@ class ModbusRtuDevice:
         self._received_s = 0.0
 
     def feed(self, data: bytes, now_s: float) -> bytes:
-        """Take bytes from the line at time ``now_s`` and return the reply, if one is due."""
+        """Receive bytes at time ``now_s``; returns the reply to the request that they complete."""
         if now_s - self._received_s > _SILENT_INTERVAL_S:
             self._received.clear()
         self._received_s = now_s
@@ -122,7 +124,7 @@ class ModbusRtuDevice:
         if function not in _REQUESTS:
             return exception_frame(self._address, function, _ILLEGAL_FUNCTION)
         try:
-            request = _decoded(function, content)
+            request = _decode_request(function, content)
         except (ValueError, struct.error):
             return exception_frame(self._address, function, _ILLEGAL_VALUE)
         first, values = request.address, request.registers
@@ -139,7 +141,9 @@ class ModbusRtuDevice:
                     return exception_frame(self._address, function, _ILLEGAL_VALUE)
         failure = self._write(first, values)
         return (
-            exception_frame(self._address, function, failure) if failure else _framed(self._address, answer)
+            exception_frame(self._address, function, failure)
+            if failure
+            else _encode_frame(self._address, answer)
         )
 
     def _read(self, function: int, first: int, count: int) -> bytes:
@@ -147,7 +151,7 @@ class ModbusRtuDevice:
             registers = [self._registers[address] for address in range(first, first + count)]
         except KeyError:
             return exception_frame(self._address, function, _ILLEGAL_ADDRESS)
-        return _frame_of_numbers(self._address, tuple([register.read() & 0xFFFF for register in registers]))
+        return _register_reply(self._address, tuple([register.read() & 0xFFFF for register in registers]))
 
     def _write(self, first: int, values: Sequence[int]) -> int:
         """Write successive registers up to a refused value; returns an exception code, or zero."""

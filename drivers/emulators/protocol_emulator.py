@@ -16,14 +16,14 @@ from gyrobench.drivers.emulators.dialect import Connection, SerialInstrument
 
 
 class Serial(ClockedPort):  # the name that pyserial looks for
-    """Port of one emulated instrument."""
+    """An emulated instrument as a serial port."""
 
     _bench: EmulatedBench
     _instrument: SerialInstrument
     _connection: Connection
 
     def open(self) -> None:
-        """Connect to the instrument of the address."""
+        """Connect to the instrument named in the address."""
         if self.is_open:
             raise SerialException("Port is already open.")
         try:
@@ -58,11 +58,11 @@ class Serial(ClockedPort):  # the name that pyserial looks for
         return len(data)
 
     def next_due_s(self) -> float | None:
-        """Time at which the instrument's next reply arrives."""
+        """Time at which the next reply arrives; None if there is none."""
         return self._due[0][0] if self._due else None
 
     def collect(self) -> None:
-        """Add replies that have arrived."""
+        """Append the replies that have arrived."""
         if not self.is_open:
             raise PortNotOpenError
         self._check_connected()

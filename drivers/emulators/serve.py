@@ -1,7 +1,7 @@
-"""The emulated bench as a separate program, at pseudo-terminals or TCP ports of the loopback.
+"""Serves an emulated bench as a separate program, at pseudo-terminals or TCP ports of the loopback.
 
 ``gyrobench emulate`` starts it. Any client can use the instruments: this project's bench, pymodbus,
-python-can, a terminal program. The first line of output has their addresses, as JSON.
+python-can, a terminal program. The first line of output contains their addresses as JSON.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ _MAX_BACKLOG = 65536
 
 
 class _Server:
-    """The instruments of an emulated bench at ports: table, chamber and the INS of each unit.
+    """Serves the instruments of an emulated bench at ports: table, chamber and the INS of each unit.
 
-    ``make_port`` makes a port from the name of its instrument. With ``socketcand`` each INS uses that instead
-    of slcan, for any number of clients; the first one on ``daemon_port``.
+    ``make_port`` makes a port for the instrument of a name. With ``socketcand``, a daemon for any number of
+    clients serves each INS instead of an slcan adapter; the first daemon is on ``daemon_port``.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class _Server:
             line.close()
 
     def serve(self, duration_s: float | None = None) -> None:
-        """Serve for ``duration_s`` of the bench's time, or without end."""
+        """Serve for ``duration_s`` on the bench's clock, or without end."""
         clock = self._bench.clock
         end_s = None if duration_s is None else clock.now() + duration_s
         while end_s is None or clock.now() < end_s:
@@ -107,7 +107,7 @@ class _Line:
         self._backlog = bytearray()
 
     def ports(self) -> list[Port | TcpClient]:
-        """Ports to wait on."""
+        """Ports to wait for."""
         return [self.port] if self.plugged_in else []
 
     @property
@@ -117,7 +117,7 @@ class _Line:
 
     def exchange(self, now_s: float) -> None:
         """Pass received bytes to the instrument and send its reply after its latency."""
-        self._follow_plug()
+        self._update_plug()
         data = self.port.read() if self.plugged_in else b""
         reply = self._instrument.feed(data, now_s) if data else b""
         if reply:
@@ -132,7 +132,7 @@ class _Line:
             self.plugged_in = False
             self.port.unplug()
 
-    def _follow_plug(self) -> None:
+    def _update_plug(self) -> None:
         if self._connection.generation == self._generation or isinstance(self.port, TcpClient):
             return
         self._generation = self._connection.generation
@@ -145,7 +145,7 @@ class _Line:
             self.port.plug_in()
 
     def send(self, data: bytes) -> None:
-        """Send; without a reader, the oldest bytes beyond the backlog's size are lost."""
+        """Send bytes; without a reader, the oldest bytes beyond the maximum backlog are lost."""
         self._backlog += data
         del self._backlog[:-_MAX_BACKLOG]
         if self._backlog and self.plugged_in:
@@ -164,11 +164,11 @@ class _Daemon:
         self.url = f"{self._listener.url.replace('socket://', 'socketcand://')}/{BUS_NAME}"
 
     def ports(self) -> list[TcpListener | TcpClient]:
-        """Ports to wait on."""
+        """Ports to wait for."""
         return [self._listener, *(client for client, _, _ in self._clients)]
 
     def exchange(self, now_s: float) -> None:
-        """Accept clients, pass on what they send, and send them frames and answers."""
+        """Accept clients, receive their commands, and send them frames and answers."""
         while client := self._listener.accept(SocketcandDaemon.GREETING):
             adapter = self._make_adapter()
             self._clients.append((client, adapter, _Line(client, adapter, Connection())))
@@ -284,14 +284,17 @@ def _end(number: int, frame: FrameType | None) -> NoReturn:  # noqa: ARG001 - th
 
 
 def _end_with_stdin() -> None:
-    """End with the program that started this one, also if that is killed."""
+    """End this program when the program that started it ends, even if that is killed."""
     while os.read(sys.stdin.fileno(), 1):
         pass
     os.kill(os.getpid(), signal.SIGTERM)
 
 
 def _port_maker(opened: contextlib.ExitStack, options: argparse.Namespace) -> Callable[[str], Port]:
-    """Makes ports; with faults, pseudo-terminals get links, so that they return under the same name."""
+    """Return a function that makes ports.
+
+    With faults, pseudo-terminals get links, so that they keep their names when they are opened again.
+    """
     folder: Path | None = None
     if options.faults:
         name = opened.enter_context(tempfile.TemporaryDirectory(prefix="gyrobench-emulators-"))

@@ -1,10 +1,10 @@
 """Emulator of a Thermotron 8800 chamber controller at its serial port or TCP socket.
 
-Source: Thermotron's published list of computer interface commands, in parts. The chamber is stopped, runs
-in manual mode, or runs a program, which is started at the panel alone and has one interval.
+Source: parts of Thermotron's published list of computer interface commands. The chamber is stopped, runs
+in manual mode, or runs a program, which can only be started at the panel and has one interval.
 
-Assumptions where the public sources are silent: the codes of refusals, which also answer a query that
-can't be answered; ``STOP`` ends a program, and ``RUNM`` is refused while one runs; alarms end with their
+Assumptions where the public sources are silent: the codes of refusals, which are also the reply to an invalid
+query; ``STOP`` ends a program, and ``RUNM`` is refused while one runs; alarms end with their
 condition; a process alarm and an open input stop the chamber; set points outside the range of the chamber
 are refused.
 """
@@ -36,7 +36,7 @@ _PROCESS_ALARM_BITS = 1 << 4 | 1 << 5
 
 
 class Code(IntEnum):
-    """Answers to a command; all but the first are assumptions."""
+    """Reply codes of a command; all but the first are assumptions."""
 
     DONE = 0
     UNKNOWN_COMMAND = 1
@@ -63,7 +63,7 @@ class Stop(IntEnum):
 class Thermotron8800Emulator(TextInstrument):
     """A Thermotron 8800 that controls the air of an emulated chamber on channel 1.
 
-    ``echo``: it repeats each request never, before each reply, or in place of a command's code. With
+    ``echo``: when the request is repeated: never, before each reply, or in bit of a command's code. With
     ``auxiliaries_need_run``, auxiliaries can be switched, and keep their state, only while the chamber runs.
     ``line_ending`` ends each reply: cr, crlf or lf.
     """
@@ -96,19 +96,21 @@ class Thermotron8800Emulator(TextInstrument):
             "MRMP": partial(self._set_value, "ramp"),
             "DEVN": partial(self._set_value, "deviation"),
             "AUXE": self._set_auxiliaries,
-            "RUNM": lambda number, value: self._without(number, value, self._run),
-            "STOP": lambda number, value: self._without(number, value, lambda: self._stop(Stop.COMPUTER)),
-            "INIT": lambda number, value: self._without(number, value, self._initialise),
-            "HOLD": lambda number, value: self._without(number, value, lambda: Code.NOT_NOW),
-            "RESM": lambda number, value: self._without(number, value, lambda: Code.NOT_NOW),
+            "RUNM": lambda number, value: self._without_parameters(number, value, self._run),
+            "STOP": lambda number, value: self._without_parameters(
+                number, value, lambda: self._stop(Stop.COMPUTER)
+            ),
+            "INIT": lambda number, value: self._without_parameters(number, value, self._initialise),
+            "HOLD": lambda number, value: self._without_parameters(number, value, lambda: Code.NOT_NOW),
+            "RESM": lambda number, value: self._without_parameters(number, value, lambda: Code.NOT_NOW),
         }
         self._queries: dict[str, Callable[[str], str | None]] = {
-            "PVAR": lambda channel: self._of_air(channel, f"{self.air.read_c:.3f}"),
-            "SETP": lambda channel: self._of_air(channel, f"{self._set_point_c:.3f}"),
-            "MRMP": lambda channel: self._of_air(channel, f"{self._ramp_c_per_min:.3f}"),
-            "DEVN": lambda channel: self._of_air(channel, f"{self._deviation_c:.3f}"),
-            "ALRM": lambda channel: self._of_air(channel, str(self._alarms)),
-            "THTL": lambda channel: self._of_air(channel, f"{100.0 * self.air.power:.1f}"),
+            "PVAR": lambda channel: self._for_channel(channel, f"{self.air.read_c:.3f}"),
+            "SETP": lambda channel: self._for_channel(channel, f"{self._set_point_c:.3f}"),
+            "MRMP": lambda channel: self._for_channel(channel, f"{self._ramp_c_per_min:.3f}"),
+            "DEVN": lambda channel: self._for_channel(channel, f"{self._deviation_c:.3f}"),
+            "ALRM": lambda channel: self._for_channel(channel, str(self._alarms)),
+            "THTL": lambda channel: self._for_channel(channel, f"{100.0 * self.air.power:.1f}"),
             "AUXE": lambda group: str(self._auxiliaries[group]) if group in self._auxiliaries else None,
             "MODE": lambda number: None if number else str(self._mode),
             "SCOD": lambda number: None if number else str(int(self.stop_code)),
@@ -184,10 +186,10 @@ class Thermotron8800Emulator(TextInstrument):
         handle = self._commands.get(command[1]) if command else None
         return handle(command[2], command[3]) if command and handle else Code.UNKNOWN_COMMAND
 
-    def _of_air(self, channel: str, answer: str) -> str | None:
+    def _for_channel(self, channel: str, answer: str) -> str | None:
         return answer if channel == _CHANNEL else None
 
-    def _without(self, number: str, value: str | None, action: Callable[[], Code]) -> Code:
+    def _without_parameters(self, number: str, value: str | None, action: Callable[[], Code]) -> Code:
         return Code.WRONG_PARAMETER if number or value is not None else action()
 
     def _set_value(self, name: str, channel: str, text: str | None) -> Code:
@@ -221,10 +223,10 @@ class Thermotron8800Emulator(TextInstrument):
     def _switch_auxiliaries(self, group: str, mask: int) -> None:
         changed = self._auxiliaries[group] ^ mask
         self._auxiliaries[group] = mask
-        for place in range(_AUXILIARIES_IN_GROUP):
-            if self._on_event and changed >> place & 1:
-                number = _AUXILIARIES_IN_GROUP * (int(group) - 1) + place + 1
-                self._on_event(number, bool(mask >> place & 1))
+        for bit in range(_AUXILIARIES_IN_GROUP):
+            if self._on_event and changed >> bit & 1:
+                number = _AUXILIARIES_IN_GROUP * (int(group) - 1) + bit + 1
+                self._on_event(number, bool(mask >> bit & 1))
 
     def _run(self) -> Code:
         if self._open_input or self._alarms & _PROCESS_ALARM_BITS or self._mode == _PROGRAM:

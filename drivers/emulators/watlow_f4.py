@@ -46,8 +46,8 @@ class _Settings(NamedTuple):
 class WatlowF4Emulator:
     """A Watlow F4 that controls the air of an emulated chamber.
 
-    Event output 1 switches the control of the air. Only the model F4P ramps to its set point. Profiles are
-    started at the panel alone and have one step.
+    Event output 1 switches the control of the air. Only the model F4P ramps to its set point. Profiles can
+    only be started at the panel and have one step.
     """
 
     latency_s = 0.02  #: Time that the controller takes to answer.
@@ -79,7 +79,8 @@ class WatlowF4Emulator:
             _SET_POINT_HIGH: high_c,
         }
         self._now_s = 0.0
-        self._set_s, self._set_date = 0.0, datetime(2026, 1, 1)  # when its clock was set, and to which date
+        # Time at which the clock was last set, and the date to which it was set.
+        self._set_s, self._set_date = 0.0, datetime(2026, 1, 1)
         self._holding = self._registers()
         if model != "F4P":
             self.remove_ramp()
@@ -87,13 +88,13 @@ class WatlowF4Emulator:
         self._memory = self._present_settings()
 
     def feed(self, data: bytes, now_s: float) -> bytes:
-        """Take bytes from the line at time ``now_s`` and return the reply, if one is complete."""
-        self._watch_air()
+        """Receive bytes at time ``now_s``; returns the reply to the request that they complete."""
+        self._check_alarms()
         self._now_s = now_s
         return self._device.feed(data, now_s)
 
     def refusal(self, function: int, code: int) -> bytes:
-        """Frame with an exception code in reply to that function."""
+        """Return the reply frame that refuses a function with an exception code."""
         return exception_frame(self._address, function, code)
 
     def power_off(self, now_s: float) -> None:  # noqa: ARG002
@@ -124,7 +125,7 @@ class WatlowF4Emulator:
     def raise_alarm(self, number: int, high: bool) -> None:
         """Set the condition of alarm 1 or 2; the alarm stays until register 312 clears it."""
         self._alarm_conditions[number] = _HIGH_ALARM if high else _LOW_ALARM
-        self._watch_air()
+        self._check_alarms()
 
     def end_alarm(self, number: int) -> None:
         """End the condition of the alarm; the alarm stays until it is cleared."""
@@ -139,7 +140,7 @@ class WatlowF4Emulator:
         self._loop.degrees_per_kelvin = 1.8 if fahrenheit else 1.0
 
     def remove_ramp(self) -> None:
-        """Become a model that ramps by profiles only."""
+        """Change the emulated model to one that ramps only in profiles."""
         self._loop.set_ramp(RampAction.OFF)
         for register in _RAMP_REGISTERS:
             self._holding.pop(register, None)
@@ -167,8 +168,8 @@ class WatlowF4Emulator:
             registers[1990 + 10 * number] = HoldingRegister(
                 partial(self._event, number), partial(self._loop.switch, number), _is_bit
             )
-        for place, name in enumerate(_CLOCK_FIELDS):
-            registers[_CLOCK + place] = HoldingRegister(
+        for offset, name in enumerate(_CLOCK_FIELDS):
+            registers[_CLOCK + offset] = HoldingRegister(
                 partial(self._clock, name), partial(self._set_clock, name)
             )
         return registers | {
@@ -225,7 +226,7 @@ class WatlowF4Emulator:
         return int(getattr(self._date, name))
 
     def _set_clock(self, name: str, value: int) -> None:
-        # Registers are written one after the other: the 31st may precede its month.
+        # Registers are written one after the other, so the day may not exist in the month set before.
         date = self._date
         for day in (date.day, 1):
             with contextlib.suppress(ValueError):
@@ -275,7 +276,7 @@ class WatlowF4Emulator:
     def _event(self, number: int) -> int:
         return int(self._loop.outputs[number])
 
-    def _watch_air(self) -> None:
+    def _check_alarms(self) -> None:
         self.alarm_1 = self._alarm_conditions[1] or self.alarm_1
         self.alarm_2 = self._alarm_conditions[2] or self.alarm_2
         if self.air.read_c < self._limits_c[_ALARM_1_LOW]:

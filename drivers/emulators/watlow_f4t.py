@@ -1,7 +1,7 @@
 """Emulator of a Watlow F4T chamber controller at its SCPI interface.
 
 Source: the command list of the F4T's SCPI interface in a chamber maker's manual. One control loop,
-eight outputs. A profile is started at the panel alone, has one step, and can be stopped.
+eight outputs. A profile can only be started at the panel, has one step, and can be stopped.
 
 Assumptions where the public sources are silent: settings are read by their command with a question mark;
 a profile's state reads ``RUNNING`` or ``IDLE``; a request that can't be executed is ignored without an
@@ -57,12 +57,12 @@ class WatlowF4TEmulator(TextInstrument):
         }
         self._queries: dict[str, Callable[[], str]] = {
             "*IDN": lambda: "WATLOW ELECTRIC MANUFACTURING COMPANY,F4T,00000,gyrobench emulator",
-            _LOOP + "PVALUE": lambda: self._shown(self.air.read_c),
-            _LOOP + "SPOINT": lambda: self._shown(self._loop.set_point_c),
+            _LOOP + "PVALUE": lambda: self._format_temperature(self.air.read_c),
+            _LOOP + "SPOINT": lambda: self._format_temperature(self._loop.set_point_c),
             _LOOP + "ERROR": lambda: "ERROR" if self._error else "NONE",
             _LOOP + "RACTION": lambda: self._action,
             _LOOP + "RSCALE": lambda: "HOURS" if self._loop.per_hour else "MINUTES",
-            _LOOP + "RRATE": lambda: self._number(self._loop.ramp_rate),
+            _LOOP + "RRATE": lambda: self._format_number(self._loop.ramp_rate),
             "UNIT:TEMPERATURE": lambda: "F" if self._fahrenheit else "C",
             _PROGRAM: lambda: "RUNNING" if self._loop.in_profile else "IDLE",
         }
@@ -105,10 +105,10 @@ class WatlowF4TEmulator(TextInstrument):
             command(parts[3])
         return b""
 
-    def _shown(self, temperature_c: float) -> str:
-        return self._number(temperature_c * 1.8 + 32.0 if self._fahrenheit else temperature_c)
+    def _format_temperature(self, temperature_c: float) -> str:
+        return self._format_number(temperature_c * 1.8 + 32.0 if self._fahrenheit else temperature_c)
 
-    def _number(self, value: float) -> str:
+    def _format_number(self, value: float) -> str:
         return f"{value:.{self._decimals}f}"
 
     def _set_set_point(self, text: str) -> None:

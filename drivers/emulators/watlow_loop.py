@@ -1,4 +1,4 @@
-"""Common part of the Watlow F4 and F4T: eight outputs, the first one for the chamber, and the ramp."""
+"""Common part of the emulated Watlow F4 and F4T: eight outputs, the first for the chamber, and the ramp."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MAX_RAMP = 999.0
 
 
 class RampAction(IntEnum):
-    """When the working set point ramps."""
+    """Events at which the working set point ramps."""
 
     OFF = 0
     AT_START = 1
@@ -28,7 +28,7 @@ class WatlowLoop:
         self.air = air
         #: State of each output.
         self.outputs = {number: air.running and number == _CHAMBER_OUTPUT for number in OUTPUTS}
-        self.action = RampAction.OFF  #: When the set point ramps.
+        self.action = RampAction.OFF  #: Event at which the set point ramps.
         self.ramp_rate = ramp_rate  #: Ramp rate in degrees per minute, or per hour with ``per_hour``.
         self.per_hour = False
         self.degrees_per_kelvin = 1.0  #: 1 for degC, 1.8 for degF.
@@ -38,7 +38,7 @@ class WatlowLoop:
 
     @property
     def set_point_c(self) -> float:
-        """Set point as it reads, also while a profile overrides it."""
+        """Set point as the controller reports it, also while a profile overrides it."""
         return self.air.set_point_c if self._static_c is None else self._static_c
 
     @property
@@ -87,7 +87,7 @@ class WatlowLoop:
     def set_ramp(
         self, action: RampAction | None = None, rate: float | None = None, per_hour: bool | None = None
     ) -> None:
-        """Change some of the ramp settings; they act on later set points."""
+        """Change the ramp settings that are not None; they apply to later set points."""
         self.action = self.action if action is None else action
         self.ramp_rate = self.ramp_rate if rate is None else rate
         self.per_hour = self.per_hour if per_hour is None else per_hour

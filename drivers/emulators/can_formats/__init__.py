@@ -1,4 +1,4 @@
-"""The sets of CAN frames of an emulated INS, one module a set, and what they have in common."""
+"""CAN frame formats of an emulated INS: their common base; each other module is one format."""
 
 from __future__ import annotations
 
@@ -14,14 +14,15 @@ from gyrobench.drivers.emulators.world.inertial_unit import Epochs, InertialUnit
 from gyrobench.drivers.emulators.world.world import World
 from gyrobench.drivers.frames import FRAME_DTYPE, FrameBlock, concatenate
 
-#: Time that a frame takes on the bus.
+#: Time that a frame takes on the bus, s.
 FRAME_S = 0.00025
 
 
 class CanFormat(ABC):
-    """A set of frames.
+    """Base class of the frame formats of an emulated INS, named by its DBC file.
 
-    ``epoch_unix_s`` is the calendar time at world time zero, for the frames' time stamps.
+    A subclass encodes the output of the simulated INS, ``self._world``, and executes the commands that it
+    receives. ``epoch_unix_s`` is the Unix time at world time zero, for the time stamps of the frames.
     """
 
     def __init__(self, world: World, epoch_unix_s: float) -> None:
@@ -31,21 +32,25 @@ class CanFormat(ABC):
 
     @abstractmethod
     def frames(self, epochs: Epochs) -> FrameBlock:
-        """Encode the output of the INS at these epochs, in order of sending; slow frames at whole seconds."""
+        """Encode the output of the INS at these epochs, in the order of sending.
+
+        Called with successive epochs. Slow frames, such as status and temperatures, are sent at the epochs
+        that are whole seconds.
+        """
 
     @abstractmethod
     def receive(self, message: can.Message) -> None:
-        """Take a standard data frame; unknown ones are ignored."""
+        """Execute a command, received as a data frame with an 11-bit identifier; ignores unknown frames."""
 
-    def reset_counters(self) -> None:  # noqa: B027 - a set may have none
+    def reset_counters(self) -> None:  # noqa: B027 - a format may have none
         """Reset all counters, as at power-on."""
 
     def skip_epochs(self, count: int) -> None:  # noqa: B027
-        """Make the epoch counter jump, if there is one."""
+        """Make the epoch counter jump by ``count``, if there is one."""
 
 
 def execute_command(unit: InertialUnit, command: int, argument: int = 0) -> None:
-    """Execute a numbered command of the bench; unknown ones are ignored."""
+    """Execute a command of the bench by its number; ignores unknown commands."""
     match command:
         case 1:
             unit.standby()
@@ -66,7 +71,7 @@ def execute_command(unit: InertialUnit, command: int, argument: int = 0) -> None
 def empty_frames(
     time_s: FloatArray, identifiers: Sequence[int], lengths: int | Sequence[int]
 ) -> NDArray[np.void]:
-    """Frames of zeros, shape (n, k): ``identifiers``, one after the other, from each of n times on."""
+    """Return empty frames, shape (n, k): from each of n times on, the k identifiers one after the other."""
     rows = np.zeros((len(time_s), len(identifiers)), FRAME_DTYPE)
     rows["time_s"] = time_s[:, None] + FRAME_S * np.arange(len(identifiers))
     rows["id"], rows["length"] = identifiers, lengths
@@ -74,5 +79,5 @@ def empty_frames(
 
 
 def in_order(*groups: NDArray[np.void]) -> FrameBlock:
-    """All frames in order of sending."""
+    """Join groups of frames in the order of sending."""
     return concatenate([FrameBlock(group.ravel()) for group in groups]).in_order()

@@ -1,8 +1,8 @@
-"""CANaerospace frames, version 1.7: big-endian, one number a frame, with a separate counter.
+"""CANaerospace frames, version 1.7: big-endian, one number per frame, with a counter for each identifier.
 
-Byte 0 is the node, byte 1 the type of data, byte 2 the service, byte 3 the message code: a counter, 0 to
-255, that shows lost frames; the number follows. Mode, gyro temperatures and the bench's command have
-user-defined identifiers.
+Byte 0 is the node, byte 1 the type of data, byte 2 the service, and byte 3 the message code: a counter, 0 to
+255, from which the receiver detects lost frames. The number follows. Mode, gyro temperatures and the bench's
+command have user-defined identifiers.
 
 References
 ----------
@@ -59,13 +59,13 @@ class CanaerospaceFormat(CanFormat):
     @override
     def frames(self, epochs: Epochs) -> FrameBlock:
         time_s = self._epoch_unix_s + epochs.sample / SAMPLE_RATE_HZ
-        whole = epochs.sample % SAMPLE_RATE_HZ == 0
-        slow = empty_frames(time_s[whole], _SLOW, 8)
+        is_whole_second = epochs.sample % SAMPLE_RATE_HZ == 0
+        slow = empty_frames(time_s[is_whole_second], _SLOW, 8)
         slow["data"].view(">u4")[:, :2, 1] = int(epochs.mode), int(epochs.alignment)
         slow["data"].view(">f4")[:, 2:, 1] = epochs.read_c[:, 1:4] + _ZERO_C_IN_K
         _set_headers(slow, [_ULONG, _ULONG, _FLOAT, _FLOAT, _FLOAT], self._slow_codes)
         north, east, roll, pitch, heading = euler_output(epochs.states, pitch_first=False).T
-        fast = empty_frames(time_s + len(_SLOW) * FRAME_S * whole, _FAST, 8)
+        fast = empty_frames(time_s + len(_SLOW) * FRAME_S * is_whole_second, _FAST, 8)
         course_deg = (np.degrees(heading) + 180.0) % 360.0 - 180.0
         numbers = (np.degrees(pitch), np.degrees(roll), east, north, np.zeros_like(east), course_deg)
         fast["data"].view(">f4")[:, :, 1] = np.stack(numbers, axis=-1)
@@ -76,7 +76,7 @@ class CanaerospaceFormat(CanFormat):
 
 
 def _set_headers(rows: NDArray[np.void], types: list[int], first_code: int) -> None:
-    """Node, type of data, service and message code; the codes count the frames of an identifier."""
+    """Set node, type of data, service and message code; the codes count the frames of each identifier."""
     data = rows["data"]
     data[..., 0], data[..., 1], data[..., 2] = _NODE, types, _SERVICE
     data[..., 3] = (first_code + np.arange(len(rows)) & 0xFF)[:, None]

@@ -1,8 +1,9 @@
 """The frames of gyrobench_ins.dbc.
 
-Each navigation epoch is three frames (velocity, roll and pitch, heading with the epoch counter);
-each whole second starts with the time, status and temperature frames. On command each sample of the sensors
-is two frames more. They are encoded here without the DBC, as an independent check of its layout.
+Each navigation epoch consists of three frames (velocity; roll and pitch; heading with the epoch counter).
+Each whole second starts with the time, status and temperature frames. On command, each sample of the inertial
+sensors is sent in two further frames. The frames are encoded here without the DBC, as an independent check of
+its layout.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ INS_COMMAND, COMPENSATION_NUMBER = 0x200, 0x201
 ANGLE_INCREMENT, VELOCITY_INCREMENT = 0x008, 0x009
 
 _FIRMWARE, _HARDWARE = 103, 1
-#: The frames of a whole second, in order of sending, and their data.
+#: Frames that are sent at whole seconds, in order, and the layout of their data.
 _SLOW_IDS = (
     SYSTEM_TIME, HEIGHT_VELOCITY_D, INS_STATUS, INS_IDENTITY, COMPENSATION_STATUS, POSITION,
     OPTICS_TEMPERATURE, ELECTRONICS_TEMPERATURE,
@@ -39,7 +40,7 @@ _SLOW_IDS = (
 _SLOW_DATA = struct.Struct("<II ii BBHBBH IHH II ii hhhH hhhh")
 _FAST_IDS = VELOCITY_NE, ROLL_PITCH, HEADING
 _INCREMENT_IDS = ANGLE_INCREMENT, VELOCITY_INCREMENT
-_NONE = np.zeros((0, 3))
+_NO_INCREMENTS = np.zeros((0, 3))
 _SLOW_FRAMES, _FAST_FRAMES = len(_SLOW_IDS), len(_FAST_IDS)
 _VELOCITY_LSB_PER_MPS, _ANGLE_LSB_PER_RAD = 1e4, math.degrees(1e6)
 #: Resolution of angle and velocity increments, and largest number in their 20 bits.
@@ -56,7 +57,7 @@ class GyrobenchFormat(CanFormat):
     @override
     def reset_counters(self) -> None:
         self._epoch_counter = self._status_counter = self._increment_counter = 0
-        self._rounded_off = np.zeros((2, 3))
+        self._rounding_remainder = np.zeros((2, 3))
 
     @override
     def skip_epochs(self, count: int) -> None:
@@ -75,7 +76,7 @@ class GyrobenchFormat(CanFormat):
     @override
     def frames(self, epochs: Epochs) -> FrameBlock:
         seconds, count = len(epochs.align_time_s), len(epochs.sample)
-        first, rotation, velocity = epochs.increments or (0, _NONE, _NONE)
+        first, rotation, velocity = epochs.increments or (0, _NO_INCREMENTS, _NO_INCREMENTS)
         sent = len(rotation)
         rows = np.zeros(seconds * _SLOW_FRAMES + count * _FAST_FRAMES + 2 * sent, FRAME_DTYPE)
         frames = FrameBlock(rows, only_data=True)
@@ -85,7 +86,7 @@ class GyrobenchFormat(CanFormat):
             epochs.read_c, epochs.align_time_s, epochs.sample,
             euler_output(epochs.states, self._world.unit.pitch_first), self._epoch_unix_s,
             self._epoch_counter, self._status_counter, int(epochs.alignment), valid,
-            first, rotation, velocity, self._increment_counter, self._rounded_off,
+            first, rotation, velocity, self._increment_counter, self._rounding_remainder,
         )  # fmt: skip
         self._status_counter = (self._status_counter + seconds) & 0xFFFF
         self._increment_counter = (self._increment_counter + sent) & 0xF
@@ -93,7 +94,7 @@ class GyrobenchFormat(CanFormat):
         return frames
 
     def _slow_data(self, epochs: Epochs) -> NDArray[np.uint8]:
-        """Data of the slow frames of a second, shape (64,), without times, counters and temperatures."""
+        """Data of the slow frames, shape (64,); times, counters and temperatures are zero."""
         unit, file = self._world.unit, self._world.file
         applied, table = unit.compensation, unit.loaded_table.tobytes()
         if table != self._table:
@@ -115,14 +116,15 @@ def _encode(
     frame_s: FloatArray, identifier: NDArray[np.uint32], length: NDArray[np.uint8], data: NDArray[np.uint8],
     slow: NDArray[np.uint8], temperatures_c: FloatArray, align_time_s: FloatArray, sample: IntArray,
     output: FloatArray, epoch_unix_s: float, counter: int, status_counter: int, alignment: int, valid: bool,
-    first: int, rotation: FloatArray, velocity: FloatArray, increment_counter: int, rounded_off: FloatArray,
+    first: int, rotation: FloatArray, velocity: FloatArray, increment_counter: int,
+    rounding_remainder: FloatArray,
 ) -> None:  # fmt: skip
     """Fill the columns of the frames of some epochs and increments, in order of sending.
 
-    ``slow``: data of the slow frames of a second, to which are added ``temperatures_c``, shape (k, 7), and
-    ``align_time_s``, shape (k,), of the k whole seconds, the time, and ``status_counter``. ``rotation`` and
-    ``velocity``, shape (m, 3), are those of the samples from ``first`` on. Their frames are behind those of
-    an epoch at the same time. What is rounded off, (2, 3), is carried over.
+    ``slow`` is the data of the slow frames; at each of the k whole seconds the time, the status counter,
+    ``temperatures_c``, shape (k, 7), and ``align_time_s``, shape (k,), are added to them. ``rotation`` and
+    ``velocity``, shape (m, 3), are the increments of the samples from ``first`` on; their frames follow those
+    of an epoch at the same time. ``rounding_remainder``, shape (2, 3), is carried over to the next increment.
     """
     for row in range(length.size):
         length[row] = 8
@@ -137,10 +139,10 @@ def _encode(
                 increment = rotation[sent] if kind == 0 else velocity[sent]
                 number = (increment_counter + sent & 0xF) << 60
                 for i in range(3):
-                    value = increment[i] / _INCREMENT_LSB[kind] + rounded_off[kind, i]
-                    whole = np.rint(value)
-                    rounded_off[kind, i] = value - whole
-                    number |= (int(min(max(whole, -_MAX_INCREMENT), _MAX_INCREMENT)) & 0xFFFFF) << 20 * i
+                    value = increment[i] / _INCREMENT_LSB[kind] + rounding_remainder[kind, i]
+                    rounded = np.rint(value)
+                    rounding_remainder[kind, i] = value - rounded
+                    number |= (int(min(max(rounded, -_MAX_INCREMENT), _MAX_INCREMENT)) & 0xFFFFF) << 20 * i
                 _put_bits(data[row + kind], 0, 8, number)
             row += 2
             sent += 1
@@ -148,11 +150,11 @@ def _encode(
             break
         time_s = epoch_unix_s + sample[k] / SAMPLE_RATE_HZ
         if sample[k] % SAMPLE_RATE_HZ == 0:
-            for place in range(_SLOW_FRAMES):
-                frame_s[row + place] = time_s + place * FRAME_S
-                identifier[row + place] = _SLOW_IDS[place]
+            for index in range(_SLOW_FRAMES):
+                frame_s[row + index] = time_s + index * FRAME_S
+                identifier[row + index] = _SLOW_IDS[index]
                 for byte in range(8):
-                    data[row + place, byte] = slow[8 * place + byte]
+                    data[row + index, byte] = slow[8 * index + byte]
             _put_bits(data[row], 0, 4, sample[k] // SAMPLE_RATE_HZ)
             _put_bits(data[row + 2], 2, 2, int(min(align_time_s[second], 0xFFFF)))
             _put_bits(data[row + 2], 6, 2, status_counter + second)
@@ -164,9 +166,9 @@ def _encode(
             _put(data[row - 1], 6, 2, 100.0 * temperatures_c[second, 0])
             second += 1
             time_s += _SLOW_FRAMES * FRAME_S
-        for place in range(_FAST_FRAMES):
-            frame_s[row + place] = time_s + place * FRAME_S
-            identifier[row + place] = _FAST_IDS[place]
+        for index in range(_FAST_FRAMES):
+            frame_s[row + index] = time_s + index * FRAME_S
+            identifier[row + index] = _FAST_IDS[index]
         _put(data[row], 0, 4, output[k, 0] * _VELOCITY_LSB_PER_MPS)
         _put(data[row], 4, 4, output[k, 1] * _VELOCITY_LSB_PER_MPS)
         _put(data[row + 1], 0, 4, output[k, 2] * _ANGLE_LSB_PER_RAD)
@@ -178,14 +180,14 @@ def _encode(
 
 
 @compiled
-def _put(data: NDArray[np.uint8], place: int, size: int, value: float) -> None:
+def _put(data: NDArray[np.uint8], first_byte: int, size: int, value: float) -> None:
     """Put a signed integer of ``size`` bytes, rounded and within its range, into the data of a frame."""
     limit = 2.0 ** (8 * size - 1)
-    _put_bits(data, place, size, int(min(max(np.rint(value), -limit), limit - 1.0)))
+    _put_bits(data, first_byte, size, int(min(max(np.rint(value), -limit), limit - 1.0)))
 
 
 @compiled
-def _put_bits(data: NDArray[np.uint8], place: int, size: int, number: int) -> None:
+def _put_bits(data: NDArray[np.uint8], first_byte: int, size: int, number: int) -> None:
     """Put the lowest ``size`` bytes of a number into the data of a frame."""
     for byte in range(size):
-        data[place + byte] = number >> 8 * byte & 0xFF
+        data[first_byte + byte] = number >> 8 * byte & 0xFF

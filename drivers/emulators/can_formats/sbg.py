@@ -1,8 +1,8 @@
 """The frames of sbg.dbc: those of SBG Systems' Ellipse, Ekinox and Quanta, little-endian.
 
-Each navigation epoch is EKF_INFO with the time, EKF_QUAT and EKF_VEL_NED; each whole second starts with
-the status and the temperature. A real one takes no commands on CAN: a gateway beside it does, with
-BENCH_COMMAND, and so does this one.
+Each navigation epoch consists of EKF_INFO with the time, EKF_QUAT and EKF_VEL_NED; each whole second starts
+with the status and the temperature. A real unit takes no commands on CAN; a gateway beside it executes
+BENCH_COMMAND. The emulated unit executes it itself.
 
 References
 ----------
@@ -49,14 +49,16 @@ class SbgFormat(CanFormat):
     def frames(self, epochs: Epochs) -> FrameBlock:
         time_s = self._epoch_unix_s + epochs.sample / SAMPLE_RATE_HZ
         stamps_us = epochs.sample * _US_PER_SAMPLE & 0xFFFFFFFF
-        whole = epochs.sample % SAMPLE_RATE_HZ == 0
-        slow = empty_frames(time_s[whole], (STATUS_03, IMU_INFO), (6, 8))
+        is_whole_second = epochs.sample % SAMPLE_RATE_HZ == 0
+        slow = empty_frames(time_s[is_whole_second], (STATUS_03, IMU_INFO), (6, 8))
         words, halves = slow["data"].view("<u4"), slow["data"].view("<i2")
         words[:, 0, 0] = _solution(epochs)
-        words[:, 1, 0], halves[:, 1, 2] = stamps_us[whole], _IMU_OK
+        words[:, 1, 0], halves[:, 1, 2] = stamps_us[is_whole_second], _IMU_OK
         optics_c = epochs.read_c[:, 1:4].mean(axis=1)
         halves[:, 1, 3] = np.rint(100.0 * optics_c).clip(-_INT16_MAX, _INT16_MAX)
-        fast = empty_frames(time_s + 2 * FRAME_S * whole, (EKF_INFO, EKF_QUAT, EKF_VEL_NED), (4, 8, 6))
+        fast = empty_frames(
+            time_s + 2 * FRAME_S * is_whole_second, (EKF_INFO, EKF_QUAT, EKF_VEL_NED), (4, 8, 6)
+        )
         fast["data"].view("<u4")[:, 0, 0] = stamps_us
         halves = fast["data"].view("<i2")
         halves[:, 1] = np.rint(_forward_right_down(epochs.states[:, :4]) * _INT16_MAX)
@@ -65,7 +67,7 @@ class SbgFormat(CanFormat):
 
 
 def _forward_right_down(quaternions: FloatArray) -> FloatArray:
-    """Quaternions (n, 4) of forward-right-down to North-East-Down, from right-forward-up to East-North-Up."""
+    """Convert quaternions (n, 4) from right-forward-up and ENU to forward-right-down and NED."""
     w, x, y, z = quaternions.T
     return np.stack([w, y, x, -z], axis=-1)
 

@@ -1,7 +1,7 @@
 """Faults of the CAN bus.
 
-A disturbance affects the next ``frames`` that have one of the ``ids``, or with ``for_s`` the ``share`` of
-them in that time.
+A disturbance affects the next ``frames`` frames that have one of the ``ids``; with ``for_s``, instead, the
+``share`` of these frames in that time.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _FRAME_BITS = 130.0
 
 
 def filter_while(bus: FaultyCan, frame_filter: FrameFilter) -> End:
-    """Filter the frames until the fault ends."""
+    """Add a filter to the bus; returns the function that removes it."""
     bus.filters.append(frame_filter)
     return partial(bus.filters.remove, frame_filter)
 
@@ -54,17 +54,17 @@ class FrameFault(Fault):
     ids: Annotated[list[Identifier], Field(min_length=1)] | None = Field(None, description="only these ids")
 
     def _arrive(self, arrived: list[can.Message], message: can.Message, random: np.random.Generator) -> None:
-        """Append what arrives of this frame to the frames that have arrived so far."""
+        """Append the frames that arrive for ``message`` to those that have already arrived."""
         raise NotImplementedError
 
     def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         remaining = self.frames
 
-        def disturbed(messages: list[can.Message]) -> list[can.Message]:
+        def disturb(messages: list[can.Message]) -> list[can.Message]:
             nonlocal remaining
             arrived: list[can.Message] = []
             for message in messages:
-                if (remaining > 0 or self.for_s is not None) and self._picks(message, occurrence.random):
+                if (remaining > 0 or self.for_s is not None) and self._affects(message, occurrence.random):
                     remaining -= 1
                     occurrence.record()
                     self._arrive(arrived, message, occurrence.random)
@@ -74,11 +74,11 @@ class FrameFault(Fault):
                 bench.bus.filters.remove(frame_filter)
             return arrived
 
-        frame_filter = _by_message(disturbed)
+        frame_filter = _by_message(disturb)
         end = filter_while(bench.bus, frame_filter)
         return end if self.for_s is not None else None
 
-    def _picks(self, message: can.Message, random: np.random.Generator) -> bool:
+    def _affects(self, message: can.Message, random: np.random.Generator) -> bool:
         if self.ids is not None and message.arbitration_id not in self.ids:
             return False
         return self.for_s is None or self.share == 1.0 or random.random() < self.share
@@ -146,10 +146,10 @@ class TimeStampJump(Fault):
     by_s: float = Field(description="error of the time stamps, s")
 
     def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
-        def shifted(frames: FrameBlock) -> FrameBlock:
+        def shift(frames: FrameBlock) -> FrameBlock:
             return frames.with_fields(time_s=frames.timestamp_s + self.by_s)
 
-        return filter_while(bench.bus, shifted)
+        return filter_while(bench.bus, shift)
 
 
 class BusOff(Fault):
@@ -172,21 +172,21 @@ class SecondNode(Fault):
         remembered: dict[int, bytes] = {}
         counters = {HEADING: (4, 0), INS_STATUS: (6, 0)}
 
-        def others_too(messages: list[can.Message]) -> list[can.Message]:
+        def add_other_node(messages: list[can.Message]) -> list[can.Message]:
             arriving: list[can.Message] = []
             for message in messages:
                 identifier = message.arbitration_id
                 other = copy.copy(message)
                 other.data = bytearray(remembered.setdefault(identifier, bytes(message.data)))
                 if identifier in counters:
-                    place, count = counters[identifier]
-                    other.data[place : place + 2] = (count & 0xFFFF).to_bytes(2, "little")
-                    counters[identifier] = place, count + 1
+                    first_byte, count = counters[identifier]
+                    other.data[first_byte : first_byte + 2] = (count & 0xFFFF).to_bytes(2, "little")
+                    counters[identifier] = first_byte, count + 1
                 arriving += (message, other)
                 occurrence.record()
             return arriving
 
-        return filter_while(bench.bus, _by_message(others_too))
+        return filter_while(bench.bus, _by_message(add_other_node))
 
 
 class ForeignFrames(Fault):
@@ -204,11 +204,11 @@ class ForeignFrames(Fault):
         free_from_s = 0.0
         sent = 0
 
-        def crowded(messages: list[can.Message]) -> list[can.Message]:
+        def add_foreign_frames(messages: list[can.Message]) -> list[can.Message]:
             nonlocal free_from_s, sent
             arriving: list[can.Message] = []
             for message in messages:
-                # After a silence of the INS the other frames resume one second before its next frame.
+                # After a silence of the INS the foreign frames resume one second before its next frame.
                 free_from_s = max(free_from_s, message.timestamp - 1.0)
                 while free_from_s + frame_s < message.timestamp:
                     identifier = self.first_id + sent % self.nodes
@@ -226,4 +226,4 @@ class ForeignFrames(Fault):
                 free_from_s += frame_s
             return arriving
 
-        return filter_while(bench.bus, _by_message(crowded))
+        return filter_while(bench.bus, _by_message(add_foreign_frames))

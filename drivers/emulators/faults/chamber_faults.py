@@ -62,7 +62,7 @@ class ChamberSensorError(Fault):
     error: Annotated[int, Field(ge=1, le=10)] = Field(1, description="number in register 101")
 
     def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
-        chamber = bench.capable("chamber", WithTemperatureSensor)
+        chamber = bench.require_capability("chamber", WithTemperatureSensor)
         chamber.break_sensor(self.error)
         return chamber.repair_sensor
 
@@ -87,7 +87,7 @@ class ChamberAlarm(Fault):
     state: Literal["high", "low"] = Field("high", description="the violated limit")
 
     def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
-        chamber = bench.capable("chamber", WithAlarms)
+        chamber = bench.require_capability("chamber", WithAlarms)
         chamber.raise_alarm(self.alarm, self.state == "high")
         return partial(chamber.end_alarm, self.alarm)
 
@@ -139,7 +139,7 @@ class ProfileStartedAtPanel(Fault):
     to_c: float = Field(ge=-60.0, le=100.0, description="temperature of the profile, degC")
 
     def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
-        bench.capable("chamber", WithProfiles).start_profile(self.to_c)
+        bench.require_capability("chamber", WithProfiles).start_profile(self.to_c)
         return None
 
 
@@ -150,7 +150,7 @@ class UnitChangedAtPanel(Fault):
     fault: Literal["unit_changed_at_panel"]
 
     def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
-        chamber = bench.capable("chamber", WithTemperatureUnit)
+        chamber = bench.require_capability("chamber", WithTemperatureUnit)
         chamber.use_fahrenheit(True)
         return partial(chamber.use_fahrenheit, False)
 
@@ -163,7 +163,7 @@ class DecimalsChangedAtPanel(Fault):
     decimals: Annotated[int, Field(ge=0, le=3)] = Field(2, description="places after the decimal point")
 
     def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
-        chamber = bench.capable("chamber", WithDecimals)
+        chamber = bench.require_capability("chamber", WithDecimals)
         before, chamber.decimals = chamber.decimals, self.decimals
         return partial(setattr, chamber, "decimals", before)
 
@@ -177,5 +177,5 @@ class NoSetPointRamp(Fault):
     fault: Literal["no_set_point_ramp"]
 
     def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
-        bench.capable("chamber", WithRamp).remove_ramp()
+        bench.require_capability("chamber", WithRamp).remove_ramp()
         return None

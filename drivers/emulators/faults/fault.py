@@ -1,6 +1,7 @@
-"""What all faults have in common: timing keys, parts of the bench that they act on, and faulty lines.
+"""Common base of all faults: timing keys, the parts of the bench that faults act on, and faulty lines.
 
-Serial line and CAN bus have wrappers that put faults between an emulated instrument and its clients.
+Wrappers of the serial line and the CAN bus disturb the exchange between an emulated instrument and its
+clients.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from gyrobench.drivers.frames import FrameBlock
 
 
 class Reply(NamedTuple):
-    """What comes from the instrument, and its delay beyond the usual latency."""
+    """Bytes that arrive from the instrument, and their delay beyond the usual latency."""
 
     data: bytes
     delay_s: float = 0.0
@@ -33,37 +34,37 @@ class Reply(NamedTuple):
 
 @dataclass
 class Exchange:
-    """One request, the reply to the previous one, and how to get the correct answer."""
+    """A request to an instrument, for a fault that may disturb it."""
 
     request: bytes
-    earlier_reply: bytes
-    ask: Callable[[], bytes]
+    earlier_reply: bytes  #: Reply to the previous request.
+    execute: Callable[[], bytes]  #: Makes the instrument execute the request; returns its reply.
 
     @cached_property
     def answer(self) -> bytes:
         """The correct reply; the instrument executes the request when this is first read."""
-        return self.ask()
+        return self.execute()
 
 
-#: Gives the reply in place of the correct one; None leaves the exchange unchanged.
+#: Returns the reply in place of the correct one; None leaves the exchange unchanged.
 Disturbance = Callable[[Exchange], Reply | None]
-#: Makes the frames that arrive from those that were sent; does not change these.
+#: Returns the frames that arrive for the frames that were sent, without changing the latter.
 FrameFilter = Callable[[FrameBlock], FrameBlock]
 
 
 class FaultySerial:
-    """An emulated instrument with disturbances of its exchanges."""
+    """An emulated instrument whose exchanges may be disturbed."""
 
     def __init__(self, instrument: SerialInstrument) -> None:
         self._instrument = instrument
         self.latency_s = instrument.latency_s  #: Latency of the reply that :meth:`feed` last returned.
         self.connection = Connection()  #: The plug.
-        self.powered = True  #: Whether the instrument receives and answers at all.
-        self.disturbances: list[Disturbance] = []  #: Only the first one that acts on an exchange is applied.
+        self.powered = True  #: Whether the instrument has power; without, it is silent.
+        self.disturbances: list[Disturbance] = []  #: Only the first that returns a reply is applied.
         self._earlier_reply = b""
 
     def feed(self, data: bytes, now_s: float) -> bytes:
-        """Take bytes; see :class:`gyrobench.drivers.emulators.dialect.SerialInstrument`."""
+        """Receive bytes; see :meth:`gyrobench.drivers.emulators.dialect.SerialInstrument.feed`."""
         self.latency_s = self._instrument.latency_s
         if not self.powered:
             return b""
@@ -81,7 +82,7 @@ class FaultySerial:
 
 
 class FaultyCan:
-    """The emulated INS behind filters of its frames; a CanNode."""
+    """The emulated INS with filters that disturb its frames; a CanNode."""
 
     def __init__(self, ins: CanInsEmulator) -> None:
         self._ins = ins
@@ -91,7 +92,7 @@ class FaultyCan:
         ins.listeners.append(self._forward)
 
     def receive(self, message: can.Message) -> None:
-        """Take a frame to the INS."""
+        """Pass a frame to the INS."""
         if not self.connection.broken:
             self._ins.receive(message)
 
@@ -106,21 +107,21 @@ class FaultyCan:
 
 
 Count = Annotated[int, Field(ge=1)]
-#: Mean spacing in s; the minimum bounds the work of a run.
+#: Mean spacing, s; the minimum limits the computing time of a run.
 Spacing = Annotated[float, Field(ge=1.0)]
-#: Phase of the emulated bench, derived from the world's state.
+#: Phase of the emulated bench, determined from the state of the world.
 BenchPhase = Literal["power_on", "align", "navigate", "turn", "ramp"]
-#: Ends a fault; None where nothing is to be done.
+#: Function that ends a fault; None if it ends by itself.
 End = Callable[[], None] | None
 
 _CapabilityT = TypeVar("_CapabilityT")
 
 
 class Persistence(Enum):
-    """How long a kind of fault lasts without ``for_s``."""
+    """Duration of a kind of fault without ``for_s``."""
 
     MOMENTARY = "happens at one moment; for_s is not allowed"
-    UNTIL_USED = "affects the next replies or frames, as many as its own key says"
+    UNTIL_USED = "affects as many of the next replies or frames as its own key gives"
     PERMANENT = "lasts until the end of the run"
 
 
@@ -157,11 +158,11 @@ class Timing(StrictModel):
 
     @model_validator(mode="after")
     def _check_timing(self) -> Timing:
-        given = [key for key in ("at_s", "every_s", "during") if getattr(self, key) is not None]
-        if len(given) != 1:
+        timing_keys = [key for key in ("at_s", "every_s", "during") if getattr(self, key) is not None]
+        if len(timing_keys) != 1:
             raise ValueError("an entry has exactly one of the keys at_s, every_s and during")
         for key, needs in {"from_s": "every_s", "after_s": "during", "nth": "during"}.items():
-            if key in self.model_fields_set and needs not in given:
+            if key in self.model_fields_set and needs not in timing_keys:
                 raise ValueError(f"{key} is allowed only with {needs}")
         if self.at_s is not None and self.max_times > 1:
             raise ValueError("at_s is one moment; for more times use every_s or another entry")
@@ -173,12 +174,12 @@ class Timing(StrictModel):
 
 
 class UnsupportedFaultError(Exception):
-    """A fault that the emulators of this bench don't support; never leaves the checks of a list."""
+    """The emulators of this bench do not support a fault; caught where a list of faults is checked."""
 
 
 @dataclass(frozen=True)
 class BenchParts:
-    """The emulated bench as faults see it, with one of its units."""
+    """The parts of an emulated bench that faults act on, with one of its units."""
 
     world: World
     table: SerialInstrument
@@ -186,10 +187,10 @@ class BenchParts:
     ins: CanInsEmulator
     lines: Mapping[str, FaultySerial]  #: ``table`` and ``chamber`` at their ports.
     bus: FaultyCan
-    dialects: Mapping[str, str]  #: Their dialects.
+    dialects: Mapping[str, str]  #: Dialects of ``table`` and ``chamber``.
 
-    def capable(self, name: str, capability: type[_CapabilityT]) -> _CapabilityT:
-        """Table or chamber as an instrument with the capability that a fault needs.
+    def require_capability(self, name: str, capability: type[_CapabilityT]) -> _CapabilityT:
+        """Return the table or the chamber, with the type of the capability that a fault needs.
 
         Raises UnsupportedFaultError if the emulator of this dialect lacks it.
         """
@@ -205,32 +206,32 @@ class BenchParts:
 class Occurrence:
     """One occurrence of a fault."""
 
-    now_s: Callable[[], float]  #: The time on the bench's clock.
-    random: np.random.Generator  #: Random numbers of the entry.
+    now_s: Callable[[], float]  #: Returns the time on the bench's clock.
+    random: np.random.Generator  #: Random numbers of the entry in the list.
     #: Called when the fault takes effect; only the first call of an occurrence counts.
     record: Callable[[], None]
 
 
 class Fault(Timing):
-    """One entry of the list; a subclass is one kind, named by its key ``fault``."""
+    """Base class of the kinds of faults; a subclass has its name as the value of the key ``fault``."""
 
-    #: ``table`` or ``chamber``, and the capability that its emulator needs for this fault.
+    #: ``table`` or ``chamber``, and the capability that its emulator needs for this fault; None for none.
     requires: ClassVar[tuple[str, type] | None] = None
-    #: Whether it takes effect when it starts; otherwise the kind itself calls ``occurrence.record``.
+    #: Whether it takes effect when it starts; otherwise the subclass calls ``occurrence.record``.
     immediate: ClassVar[bool] = True
 
     @property
     def kind(self) -> str:
-        """Name of the kind."""
+        """Name of the kind of fault."""
         return str(getattr(self, "fault"))  # noqa: B009
 
     def check(self, bench: BenchParts) -> None:
-        """Raise UnsupportedFaultError where this bench does not support the fault."""
+        """Raise UnsupportedFaultError if this bench does not support the fault."""
         if self.requires is not None:
-            bench.capable(*self.requires)
+            bench.require_capability(*self.requires)
 
     def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
-        """Start the fault on the bench, whose world is at the present; returns what ends it."""
+        """Start the fault; returns the function that ends it. The world is at the present time."""
         if self.immediate:
             occurrence.record()
         return self._begin(bench, occurrence)

@@ -1,6 +1,6 @@
-"""Faults of an emulated bench: their list as a file, and its execution.
+"""Lists of faults of an emulated bench: the file, and the injector that executes it.
 
-The injector schedules them, follows the phases of the bench, injects and logs.
+The injector schedules the faults, observes the phases of the bench, injects the faults and logs them.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from gyrobench.drivers.emulators.world.inertial_unit import Mode
 from gyrobench.drivers.emulators.world.world import World
 
 _MODULES = (serial_faults, can_faults, ins_faults, table_faults, chamber_faults)
-#: The kinds: each class of these modules with a key ``fault``.
+#: All kinds of faults: the classes of these modules that have a key ``fault``.
 _KINDS = [
     kind
     for module in _MODULES
@@ -52,7 +52,7 @@ else:
 
 
 class FaultList(StrictModel):
-    """What fails, and when."""
+    """A list of faults."""
 
     description: str = Field("", description="purpose of the list")
     log: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")] | None = Field(
@@ -69,15 +69,14 @@ def load_faults(path: Path) -> FaultList:
     return validate(read_document(path), FaultList)
 
 
-def check_faults(path: Path, listed: FaultList, benches: Sequence[BenchParts]) -> None:
-    """Refuse faults that the dialects of this bench do not support, and of units that it lacks.
+def check_faults(path: Path, fault_list: FaultList, benches: Sequence[BenchParts]) -> None:
+    """Check that the bench has the units of all faults, and that its dialects support them.
 
-    ``benches``: the bench as seen with each of its units.
-
-    Raises DocumentError, which lists them, each with its place in the file.
+    ``benches``: the parts of the bench for each of its units. Raises DocumentError, which lists the faults
+    that are not supported, each with its place in the file.
     """
     problems = []
-    for index, fault in enumerate(listed.faults):
+    for index, fault in enumerate(fault_list.faults):
         try:
             if fault.unit > len(benches):
                 raise UnsupportedFaultError(f"unit {fault.unit} is not on the bench; it has {len(benches)}")
@@ -89,18 +88,18 @@ def check_faults(path: Path, listed: FaultList, benches: Sequence[BenchParts]) -
 
 
 #: Distance of the air from its set point above which it counts as ramping.
-_RAMP_C = 1.0
+_RAMPING_C = 1.0
 
 
 class Injection(NamedTuple):
-    """One injected fault: time on the bench's clock, and kind."""
+    """An injected fault: time on the bench's clock, and kind."""
 
     time_s: float
     kind: str
 
 
 class InjectionLog(list[Injection]):
-    """The injections so far, each also appended to a file of JSON lines, if a path is given.
+    """List of the injections; if a path is given, each is also appended to that file as a line of JSON.
 
     Raises DocumentError if the file can't be written.
     """
@@ -125,10 +124,10 @@ class InjectionLog(list[Injection]):
 
 
 class Schedule:
-    """Starts and ends of one entry in order of time, computed from its timing alone.
+    """Starts and ends of the occurrences of one fault, computed from its timing.
 
-    Gaps of ``every_s`` are exponential, so the rate is constant. Occurrences that ended before ``start_s``,
-    the start of the bench, are skipped; one that still lasts starts there.
+    With ``every_s`` the gaps are exponentially distributed (constant rate). Occurrences that ended before
+    ``start_s``, the start of the bench, are skipped; one that lasts beyond it starts there.
     """
 
     def __init__(self, timing: Timing, random: np.random.Generator, start_s: float = 0.0) -> None:
@@ -137,21 +136,21 @@ class Schedule:
         self._remaining = timing.max_times
         self._phases = 0
         self._in_phase = False
-        self._begin_s = self._first(start_s)
+        self._begin_s = self._first_begin_s(start_s)
         self._end_s: float | None = None
 
     @property
     def next_s(self) -> float:
-        """Next time at which something is due; infinite for none."""
+        """Time of the next start or end; infinite if there is none."""
         return self._begin_s if self._end_s is None else self._end_s
 
     def observe(self, in_phase: bool, now_s: float) -> None:
-        """Take notice whether the bench is in the phase of ``during``."""
+        """Record whether the bench is in the phase of ``during``."""
         if in_phase == self._in_phase:
             return
         self._in_phase = in_phase
         if not in_phase:
-            self._begin_s = math.inf  # too short for after_s
+            self._begin_s = math.inf  # the phase was shorter than after_s
             return
         self._phases += 1
         if self._phases >= self._timing.nth and self._remaining > 0 and self._end_s is None:
@@ -176,11 +175,11 @@ class Schedule:
         self._end_s = None
         return True
 
-    def _first(self, start_s: float) -> float:
+    def _first_begin_s(self, start_s: float) -> float:
         timing = self._timing
         if timing.at_s is not None:
-            over = timing.at_s < start_s and timing.at_s + timing.duration_s <= start_s
-            return math.inf if over else timing.at_s
+            is_over = timing.at_s < start_s and timing.at_s + timing.duration_s <= start_s
+            return math.inf if is_over else timing.at_s
         if timing.every_s is not None:
             return max(start_s, timing.from_s) + self._gap_s(timing.every_s)
         return math.inf
@@ -192,10 +191,10 @@ class Schedule:
 class Injector:
     """Advances the world in steps that end where a fault starts or ends.
 
-    Phases of the bench are evaluated at each step, and at least once a second. Each entry has a separate
-    stream of random numbers, so its times do not depend on the other entries; another ``start_s`` has other
-    times. ``benches`` is the bench as seen with each of its units; ``log`` receives every fault that takes
-    effect.
+    The phases of the bench are evaluated at each step, and at least once a second. Each fault has a separate
+    stream of random numbers, which also depends on ``start_s``, so its times do not depend on the other
+    faults. ``benches`` are the parts of the bench for each of its units; every fault that takes effect is
+    added to ``log``.
     """
 
     def __init__(
@@ -216,7 +215,7 @@ class Injector:
         self._log = log
 
     def advance(self, now_s: float) -> None:
-        """Advance the world to ``now_s``, and the faults with it."""
+        """Advance the world to ``now_s``; starts and ends the faults on the way."""
         self._update()
         while self._now_s < now_s:
             next_s = min((planned.schedule.next_s for planned in self._planned), default=math.inf)
@@ -255,7 +254,7 @@ class Injector:
 
 
 class _PlannedFault:
-    """One entry of the list, with what ends its present occurrence."""
+    """A fault with its schedule, and the function that ends its present occurrence."""
 
     def __init__(self, fault: Fault, random: np.random.Generator, start_s: float) -> None:
         self.fault = fault
@@ -272,6 +271,6 @@ def _active_phases(world: World, now_s: float) -> set[BenchPhase]:
         "align": unit.mode is Mode.ALIGN,
         "navigate": unit.mode is Mode.NAVIGATE,
         "turn": any(axis.is_moving(now_s) for axis in world.axes.values()),
-        "ramp": air.running and abs(air.set_point_c - air.air_c) > _RAMP_C,
+        "ramp": air.running and abs(air.set_point_c - air.air_c) > _RAMPING_C,
     }
     return {phase for phase, is_active in active.items() if is_active}

@@ -1,7 +1,7 @@
 """Faults of the INS itself.
 
-The signals of the shipped DBC are integers, so a NaN can't be sent: by convention the lowest 32-bit integer
-stands for an invalid output.
+The signals of the shipped DBC are integers and can't carry NaN; by convention the lowest 32-bit integer
+means an invalid output.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ Sensor = Literal[
 ]
 Signals = Annotated[list[Signal], Field(min_length=1)]
 
-#: Frame and first byte of each signal, 32 bits with a sign.
-_PLACES: dict[str, tuple[int, int]] = {
+#: Frame and first byte of each signal, a signed 32-bit integer.
+_SIGNAL_BYTES: dict[str, tuple[int, int]] = {
     "velocity_north": (VELOCITY_NE, 0),
     "velocity_east": (VELOCITY_NE, 4),
     "roll": (ROLL_PITCH, 0),
     "pitch": (ROLL_PITCH, 4),
     "heading": (HEADING, 0),
 }
-_ALL: list[Signal] = list(get_args(Signal))
+_ALL_SIGNALS: list[Signal] = list(get_args(Signal))
 _SENSORS: tuple[Sensor, ...] = get_args(Sensor)
 _INVALID = struct.pack("<i", -(2**31))
-_LARGEST = struct.pack("<i", 2**31 - 1)
+_SATURATED = struct.pack("<i", 2**31 - 1)
 _SENSOR_LIMIT_C = 327.67
 
 
@@ -98,29 +98,29 @@ class _OutputFault(Fault):
     """Signals of the navigation output are wrong, while counters continue."""
 
     immediate = False
-    signals: Signals = Field(_ALL, description="affected signals of the navigation output")
+    signals: Signals = Field(_ALL_SIGNALS, description="affected signals of the navigation output")
 
     def _value(self, first: bytes) -> bytes:
-        """Value sent in place of the correct one; ``first`` was correct when the fault began."""
+        """Value sent in place of the correct one; ``first`` is the correct value when the fault began."""
         raise NotImplementedError
 
     def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         first: dict[str, bytes] = {}
 
-        def replaced(frames: FrameBlock) -> FrameBlock:
+        def replace_signals(frames: FrameBlock) -> FrameBlock:
             data = frames.data.copy()
             for signal in self.signals:
-                identifier, place = _PLACES[signal]
+                identifier, first_byte = _SIGNAL_BYTES[signal]
                 affected = np.flatnonzero(frames.arbitration_id == identifier)
                 if len(affected):
-                    bytes_of_signal = slice(place, place + 4)
-                    correct = data[affected[0], bytes_of_signal].tobytes()
+                    signal_bytes = slice(first_byte, first_byte + 4)
+                    correct = data[affected[0], signal_bytes].tobytes()
                     value = self._value(first.setdefault(signal, correct))
-                    data[affected, bytes_of_signal] = np.frombuffer(value, np.uint8)
+                    data[affected, signal_bytes] = np.frombuffer(value, np.uint8)
                     occurrence.record()
             return frames.with_fields(data=data)
 
-        return filter_while(bench.bus, replaced)
+        return filter_while(bench.bus, replace_signals)
 
 
 class StuckOutput(_OutputFault):
@@ -147,7 +147,7 @@ class SaturatedOutput(_OutputFault):
     fault: Literal["saturated_output"]
 
     def _value(self, first: bytes) -> bytes:
-        return _LARGEST
+        return _SATURATED
 
 
 class SensorFault(Fault):
@@ -160,12 +160,12 @@ class SensorFault(Fault):
         raise NotImplementedError
 
     def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
-        place = _SENSORS.index(self.sensor)
-        broken = bench.world.broken_sensors
-        broken[place] = self._reading_c(bench)
+        index = _SENSORS.index(self.sensor)
+        broken_sensors = bench.world.broken_sensors
+        broken_sensors[index] = self._reading_c(bench)
 
         def end() -> None:
-            broken.pop(place, None)
+            broken_sensors.pop(index, None)
 
         return end
 

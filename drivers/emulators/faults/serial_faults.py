@@ -1,6 +1,6 @@
 """Faults of a serial line and of the instrument behind it.
 
-Without ``for_s`` a disturbance affects the next ``replies``, with it all replies in that time.
+A disturbance affects the next ``replies`` replies; with ``for_s``, instead, all replies in that time.
 """
 
 from __future__ import annotations
@@ -42,25 +42,25 @@ class LineFault(Fault):
     replies: Count = Field(1, description="without for_s: number of affected replies")
 
     def _disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
-        """Give the reply in place of the correct one; None leaves the exchange unchanged."""
+        """Return the reply in place of the correct one; None leaves the exchange unchanged."""
         raise NotImplementedError
 
     def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         line = bench.lines[self.target]
         remaining = self.replies
 
-        def disturbance(exchange: Exchange) -> Reply | None:
+        def disturb(exchange: Exchange) -> Reply | None:
             nonlocal remaining
             reply = self._disturb(exchange, bench, occurrence.random)
             if reply is not None:
                 occurrence.record()
                 remaining -= 1
                 if self.for_s is None and remaining == 0:
-                    line.disturbances.remove(disturbance)
+                    line.disturbances.remove(disturb)
             return reply
 
-        line.disturbances.append(disturbance)
-        return partial(line.disturbances.remove, disturbance) if self.for_s is not None else None
+        line.disturbances.append(disturb)
+        return partial(line.disturbances.remove, disturb) if self.for_s is not None else None
 
 
 class LostReply(LineFault):
@@ -132,8 +132,8 @@ class DamagedReply(LineFault):
         if not exchange.answer:
             return None
         data = bytearray(exchange.answer)
-        for place in random.choice(len(data), min(self.bytes, len(data)), replace=False).tolist():
-            data[place] ^= 1 << int(random.integers(8))
+        for index in random.choice(len(data), min(self.bytes, len(data)), replace=False).tolist():
+            data[index] ^= 1 << int(random.integers(8))
         return Reply(bytes(data))
 
 
@@ -160,7 +160,9 @@ class ExceptionCode(LineFault):
     def _disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
         if len(exchange.request) <= _CRC_BYTES:
             return None
-        return Reply(bench.capable("chamber", SpeaksModbus).refusal(exchange.request[1], self.code))
+        return Reply(
+            bench.require_capability("chamber", SpeaksModbus).refusal(exchange.request[1], self.code)
+        )
 
 
 class ErrorWord(LineFault):
@@ -174,7 +176,9 @@ class ErrorWord(LineFault):
     )
 
     def _disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
-        return Reply(bench.capable("table", Acutrol3000Emulator).refusal(ErrorCode[self.error.upper()]))
+        return Reply(
+            bench.require_capability("table", Acutrol3000Emulator).refusal(ErrorCode[self.error.upper()])
+        )
 
 
 class PortGone(Fault):
@@ -202,11 +206,11 @@ class InstrumentRestarts(Fault):
 
     @override
     def check(self, bench: BenchParts) -> None:
-        bench.capable(self.target, Restartable)
+        bench.require_capability(self.target, Restartable)
 
     def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         line: FaultySerial = bench.lines[self.target]
-        instrument = bench.capable(self.target, Restartable)
+        instrument = bench.require_capability(self.target, Restartable)
         line.powered = False
         instrument.power_off(occurrence.now_s())
 

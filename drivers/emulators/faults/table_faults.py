@@ -49,7 +49,7 @@ class AxisFault(Fault):
 
     def is_servoed(self, bench: BenchParts) -> bool:
         """Whether the servo of the axis is closed."""
-        return bench.capable("table", Servoed).is_servoed(self.number)
+        return bench.require_capability("table", Servoed).is_servoed(self.number)
 
 
 class TableStalls(AxisFault):
@@ -59,8 +59,8 @@ class TableStalls(AxisFault):
 
     def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         axis = self.physics(bench)
-        axis.overcome(occurrence.now_s())
-        return lambda: axis.let_go(occurrence.now_s(), servo=self.is_servoed(bench))
+        axis.hold_by_force(occurrence.now_s())
+        return lambda: axis.end_force(occurrence.now_s(), servo=self.is_servoed(bench))
 
 
 class PositionNotReached(AxisFault):
@@ -75,7 +75,7 @@ class PositionNotReached(AxisFault):
 
         def end() -> None:
             axis.friction_deg = 0.0
-            axis.let_go(occurrence.now_s(), servo=self.is_servoed(bench))
+            axis.end_force(occurrence.now_s(), servo=self.is_servoed(bench))
 
         return end
 
@@ -93,8 +93,8 @@ class MovedByHand(AxisFault):
 
     def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         axis = self.physics(bench)
-        axis.overcome(occurrence.now_s(), self.by_deg)
-        return lambda: axis.let_go(occurrence.now_s(), servo=self.back and self.is_servoed(bench))
+        axis.hold_by_force(occurrence.now_s(), self.by_deg)
+        return lambda: axis.end_force(occurrence.now_s(), servo=self.back and self.is_servoed(bench))
 
 
 class TableTrips(AxisFault):
@@ -107,7 +107,7 @@ class TableTrips(AxisFault):
     trip: TableTrip = Field("rate_trip", description="the detected fault")
 
     def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
-        bench.capable("table", Acutrol3000Emulator).trip(
+        bench.require_capability("table", Acutrol3000Emulator).trip(
             self.number, SoftwareFault[self.trip.upper()], occurrence.now_s()
         )
         return None
@@ -121,6 +121,6 @@ class InterlockOpens(AxisFault):
     bit: Annotated[int, Field(ge=0, le=15)] = Field(0, description="bit of the interlock register")
 
     def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
-        table = bench.capable("table", Acutrol3000Emulator)
+        table = bench.require_capability("table", Acutrol3000Emulator)
         table.open_interlock(self.number, occurrence.now_s(), self.bit)
         return lambda: table.close_interlock(self.number, self.bit)

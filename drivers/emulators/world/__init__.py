@@ -1,5 +1,5 @@
 """The simulated physics behind the emulated instruments: chamber air, table, INS and its sensors.
 
-Conventions: navigation frame East-North-Up; ``C_nb`` turns body vectors into it; SI units inside,
-units in the key names of the world file. :class:`~.world.World` steps all of it.
+Conventions: the navigation frame is East-North-Up; ``C_nb`` transforms body vectors to it. The code uses SI
+units; in the world file the unit is part of each key. :class:`~.world.World` simulates all parts together.
 """

@@ -1,8 +1,8 @@
-"""Standard normal numbers, those of numpy's generators, in a third of their time.
+"""Standard normal numbers: the same sequence as numpy's generators, in a third of the time.
 
-numpy calls the bit generator through a pointer for each number. Here its numbers are fetched in blocks, and a
-kernel makes normal numbers of them as numpy does: by the ziggurat of Marsaglia and Tsang, J. Stat. Softw. 5-8
-(2000), with 256 strips.
+numpy calls the bit generator through a pointer for each number. Here its output is fetched in blocks, and a
+kernel converts it to normal numbers as numpy does: by the ziggurat method of Marsaglia and Tsang, J. Stat.
+Softw. 5-8 (2000), with 256 strips.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.kernels import compiled
 
-#: Where the tail begins, and the area of each strip.
+#: Start of the tail, and area of each strip.
 _TAIL, _AREA = 3.6541528853610087963519472518, 0.00492867323397465493159
-#: Bits of a number within its strip, and numbers that are fetched together.
+#: Number of bits for the position within a strip, and size of the blocks that are fetched.
 _BITS, _BLOCK = 52, 8192
 
 
 class NormalNumbers:
-    """The sequence that ``np.random.default_rng(seed)`` gives, if nothing but normal numbers is drawn."""
+    """The sequence of ``np.random.default_rng(seed)`` if only normal numbers are numbers."""
 
     def __init__(self, seed: Sequence[int]) -> None:
         self._bits = np.random.PCG64(seed)
@@ -32,17 +32,17 @@ class NormalNumbers:
 
     def standard_normal(self, shape: int | tuple[int, ...]) -> FloatArray:
         """Draw the next numbers."""
-        drawn = np.empty(shape)
-        flat = drawn.reshape(-1)
+        numbers = np.empty(shape)
+        flat = numbers.reshape(-1)
         count, self._used = _draw(flat, 0, self._block, self._used, _LIMITS, _WIDTHS, _HEIGHTS)
         while count < flat.size:
             self._block = np.concatenate([self._block[self._used :], self._bits.random_raw(_BLOCK)])
             count, self._used = _draw(flat, count, self._block, 0, _LIMITS, _WIDTHS, _HEIGHTS)
-        return drawn
+        return numbers
 
 
 def _strips() -> tuple[NDArray[np.uint64], FloatArray, FloatArray]:
-    """Of each strip: the number up to which it is below the curve, its width for one, the curve's height."""
+    """For each strip: largest integer below the curve, width of one integer step, and height of the curve."""
     limits, widths, heights = np.zeros(256, np.uint64), np.empty(256), np.empty(256)
     edge, height = _TAIL, math.exp(-0.5 * _TAIL * _TAIL)
     limits[0] = int(edge / (_AREA / height) * 2**_BITS)
@@ -61,11 +61,11 @@ _LIMITS, _WIDTHS, _HEIGHTS = _strips()
 
 @compiled
 def _draw(
-    drawn: FloatArray, count: int, bits: NDArray[np.uint64], used: int, limits: NDArray[np.uint64],
+    numbers: FloatArray, count: int, bits: NDArray[np.uint64], used: int, limits: NDArray[np.uint64],
     widths: FloatArray, heights: FloatArray,
 ) -> tuple[int, int]:  # fmt: skip
-    """Fill ``drawn`` from ``count`` on, until all ``bits`` are used; returns how far both are."""
-    while count < drawn.size and used < bits.size:
+    """Fill ``numbers`` from index ``count`` on until all ``bits`` are used; returns both new indices."""
+    while count < numbers.size and used < bits.size:
         number = bits[used]
         used += 1
         strip = np.int64(number & np.uint64(255))
@@ -76,14 +76,14 @@ def _draw(
         if within >= limits[strip]:
             first = used - 1
             if strip == 0:
-                is_found = False
-                while not is_found and used + 2 <= bits.size:
+                is_accepted = False
+                while not is_accepted and used + 2 <= bits.size:
                     beyond = -math.log1p(-_uniform(bits[used])) / _TAIL
                     height = -math.log1p(-_uniform(bits[used + 1]))
                     used += 2
-                    is_found = height + height > beyond * beyond
+                    is_accepted = height + height > beyond * beyond
                     value = -(_TAIL + beyond) if (within >> np.uint64(8)) & np.uint64(1) else _TAIL + beyond
-                if not is_found:
+                if not is_accepted:
                     return count, first
             else:
                 if used == bits.size:
@@ -92,12 +92,12 @@ def _draw(
                 used += 1
                 if height >= math.exp(-0.5 * value * value):
                     continue
-        drawn[count] = value
+        numbers[count] = value
         count += 1
     return count, used
 
 
 @compiled
 def _uniform(bits: np.uint64) -> float:
-    """Number from 0 to 1."""
+    """Convert to a number from 0 to 1."""
     return np.float64(np.int64(bits >> np.uint64(11))) * 2.0**-53

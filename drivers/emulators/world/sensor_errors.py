@@ -1,4 +1,4 @@
-"""Errors of gyros and accelerometers: the paper's equations (1) and (2) over temperature."""
+"""Errors of gyros and accelerometers: the paper's equations (1) and (2), as functions of temperature."""
 
 from __future__ import annotations
 
@@ -34,30 +34,30 @@ class TriadErrors:
     pulse: float  #: Size of one output pulse; 0 for none.
 
     def at(self, temperature_c: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Biases (3,) and error matrix (3, 3), each sensor at its own temperature minus reference."""
-        values = _evaluated(self.polynomials, temperature_c)
+        """Biases (3,) and error matrix (3, 3), for each sensor's temperature minus the reference, (3,)."""
+        values = _evaluate(self.polynomials, temperature_c)
         return values[0], values[1:]
 
 
 class BiasWander:
     """Bias instability and rate random walk of three gyros, second by second.
 
-    Flicker noise is the sum of first-order Gauss-Markov processes whose time constants cover a second to a
-    fortnight, two in each decade (van der Ziel, Physica 16, 1950).
+    Flicker noise is the sum of first-order Gauss-Markov processes with time constants from a second to 12
+    days, two in each decade (van der Ziel, Physica 16, 1950).
     """
 
     def __init__(self, errors: GyroErrors, random: np.random.Generator) -> None:
         self.is_any = errors.bias_instability_dph > 0.0 or errors.rate_random_walk_dph_per_sqrt_h > 0.0
         self._random = random
         self._decay = np.exp(-(10.0 ** -np.arange(0.0, 6.1, 1.0 / _PER_DECADE)))
-        # Of a process for each ratio q of time constants: two-sided spectrum B^2 / (2 pi f) in all.
+        # Standard deviation of each process, such that the two-sided spectrum of the sum is B^2 / (2 pi f).
         self._sigma = errors.bias_instability_dph * math.sqrt(math.log(10.0) / _PER_DECADE / math.pi)
         self._step = errors.rate_random_walk_dph_per_sqrt_h / 60.0
         self._flicker = self._sigma * random.standard_normal((len(self._decay), 3))
         self._walk = np.zeros(3)
 
     def next_dph(self, seconds: int) -> FloatArray:
-        """Bias (n, 3) at each of the next seconds, deg/h; for none (1, 3) at the present one."""
+        """Bias, shape (n, 3), in each of the next seconds, deg/h; for 0 seconds the present one, (1, 3)."""
         course = np.tile(self._walk + self._flicker.sum(axis=0), (max(seconds, 1), 1))
         gain = self._sigma * np.sqrt(1.0 - self._decay**2)[:, np.newaxis]
         for second in range(seconds):
@@ -69,7 +69,7 @@ class BiasWander:
 
 
 def gyro_errors(errors: GyroErrors) -> TriadErrors:
-    """The gyros' errors: biases in rad/s, noise in rad/sqrt(s)."""
+    """Convert the gyros' errors to SI: biases in rad/s, noise in rad/sqrt(s)."""
     return TriadErrors(
         _polynomials(errors.bias_dph, DPH_TO_RADPS, errors.scale_factor_ppm, errors.misalignment_arcsec),
         math.radians(errors.angle_random_walk_deg_per_sqrt_h) / 60.0,
@@ -78,7 +78,7 @@ def gyro_errors(errors: GyroErrors) -> TriadErrors:
 
 
 def accelerometer_errors(errors: AccelerometerErrors) -> TriadErrors:
-    """The accelerometers' errors: biases in m/s2, noise in m/s/sqrt(s)."""
+    """Convert the accelerometers' errors to SI: biases in m/s2, noise in m/s/sqrt(s)."""
     return TriadErrors(
         _polynomials(errors.bias_ug, MICRO_G, errors.scale_factor_ppm, errors.misalignment_arcsec),
         errors.velocity_random_walk_ug_per_sqrt_hz * MICRO_G,
@@ -110,27 +110,30 @@ def measure(
     reference_c: float, gyro_bias: FloatArray, added_dph: FloatArray, compensated_dph: FloatArray,
     normal: FloatArray, count: int, dt: float, walks: FloatArray, pulses: FloatArray, remainders: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """Output of gyros and accelerometers over n seconds or parts of a second, each as in :func:`sense`.
+    """Compute the output of gyros and accelerometers for ``count`` samples of each of n seconds.
+
+    Each sample is computed as by :func:`sense`.
 
     Parameters
     ----------
     rotation, velocity : ndarray, shape (m, 3)
-        True increments of all seconds, or of one at rest for each.
-    polynomials : ndarray, shape (2, 6, 12)
-        Of gyros and accelerometers, see :class:`TriadErrors`; so are ``walks`` and ``pulses``, shape (2,).
+        True increments of all seconds, or those of one second at rest, which are repeated.
+    polynomials, walks, pulses : ndarray, shape (2, 6, 12), (2,), (2,)
+        Errors of gyros and accelerometers; see :class:`TriadErrors`.
     temperature_c : ndarray, shape (n, 7)
         See :class:`~gyrobench.drivers.emulators.world.thermal.ThermalNetwork`; the accelerometers have the
         temperature of the case.
     gyro_bias, added_dph, compensated_dph : ndarray, shape (3,), (n, 3), (3,)
         Added to the gyros' biases, rad/s and deg/h, and subtracted from them, deg/h.
     normal : ndarray, shape (n, k)
-        Standard normal numbers: six for each sample, and others.
+        Standard normal numbers: first six for each sample; others are ignored.
     remainders : ndarray, shape (2, 3)
-        Of gyros and accelerometers.
+        Quantisation remainders of gyros and accelerometers; updated.
 
     Returns
     -------
     rotation, velocity : ndarray, shape (n * count, 3)
+        Measured increments.
     """
     n = normal.shape[0]
     measured = np.empty((2, n * count, 3))
@@ -141,12 +144,12 @@ def measure(
                 for i in range(3):
                     noise = normal[second, 6 * k + 3 * kind + i] * root * walks[kind]
                     measured[kind, second * count + k, i] = noise
-        gyros = _evaluated(polynomials[0], temperature_c[second, 1:4] - reference_c)
+        gyros = _evaluate(polynomials[0], temperature_c[second, 1:4] - reference_c)
         for i in range(3):
             gyros[0, i] += gyro_bias[i]
             gyros[0, i] += added_dph[second, i] * DPH_TO_RADPS
             gyros[0, i] -= compensated_dph[i] * DPH_TO_RADPS
-        accelerometers = _evaluated(polynomials[1], np.full(3, temperature_c[second, 0] - reference_c))
+        accelerometers = _evaluate(polynomials[1], np.full(3, temperature_c[second, 0] - reference_c))
         rows = slice(second * count, (second + 1) * count)
         first = second * count % rotation.shape[0]
         true = slice(first, first + count)
@@ -163,18 +166,18 @@ def sense(
     true: FloatArray, error_matrix: FloatArray, bias: FloatArray, noise: FloatArray, dt: float, pulse: float,
     remainder: FloatArray,
 ) -> FloatArray:  # fmt: skip
-    """Sensor output for true increments, the paper's (1) or (2) integrated over each sample.
+    """Compute the sensor output for true increments: the paper's (1) or (2), integrated over each sample.
 
     Parameters
     ----------
     true, noise : ndarray, shape (n, 3)
-        True increments, and random ones to add (same unit).
+        True increments, and noise to add, in the same unit.
     error_matrix : ndarray, shape (3, 3)
-        Scale factor errors on the diagonal, misalignments beside it.
+        Scale factor errors on the diagonal, misalignments off the diagonal.
     bias : ndarray, shape (3,)
-        Bias, unit of the increment per second.
+        Bias, in the unit of the increment per second.
     pulse : float
-        Size of one output pulse; 0 for none. The remainder stays in ``remainder`` (3,).
+        Size of one output pulse; 0 for no quantisation. ``remainder``, shape (3,), carries the remainder.
     """
     out = noise.copy()
     _sense(out, true, error_matrix, bias, dt, pulse, remainder)
@@ -186,7 +189,7 @@ def _sense(
     out: FloatArray, true: FloatArray, error_matrix: FloatArray, bias: FloatArray, dt: float, pulse: float,
     remainder: FloatArray,
 ) -> None:  # fmt: skip
-    """As :func:`sense`; ``out`` holds the noise before, and the output afterwards."""
+    """As :func:`sense`; ``out`` contains the noise on entry, and the output on return."""
     for k in range(true.shape[0]):
         for i in range(3):
             value = true[k, i] + bias[i] * dt + out[k, i]
@@ -194,18 +197,18 @@ def _sense(
                 value += error_matrix[i, j] * true[k, j]
             if pulse > 0.0:
                 value += remainder[i]
-                whole = math.floor(value / pulse + 0.5) * pulse
-                remainder[i] = value - whole
-                value = whole
+                quantised = math.floor(value / pulse + 0.5) * pulse
+                remainder[i] = value - quantised
+                value = quantised
             out[k, i] = value
 
 
 @compiled
-def _evaluated(polynomials: FloatArray, temperature_c: FloatArray) -> FloatArray:
+def _evaluate(polynomials: FloatArray, temperature_c: FloatArray) -> FloatArray:
     values = np.zeros((4, 3))
     for column in range(12):
-        row, place = column // 3, column % 3
-        sensor = place if row == 0 else row - 1
+        row, axis = column // 3, column % 3
+        sensor = axis if row == 0 else row - 1
         for degree in range(_DEGREES - 1, -1, -1):
-            values[row, place] = values[row, place] * temperature_c[sensor] + polynomials[degree, column]
+            values[row, axis] = values[row, axis] * temperature_c[sensor] + polynomials[degree, column]
     return values

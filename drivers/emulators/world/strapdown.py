@@ -1,9 +1,9 @@
 """Numba kernels of the simulated INS: the Earth, ideal sensors, and strapdown navigation.
 
-The mechanisation is the full nonlinear one in the local-level frame (attitude quaternion,
-transport rate and Earth rate, Coriolis, ellipsoid, gravity over latitude) with fixed altitude:
-Titterton and Weston, Strapdown Inertial Navigation Technology, chapters 3 and 11. Body
-increments enter as exact rotation vectors, so there is no coning error.
+The mechanisation is fully nonlinear, in the local-level frame (attitude quaternion, transport rate and Earth
+rate, Coriolis, ellipsoid, gravity as a function of latitude) at fixed altitude: Titterton and Weston,
+Strapdown Inertial Navigation Technology, chapters 3 and 11. The increments are exact rotation vectors, so
+there is no coning error.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ _SOMIGLIANA_K = 1.93185265241e-3
 #: Layout of the navigation state: quaternion body to ENU (w, x, y, z), velocity east and north
 #: in m/s, latitude and longitude in rad.
 STATE_SIZE = 8
-#: Density of latitudes, some centimetres apart, whose radii count around them, and from whose sine and cosine
-#: the first term of a series leads to others in double precision.
-_PER_RAD = 1e8
+#: Reference latitudes per rad, some centimetres apart. Radii are computed at the nearest one; sine and cosine
+#: are extrapolated from it by the first term of their series, in double precision.
+_REFERENCES_PER_RAD = 1e8
 
-# Tuples stay in registers, where small arrays would be allocated for every sample.
+# Tuples stay in registers; small arrays would be allocated for every sample.
 _Row = tuple[float, float, float]
 _Quaternion = tuple[float, float, float, float]
 
@@ -53,7 +53,7 @@ def _principal_radii(latitude: float) -> tuple[float, float]:
 
 @compiled
 def _length(vector: FloatArray) -> float:
-    """Length of a vector; sums of numpy would load a large part of numba and scipy.linalg."""
+    """Length of a vector; numpy's sums would load a large part of numba and scipy.linalg."""
     total = 0.0
     for each in vector:
         total += each * each
@@ -101,7 +101,7 @@ def true_increments(
     outer_axis: FloatArray, inner_axis: FloatArray, mounting: FloatArray, outer: FloatArray,
     inner: FloatArray, latitude: float, height: float, dt: float,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """Output of ideal sensors at the table's centre.
+    """Compute the output of ideal sensors at the table's centre.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def true_increments(
 
 
 @compiled
-def _times(a: _Quaternion, b: _Quaternion) -> _Quaternion:
+def _quaternion_product(a: _Quaternion, b: _Quaternion) -> _Quaternion:
     return (
         a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
         a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
@@ -150,7 +150,7 @@ def _times(a: _Quaternion, b: _Quaternion) -> _Quaternion:
 
 
 @compiled
-def _quaternion_of(v0: float, v1: float, v2: float) -> _Quaternion:
+def _quaternion_from_vector(v0: float, v1: float, v2: float) -> _Quaternion:
     square = v0 * v0 + v1 * v1 + v2 * v2
     if square < 1e-6:  # series: exact to double precision for angles below 1 mrad
         scale = 0.5 - square / 48.0
@@ -161,7 +161,7 @@ def _quaternion_of(v0: float, v1: float, v2: float) -> _Quaternion:
 
 
 @compiled
-def _rows_of(w: float, x: float, y: float, z: float) -> tuple[_Row, _Row, _Row]:
+def _matrix_rows(w: float, x: float, y: float, z: float) -> tuple[_Row, _Row, _Row]:
     return (
         (w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)),
         (2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)),
@@ -173,7 +173,7 @@ def _rows_of(w: float, x: float, y: float, z: float) -> tuple[_Row, _Row, _Row]:
 def matrix_of(q: FloatArray) -> FloatArray:
     """``C_nb`` (3, 3) of a unit quaternion (w, x, y, z)."""
     C = np.empty((3, 3))
-    first, second, third = _rows_of(q[0], q[1], q[2], q[3])
+    first, second, third = _matrix_rows(q[0], q[1], q[2], q[3])
     C[0, 0], C[0, 1], C[0, 2] = first
     C[1, 0], C[1, 1], C[1, 2] = second
     C[2, 0], C[2, 1], C[2, 2] = third
@@ -182,9 +182,10 @@ def matrix_of(q: FloatArray) -> FloatArray:
 
 @compiled
 def gyrocompass(rotation: FloatArray, velocity: FloatArray) -> FloatArray:
-    """Unit quaternion body to ENU (w, x, y, z) from measured increments summed at rest, each of shape (3,).
+    """Compute the attitude, a unit quaternion body to ENU (w, x, y, z), from increments at rest.
 
-    The directions of the sums are those of the Earth's rotation and Up, body axes.
+    Sums of the increments, ``rotation`` and ``velocity``, each of shape (3,), give the directions of the
+    Earth's rotation and of Up in body axes.
     """
     C, length = np.empty((3, 3)), _length(velocity)
     east, up = C[0], C[2]
@@ -199,17 +200,17 @@ def gyrocompass(rotation: FloatArray, velocity: FloatArray) -> FloatArray:
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         C[1, i] = up[j] * east[k] - up[k] * east[j]
-    return _quaternion_of_matrix(C)
+    return _quaternion_from_matrix(C)
 
 
 @compiled
-def _quaternion_of_matrix(C: FloatArray) -> FloatArray:
+def _quaternion_from_matrix(C: FloatArray) -> FloatArray:
     squares, q = np.empty(4), np.empty(4)
     squares[0] = 1.0 + C[0, 0] + C[1, 1] + C[2, 2]
     squares[1] = 1.0 + C[0, 0] - C[1, 1] - C[2, 2]
     squares[2] = 1.0 - C[0, 0] + C[1, 1] - C[2, 2]
     squares[3] = 1.0 - C[0, 0] - C[1, 1] + C[2, 2]
-    largest = 0  # the numerically best conditioned component
+    largest = 0  # the best conditioned component
     for i in range(1, 4):
         if squares[i] > squares[largest]:
             largest = i
@@ -232,7 +233,7 @@ def navigate(
     state: FloatArray, rotation: FloatArray, velocity: FloatArray, dt: float, height: float,
     first: int, every: int,
 ) -> FloatArray:  # fmt: skip
-    """Strapdown navigation at fixed altitude; ``state`` is changed in place.
+    """Navigate at fixed altitude; updates ``state`` in place.
 
     Parameters
     ----------
@@ -241,7 +242,7 @@ def navigate(
     rotation, velocity : ndarray, shape (n, 3)
         Measured increments, body axes, rad and m/s.
     first, every : int
-        A copy of the state is kept after sample ``first`` and each ``every``-th one after it.
+        The state is copied after sample ``first`` and after each ``every``-th sample from there.
 
     Returns
     -------
@@ -249,19 +250,19 @@ def navigate(
         The copies.
     """
     n = rotation.shape[0]
-    kept = np.empty((max(0, (n - 1 - first) // every + 1) if first < n else 0, STATE_SIZE))
+    copies = np.empty((max(0, (n - 1 - first) // every + 1) if first < n else 0, STATE_SIZE))
     row, number = 0, math.inf
-    place = place_sine = place_cosine = per_meridian = per_across = 0.0
+    reference = reference_sine = reference_cosine = per_meridian = per_across = 0.0
     for k in range(n):
         v_east, v_north, latitude = state[4], state[5], state[6]
-        if np.rint(latitude * _PER_RAD) != number:
-            number = np.rint(latitude * _PER_RAD)
-            place = number / _PER_RAD
-            place_sine, place_cosine = math.sin(place), math.cos(place)
-            meridian, across = _principal_radii(place)
+        if np.rint(latitude * _REFERENCES_PER_RAD) != number:
+            number = np.rint(latitude * _REFERENCES_PER_RAD)
+            reference = number / _REFERENCES_PER_RAD
+            reference_sine, reference_cosine = math.sin(reference), math.cos(reference)
+            meridian, across = _principal_radii(reference)
             per_meridian, per_across = 1.0 / (meridian + height), 1.0 / (across + height)
-        moved = latitude - place
-        sine, cosine = place_sine + moved * place_cosine, place_cosine - moved * place_sine
+        offset = latitude - reference
+        sine, cosine = reference_sine + offset * reference_cosine, reference_cosine - offset * reference_sine
         per_cosine = 1.0 / cosine
         tangent = sine * per_cosine
         earth_n, earth_u = EARTH_RATE * cosine, EARTH_RATE * sine
@@ -273,12 +274,12 @@ def navigate(
         f1 = b1 + 0.5 * (a2 * b0 - a0 * b2)
         f2 = b2 + 0.5 * (a0 * b1 - a1 * b0)
         attitude = (state[0], state[1], state[2], state[3])
-        (c00, c01, c02), (c10, c11, c12), (c20, c21, c22) = _rows_of(*attitude)
+        (c00, c01, c02), (c10, c11, c12), (c20, c21, c22) = _matrix_rows(*attitude)
         d0 = c00 * f0 + c01 * f1 + c02 * f2
         d1 = c10 * f0 + c11 * f1 + c12 * f2
         d2 = c20 * f0 + c21 * f1 + c22 * f2
 
-        # Half of the navigation frame's own turn in the sample, and Coriolis. Gravity has no level part.
+        # Half of the navigation frame's rotation in the sample, and Coriolis. Gravity has no level component.
         transport_u = v_east * per_across * tangent
         z0 = -v_north * per_meridian * dt
         z1 = (earth_n + v_east * per_across) * dt
@@ -289,22 +290,22 @@ def navigate(
 
         # Attitude and position with the mean velocity of the sample.
         mean_e, mean_n = 0.5 * (v_east + state[4]), 0.5 * (v_north + state[5])
-        frame = _quaternion_of(
+        frame = _quaternion_from_vector(
             mean_n * per_meridian * dt,
             -(earth_n + mean_e * per_across) * dt,
             -(earth_u + mean_e * per_across * tangent) * dt,
         )
-        q = _times(_times(frame, attitude), _quaternion_of(a0, a1, a2))
-        # The length is 1 but for rounding, so the first term of the series of its inverse suffices.
+        q = _quaternion_product(_quaternion_product(frame, attitude), _quaternion_from_vector(a0, a1, a2))
+        # The length is 1 except for rounding, so the first term of the series of its inverse suffices.
         scale = 1.5 - 0.5 * (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
         state[0], state[1], state[2], state[3] = scale * q[0], scale * q[1], scale * q[2], scale * q[3]
         state[6] = latitude + mean_n * per_meridian * dt
         state[7] += mean_e * per_across * per_cosine * dt
         if k >= first and (k - first) % every == 0:
             for i in range(STATE_SIZE):  # numba takes seconds to compile the assignment of a whole array
-                kept[row, i] = state[i]
+                copies[row, i] = state[i]
             row += 1
-    return kept
+    return copies
 
 
 @compiled

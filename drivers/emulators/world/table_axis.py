@@ -1,8 +1,8 @@
 """One axis of a rate table: its jerk-limited motion, limits and encoder.
 
-A motion is a sequence of pieces of constant jerk, a function of time alone. It starts from any position, rate
-and acceleration, so motions join without a step in any of the three. The servo brings the *encoder* to the
-commanded position; the true angle differs from it by the encoder's error, which is repeatable over angle.
+A motion is a sequence of pieces of constant jerk, and depends only on time. It can start at any position,
+rate and acceleration, so there is no step in these between motions. The servo brings the *encoder* to the
+commanded position; the true angle differs from it by the encoder's error, which is a function of the angle.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ import numpy as np
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.kernels import compiled
 
-#: Settling follows x^3 exp(-x), x in time constants: smooth at its start, greatest at x = 3.
+#: Maximum of x^3 exp(-x), at x = 3: settling follows it, with x in time constants, from a smooth start.
 _SETTLING_PEAK = 27.0 * math.exp(-3.0)
-#: After this many time constants settling is below 1e-6 of its size and ends.
+#: Duration of settling in time constants; it has then decayed below 1e-6 of its size.
 _SETTLING_TIME_CONSTANTS = 25.0
-#: Positions closer to each other than this are equal.
+#: Positions that differ by less than this count as equal.
 _SAME_POSITION_DEG = 1e-10
 
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """Bounds of a motion; those of position may be infinite."""
+    """Limits of a motion; those of the position may be infinite."""
 
     rate_dps: float
     acceleration_dps2: float
@@ -76,7 +76,7 @@ class Settling:
         return _SETTLING_TIME_CONSTANTS * self.time_constant_s if self.size_deg else 0.0
 
     def state(self, time_s: float) -> AxisState:
-        """Offset and its derivatives at a time since the end of the motion; zero before and after."""
+        """Offset and its derivatives at a time since the end of the motion; zero outside the settling."""
         if not 0.0 < time_s < self.duration_s:
             return AxisState(0.0)
         tau_s, x = self.time_constant_s, time_s / self.time_constant_s
@@ -87,7 +87,7 @@ class Settling:
 
 
 def change_rate(start: AxisState, rate_dps: float, limits: MotionLimits) -> list[Piece]:
-    """Fastest profile to a constant rate: build up acceleration, hold it, reduce it to zero."""
+    """Compute the fastest profile to a constant rate: build up acceleration, hold it, reduce it to zero."""
     jerk = limits.jerk_dps3
     # the final rate if the present acceleration is only reduced to zero
     natural_dps = start.rate_dps + start.acceleration_dps2 * abs(start.acceleration_dps2) / (2.0 * jerk)
@@ -105,16 +105,17 @@ def change_rate(start: AxisState, rate_dps: float, limits: MotionLimits) -> list
 
 
 def rest_position(start: AxisState, limits: MotionLimits) -> float:
-    """Position of rest after an immediate stop."""
+    """Compute the rest position after an immediate stop."""
     return _end(start, change_rate(start, 0.0, limits)).position_deg
 
 
 def move(
     start: AxisState, target_deg: float, limits: MotionLimits
 ) -> tuple[list[Piece], list[Piece], list[Piece]]:
-    """Fastest profile to rest at a target: pieces up to the peak rate, at that rate, and down to rest.
+    """Compute the fastest profile to rest at a target.
 
-    For an infinite target the second part is endless and the third empty.
+    Returns the pieces up to the peak rate, at that rate, and down to rest. For an infinite target the second
+    part is endless and the third empty.
     """
     if math.isinf(target_deg):
         rate_dps = math.copysign(limits.rate_dps, target_deg)
@@ -136,27 +137,27 @@ def move(
     return change_rate(start, peak_dps, limits), [Piece(0.0, along_s)], down
 
 
-def _root(function: Callable[[float], float], one: float, other: float) -> float:
-    """Where a function is zero between two points at which its signs differ (Illinois method)."""
-    at_one, at_other = function(one), function(other)
-    while abs(other - one) > 1e-13 + 1e-15 * abs(other) and at_other:
-        middle = other - at_other * (other - one) / (at_other - at_one)
-        if middle == other:  # as near as numbers are
+def _root(function: Callable[[float], float], a: float, b: float) -> float:
+    """Find the root of a function between two points at which its signs differ (Illinois method)."""
+    value_a, value_b = function(a), function(b)
+    while abs(b - a) > 1e-13 + 1e-15 * abs(b) and value_b:
+        middle = b - value_b * (b - a) / (value_b - value_a)
+        if middle == b:  # the limit of floating-point resolution
             break
-        at_middle = function(middle)
-        if at_middle * at_other < 0.0:
-            one, at_one = other, at_other
+        value_middle = function(middle)
+        if value_middle * value_b < 0.0:
+            a, value_a = b, value_b
         else:
-            at_one *= 0.5
-        other, at_other = middle, at_middle
-    return other
+            value_a *= 0.5
+        b, value_b = middle, value_middle
+    return b
 
 
 class Motion:
-    """A motion from its start on, without end.
+    """A motion, defined from its start to any later time.
 
-    After the pieces the axis is at rest, unless the last one is endless. ``target_deg`` is the position of
-    rest, free of the rounding of the pieces.
+    After the pieces the axis is at rest, unless the last piece is endless. ``target_deg`` is the exact rest
+    position; by default that computed from the pieces, with their rounding errors.
     """
 
     def __init__(
@@ -176,18 +177,18 @@ class Motion:
         # Start, position, rate, acceleration and jerk of each piece.
         self._pieces = np.column_stack([self._times_s, states, self._jerks_dps3])
         self._settling = settling
-        #: end_s, still_from_s: End of the pieces; end of settling, after which the position is constant.
+        #: end_s, settled_from_s: End of the pieces, and end of settling; the position is then constant.
         self.end_s = math.inf if endless else self._times_s[-1]
-        self.still_from_s = self.end_s + settling.duration_s
+        self.settled_from_s = self.end_s + settling.duration_s
 
     @property
     def last_state(self) -> AxisState:
-        """State after the last finite piece, settling left out."""
+        """State after the last finite piece, without settling."""
         return self._states[-1]
 
     def at(self, time_s: float) -> AxisState:
         """State at one time, not before the start."""
-        if time_s >= self.still_from_s:
+        if time_s >= self.settled_from_s:
             return self._states[-1]
         index = max(0, bisect_right(self._times_s, time_s) - 1)
         state = self._states[index].after(self._jerks_dps3[index], time_s - self._times_s[index])
@@ -233,10 +234,10 @@ def _positions_deg(
 
 
 _ARCSEC_DEG = 1.0 / 3600.0
-#: Deceleration at an obstacle, relative to the axis's limit.
-_JAM = 50.0
-#: Time before the last command for which positions are kept.
-_MEMORY_S = 1.0
+#: Ratio of the deceleration at an obstacle to the axis's limit.
+_JAM_FACTOR = 50.0
+#: Time before the last command for which positions can still be read, s.
+_HISTORY_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -248,7 +249,7 @@ class AxisParameters:
     jerk_limit_dps3: float = 60.0
     position_low_deg: float = -400.0
     position_high_deg: float = 400.0
-    #: Bound of the encoder's error: a first harmonic of the angle and a second of half its size.
+    #: Bound of the encoder's error: a first harmonic of the angle, and a second of half its amplitude.
     position_error_arcsec: float = 1.0
     position_error_phases_deg: tuple[float, float] = (0.0, 0.0)  #: Phases of the two harmonics.
     settling_time_constant_s: float = 0.3
@@ -265,25 +266,25 @@ class AxisParameters:
 class TableAxis:
     """One axis, at rest until the first command.
 
-    Commands come in order of time. Position and rate are available from one second before the last
+    Commands must be in the order of time. Position and rate can be read from one second before the last
     command on.
     """
 
     def __init__(self, parameters: AxisParameters, position_deg: float = 0.0) -> None:
         self.parameters = parameters
-        #: Called before the motion changes, with the time: what depends on the angle until then.
+        #: Called with the time before the motion changes, to evaluate what depends on the angle until then.
         self.before_motion: Callable[[float], None] = lambda now_s: None  # noqa: ARG005
-        self.limits = parameters.limits  #: Limits of later commands; a motion under way keeps its own.
+        self.limits = parameters.limits  #: Limits of later commands; a motion in progress keeps its limits.
         rest = Motion(0.0, AxisState(position_deg), [], Settling(0.0, 1.0))
         self._motions = [rest]
         self._commanded: Motion | None = None
-        #: Distance from the target at which a move ends, because the servo is too weak.
+        #: Distance from the target at which a move ends because of friction.
         self._missed_deg = self.friction_deg = 0.0
         self._complete_from_s, self._complete_until_s = 0.0, math.inf
         self._rest_angle_deg = self._true_angle(np.asarray(position_deg))
 
     def move_to(self, position_deg: float, now_s: float) -> None:
-        """Move to an encoder position, clipped to the position limits, and hold it."""
+        """Move to an encoder position, clipped to the position limits, and hold that position."""
         target_deg = min(max(position_deg, self.limits.low_deg), self.limits.high_deg)
         distance_deg = target_deg - self.encoder(now_s).position_deg
         missed_deg = math.copysign(min(self.friction_deg, abs(distance_deg)), distance_deg)
@@ -293,7 +294,7 @@ class TableAxis:
         self._missed_deg = missed_deg
 
     def turn_at(self, rate_dps: float, now_s: float) -> None:
-        """Turn at a rate until the next command; at a position limit the axis stops."""
+        """Turn at a rate until the next command; the axis stops at a position limit."""
         rate_dps = min(max(rate_dps, -self.limits.rate_dps), self.limits.rate_dps)
         end_deg = self.limits.high_deg if rate_dps > 0.0 else self.limits.low_deg
         start = self.encoder(now_s)
@@ -311,14 +312,14 @@ class TableAxis:
         self._start(now_s, pieces, self._settling(pieces))
 
     def release(self, now_s: float) -> None:
-        """Open the servo: the brake stops the axis, without settling."""
+        """Open the servo: the brake stops the axis without settling."""
         pieces = change_rate(self.encoder(now_s), 0.0, self.limits)
         self._start(now_s, pieces, self._settling([]))
 
-    def overcome(self, now_s: float, by_deg: float = 0.0) -> None:
-        """Move the axis against its servo by an external force and hold it there.
+    def hold_by_force(self, now_s: float, by_deg: float = 0.0) -> None:
+        """Move the axis by ``by_deg`` against its servo with an external force, and hold it there.
 
-        Until :meth:`let_go`, commands change the commanded profile but not the axis.
+        Until :meth:`end_force`, commands change the commanded profile but do not move the axis.
         """
         start, limits = self.encoder(now_s), self.parameters.limits
         if by_deg:
@@ -327,27 +328,30 @@ class TableAxis:
             pieces = [*up, *along, *down]
         else:
             target_deg = None
-            acceleration_dps2, jerk_dps3 = _JAM * limits.acceleration_dps2, _JAM**2 * limits.jerk_dps3
-            hard = replace(limits, acceleration_dps2=acceleration_dps2, jerk_dps3=jerk_dps3)
-            pieces = change_rate(start, 0.0, hard)
+            acceleration_dps2, jerk_dps3 = (
+                _JAM_FACTOR * limits.acceleration_dps2,
+                _JAM_FACTOR**2 * limits.jerk_dps3,
+            )
+            jam_limits = replace(limits, acceleration_dps2=acceleration_dps2, jerk_dps3=jerk_dps3)
+            pieces = change_rate(start, 0.0, jam_limits)
         commanded = self._commanded or self._motions[-1]
-        self._follow(Motion(now_s, start, pieces, self._settling([]), target_deg))
+        self._append_motion(Motion(now_s, start, pieces, self._settling([]), target_deg))
         self._commanded = commanded
 
-    def let_go(self, now_s: float, *, servo: bool) -> None:
-        """End :meth:`overcome` and the effect of :attr:`friction_deg`; a closed servo follows its command."""
+    def end_force(self, now_s: float, *, servo: bool) -> None:
+        """End :meth:`hold_by_force` and the effect of friction; a closed servo then follows its command."""
         commanded, self._commanded = self._commanded, None
         target_deg = self.rest_position_deg + self._missed_deg
         self._missed_deg = 0.0
         if commanded is not None:
             target_deg = commanded.last_state.position_deg
         if servo and math.isfinite(self._complete_until_s):
-            self.stop(now_s)  # a missed rotation is not made up
+            self.stop(now_s)  # a constant-rate turn is not resumed
         elif servo and target_deg != self.rest_position_deg:
             self.move_to(target_deg, now_s)
 
     def encoder(self, now_s: float) -> AxisState:
-        """Encoder reading at a time not before the last command."""
+        """Encoder reading at ``now_s``, which must not be before the last command."""
         return self._motions[-1].at(now_s)
 
     @property
@@ -360,23 +364,23 @@ class TableAxis:
         motion = self._motions[-1]
         if self._commanded is not None:
             return self.encoder(now_s).position_deg - self._commanded.at(now_s).position_deg
-        if self._missed_deg and now_s >= motion.still_from_s:
+        if self._missed_deg and now_s >= motion.settled_from_s:
             return -self._missed_deg
-        if motion.end_s < now_s < motion.still_from_s:
+        if motion.end_s < now_s < motion.settled_from_s:
             return motion.at(now_s).position_deg - motion.last_state.position_deg
         return 0.0
 
     def position_deg(self, time_s: FloatArray) -> FloatArray:
         """True angle at each time, shape (n,), not wrapped."""
-        if time_s.size and time_s.min() >= self._motions[-1].still_from_s:
+        if time_s.size and time_s.min() >= self._motions[-1].settled_from_s:
             return np.full(time_s.shape, self._rest_angle_deg)
         encoder_deg = self._motions[-1].positions_deg(time_s)
-        # Before the start of a motion the one before it was under way.
+        # Times before the start of a motion belong to the previous motion.
         for earlier, later in zip(self._motions[-2::-1], self._motions[:0:-1], strict=True):
-            before = time_s < later.start_s
-            if not before.any():
+            is_before = time_s < later.start_s
+            if not is_before.any():
                 break
-            encoder_deg = np.where(before, earlier.positions_deg(time_s), encoder_deg)
+            encoder_deg = np.where(is_before, earlier.positions_deg(time_s), encoder_deg)
         return self._true_angle(encoder_deg)
 
     def profile_complete(self, now_s: float) -> bool:
@@ -384,13 +388,13 @@ class TableAxis:
         return self._complete_from_s <= now_s < self._complete_until_s
 
     @property
-    def still_from_s(self) -> float:
-        """End of the last motion and its settling, different for each; the angle is exactly constant then."""
-        return self._motions[-1].still_from_s
+    def settled_from_s(self) -> float:
+        """End of the last motion and its settling, which identifies it; the angle is then constant."""
+        return self._motions[-1].settled_from_s
 
     def is_moving(self, now_s: float) -> bool:
-        """Whether the angle still changes."""
-        return now_s < self._motions[-1].still_from_s
+        """Whether the angle still changes at ``now_s``."""
+        return now_s < self._motions[-1].settled_from_s
 
     def _start(
         self, now_s: float, pieces: list[Piece], settling: Settling, target_deg: float | None = None
@@ -401,19 +405,19 @@ class TableAxis:
         if self._commanded is not None:
             self._commanded = motion
         else:
-            self._follow(motion)
+            self._append_motion(motion)
 
-    def _follow(self, motion: Motion) -> None:
+    def _append_motion(self, motion: Motion) -> None:
         now_s = motion.start_s
         self.before_motion(now_s)
-        # a motion is kept while its end, the start of the next one, is recent
+        # A motion is kept as long as its end, which is the start of the next motion, is recent.
         ends_s = [later.start_s for later in self._motions[1:]] + [now_s]
-        recent = [m for m, end_s in zip(self._motions, ends_s, strict=True) if end_s > now_s - _MEMORY_S]
+        recent = [m for m, end_s in zip(self._motions, ends_s, strict=True) if end_s > now_s - _HISTORY_S]
         self._motions = [*recent, motion]
         self._rest_angle_deg = self._true_angle(np.asarray(motion.last_state.position_deg))
 
     def _settling(self, braking: list[Piece]) -> Settling:
-        """Overshoot after braking in three pieces, in proportion to the deceleration."""
+        """Overshoot after braking in three pieces, proportional to the deceleration; none if no pieces."""
         deceleration_dps2 = braking[-1].jerk_dps3 * braking[-1].duration_s if braking else 0.0
         parameters = self.parameters
         share = deceleration_dps2 / parameters.acceleration_limit_dps2

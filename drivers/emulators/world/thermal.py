@@ -1,8 +1,8 @@
 """Temperatures of the world: the chamber's air with its control loop, and the thermal network of the unit.
 
-The network is lumped: case, and for each gyro its electronics and optics. Heat flows by conduction and by
-convection that depends on gravity: a conductance ``g (1 + s u)``, where ``u`` is the upward part of the
-direction from electronics to optics.
+The network has lumped nodes: the case, and the electronics and optics of each gyro. Heat flows by conduction
+and by convection, which depends on gravity: its conductance is ``g (1 + s u)``, where ``u`` is the upward
+component of the direction from electronics to optics.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from gyrobench.drivers.emulators.world.world_file import GyroThermal, Thermal
 _MIN_STEADY_COOLING = 0.3
 #: Time constant of the air while the door is open.
 _DOOR_TIME_CONSTANT_S = 300.0
-#: Error of the controlled air beyond what any chamber reaches: it heats or cools at full power.
+#: Error of the controlled air that no chamber can reach, so that it heats or cools at full power.
 _FULL_POWER_C = 1000.0
 
 
@@ -33,8 +33,8 @@ class ChamberParameters:
     heating_limit_c_per_min: float = 5.0
     cooling_limit_c_per_min: float = 3.0
     control_time_constant_s: float = 90.0  #: Lag of the air behind the working set point.
-    #: ambient_c, ambient_time_constant_s: Room temperature, and time constant of the uncontrolled air's drift
-    #: to it.
+    #: ambient_c, ambient_time_constant_s: Room temperature, and time constant with which the uncontrolled air
+    #: drifts to it.
     ambient_c: float = 23.0
     ambient_time_constant_s: float = 5400.0
     #: low_c, high_c: Temperatures that the chamber can reach.
@@ -46,13 +46,13 @@ class ChamberParameters:
 class AirFaults:
     """Active faults of the chamber."""
 
-    #: stopped, blind: Heater and compressor are off although the controller runs; it has no temperature
-    #: reading.
+    #: stopped, blind: Heater and compressor are off although the controller runs; the controller has no
+    #: temperature reading.
     stopped: bool = False
     blind: bool = False
     error_c: float = 0.0  #: Offset of the controlled air from its set point.
-    door_open: bool = False  #: The room's air comes in.
-    stuck_c: float | None = None  #: The sensor keeps this reading.
+    door_open: bool = False  #: The door is open to the room.
+    stuck_c: float | None = None  #: Constant reading of a stuck sensor; None if it works.
 
 
 class ChamberAir:
@@ -60,14 +60,14 @@ class ChamberAir:
 
     def __init__(self, parameters: ChamberParameters | None = None) -> None:
         self.parameters = parameters or ChamberParameters()
-        #: air_c, set_point_c, working_set_point_c: Temperature of the air, final set point, ramped set point.
+        #: air_c, set_point_c, working_set_point_c: Air temperature, final set point, ramped set point.
         self.air_c = self.parameters.ambient_c
         self.set_point_c = self.air_c
         self.ramp_rate_c_per_min: float | None = None  #: Rate of the ramped set point; None for a step.
         #: Whether the air is controlled; otherwise it drifts to the room's temperature.
         self.running = False
         self.working_set_point_c = self.air_c
-        self.power = 0.0  #: Share of full power: 1 heats, -1 cools.
+        self.power = 0.0  #: Share of full power: 1 heating, -1 cooling.
         self.faults = AirFaults()  #: Active faults.
 
     @property
@@ -77,11 +77,11 @@ class ChamberAir:
 
     @property
     def compressor_duty(self) -> float:
-        """Share of the time that the compressor runs: it cycles where little cooling is needed."""
-        return _within(-self.power / _MIN_STEADY_COOLING, 0.0, 1.0)
+        """Share of the time that the compressor runs; it cycles if little cooling is needed."""
+        return _clip(-self.power / _MIN_STEADY_COOLING, 0.0, 1.0)
 
     def step(self, dt_s: float, count: int = 1) -> FloatArray:
-        """Advance ``count`` times by ``dt_s``; returns temperature and compressor duty after each, (2, n)."""
+        """Advance ``count`` times by ``dt_s``; returns air temperature and compressor duty, (2, count)."""
         limits, faults = self.parameters, self.faults
         is_controlled = self.running and not (faults.stopped or faults.blind or faults.door_open)
         constant_s = limits.control_time_constant_s if is_controlled else limits.ambient_time_constant_s
@@ -103,12 +103,12 @@ class ChamberAir:
         return course
 
     def disturb(self, delta_c: float) -> None:
-        """Step the air's temperature, as an opened door does."""
+        """Change the air temperature by a step, as an opened door does."""
         self.air_c += delta_c
 
 
 @compiled
-def _within(value: float, low: float, high: float) -> float:
+def _clip(value: float, low: float, high: float) -> float:
     return low if value < low else high if value > high else value
 
 
@@ -117,34 +117,34 @@ def _air_steps(
     course: FloatArray, dt: float, is_controlled: bool, share: float, limits: FloatArray, air_c: float,
     working_c: float, set_point_c: float, ramp_c_per_min: float, error_c: float,
 ) -> tuple[float, float, float]:  # fmt: skip
-    """Make a step for each column of ``course``; returns the air's temperature, working set point and power.
+    """Make a step for each column of ``course``; returns air temperature, working set point and power.
 
-    ``share``: part of the way to the temperature aimed at that the air covers in a step.
+    ``share``: share of the distance to the target temperature that the air covers in one step.
     """
     heating, cooling, ambient_c, ambient_time_constant_s, low_c, high_c = limits
     power = 0.0
     for k in range(course.shape[1]):
         if is_controlled:
             span_c = ramp_c_per_min * dt / 60.0
-            working_c = _within(set_point_c, working_c - span_c, working_c + span_c)
-            gap_c = _within(working_c + error_c, low_c, high_c) - air_c
-            rate = _within(gap_c * share * 60.0 / dt, -cooling, heating)
+            working_c = _clip(set_point_c, working_c - span_c, working_c + span_c)
+            gap_c = _clip(working_c + error_c, low_c, high_c) - air_c
+            rate = _clip(gap_c * share * 60.0 / dt, -cooling, heating)
             air_c += rate * dt / 60.0
             demand = rate + (air_c - ambient_c) * 60.0 / ambient_time_constant_s
-            power = _within(demand / (heating if demand > 0.0 else cooling), -1.0, 1.0)
+            power = _clip(demand / (heating if demand > 0.0 else cooling), -1.0, 1.0)
         else:
             air_c += (ambient_c - air_c) * share
-            working_c = air_c  # a ramp that starts later starts from the air's temperature then
-        course[0, k], course[1, k] = air_c, _within(-power / _MIN_STEADY_COOLING, 0.0, 1.0)
+            working_c = air_c  # so that a later ramp starts at the air temperature
+        course[0, k], course[1, k] = air_c, _clip(-power / _MIN_STEADY_COOLING, 0.0, 1.0)
     return air_c, working_c, power
 
 
 class ThermalCourse(NamedTuple):
     """Results of n steps of a thermal network."""
 
-    nodes_c: FloatArray  #: Shape (n, 7). All temperatures: case, then optics and electronics of each gyro.
+    nodes_c: FloatArray  #: Shape (n, 7). Temperatures: case, three optics, three electronics.
     optics_rate_c_per_h: FloatArray  #: Shape (n, 3). Change of each gyro's optics in the step.
-    #: Shape (n, 3). The part of the heat flow from electronics to optics that depends on attitude.
+    #: Shape (n, 3). Attitude-dependent part of the heat flow from electronics to optics.
     convected_w: FloatArray
 
     @property
@@ -159,27 +159,27 @@ class ThermalCourse(NamedTuple):
 
 
 class ThermalNetwork:
-    """Temperatures of the unit over time."""
+    """Thermal network of the unit."""
 
     def __init__(self, thermal: Thermal, start_c: float) -> None:
         gyros = (thermal.x, thermal.y, thermal.z)
         self.powered = False  #: Whether the unit's electronics dissipate.
-        #: Heat that it dissipates while it is powered, W.
+        #: Heat dissipation while powered, W.
         self.power_w = sum(gyro.optics_power_w + gyro.electronics_power_w for gyro in gyros)
         self._case = np.array([thermal.case_j_per_k, thermal.case_to_air_w_per_k])
         self._gyro = np.array([_row(gyro) for gyro in gyros])
         paths = np.array([gyro.heat_path for gyro in gyros])
         self._sensor_noise_c = thermal.sensor_noise_c
         self._paths = paths / np.linalg.norm(paths, axis=1, keepdims=True)
-        #: Shape (7,). All temperatures: case, then optics and electronics of the x, y and z gyro.
+        #: Shape (7,). Temperatures: case, optics of the x, y, z gyro, electronics of the x, y, z gyro.
         self.nodes_c = np.full(7, float(start_c))
-        #: optics_c, electronics_c: Shape (3,). Of each gyro; views of ``nodes_c``.
+        #: optics_c, electronics_c: Shape (3,). Views of ``nodes_c``.
         self.optics_c, self.electronics_c = self.nodes_c[1:4], self.nodes_c[4:7]
-        #: The last steps.
+        #: Results of the last :meth:`step`.
         self.course = ThermalCourse(self.nodes_c[np.newaxis].copy(), np.zeros((1, 3)), np.zeros((1, 3)))
 
     def step(self, dt_s: float, air_c: float | FloatArray, up_body: FloatArray) -> None:
-        """Advance by ``dt_s`` (about a second) in air of each temperature in turn.
+        """Make n steps of ``dt_s`` (about a second), one for each air temperature, shape (n,).
 
         ``up_body`` is Up in body axes in each step, shape (n, 3), or in all, (3,).
         """
@@ -190,9 +190,9 @@ class ThermalNetwork:
         )  # fmt: skip
 
     def read_c(self, nodes_c: FloatArray, normal: FloatArray) -> FloatArray:
-        """Readings of all nodes, shape (n, 7), with noise.
+        """Add sensor noise to the temperatures of all nodes, shape (n, 7).
 
-        ``normal``: normal numbers, shape (n, 7), or (n, 6) with none for the case.
+        ``normal``: standard normal numbers, shape (n, 7), or (n, 6) for no noise of the case.
         """
         read_c = nodes_c.copy()
         read_c[:, 7 - normal.shape[1] :] += self._sensor_noise_c * normal
@@ -212,7 +212,7 @@ def _steps(
     nodes: FloatArray, case: FloatArray, gyro: FloatArray, paths: FloatArray, up: FloatArray,
     air_c: FloatArray, power: float, dt: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
-    """Make a step for each ``air_c``; returns a :class:`ThermalCourse`, and changes ``nodes``."""
+    """Make a step for each ``air_c``; updates ``nodes``, returns the fields of a :class:`ThermalCourse`."""
     n = air_c.size
     course, rate, convected = np.empty((n, 7)), np.empty((n, 3)), np.empty((n, 3))
     for k in range(n):

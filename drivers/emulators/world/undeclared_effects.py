@@ -1,7 +1,7 @@
-"""Undeclared effects of a world: what acts on the sensors beyond the polynomials of the world file.
+"""Undeclared effects of a world: sensor errors beyond the polynomials of the world file.
 
 Each class is one kind of entry of the key ``undeclared_effects``. Effects are evaluated once a second, in
-order of time, and add up.
+order of time, and summed.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _HOUR_S, _DAY_S, _ROOM_C = 3600.0, 86_400.0, 25.0
 
 
 class Conditions(NamedTuple):
-    """What the gyros are exposed to at n successive seconds; without the first axis, at one moment."""
+    """Conditions of the gyros in n successive seconds; for a single moment, without the first dimension."""
 
     #: time_s, since_power_on_s: Shape (n, 1). Time since the start of the world, and since power-on (infinite
     #: while the unit is off).
@@ -40,36 +40,35 @@ class Conditions(NamedTuple):
     optics_c: FloatArray
     electronics_c: FloatArray
     optics_rate_c_per_h: FloatArray  #: Shape (n, 3). Change of each gyro's optics in the last second.
-    #: Shape (n, 3). The part of the heat flow from electronics to optics that depends on attitude.
+    #: Shape (n, 3). Attitude-dependent part of the heat flow from electronics to optics.
     convected_w: FloatArray
     up_body: FloatArray  #: Shape (n, 3), or (3,) while it is constant. Up in body axes.
     compressor_duty: FloatArray  #: Shape (n, 1). Share of the time that the chamber's compressor runs.
-    neighbours_k: FloatArray = np.zeros(
-        (1, 1)
-    )  #: Shape (n, 1). What the neighbours' heat adds to the air around the unit, K.
+    #: Shape (n, 1). Rise of the air temperature around the unit caused by neighbouring units, K.
+    neighbours_k: FloatArray = np.zeros((1, 1))
 
 
-#: Called for all seconds in order of time: returns what an effect adds to the biases, deg/h, shape (n, 3).
+#: Function that returns the bias caused by an effect, deg/h, shape (n, 3); called in the order of time.
 AddedBias = Callable[[Conditions], FloatArray]
 
 
 class _Effect(StrictModel):
-    """An effect as the world file describes it."""
+    """Base class of the effects. A subclass implements ``_added_dph``, or ``start`` if it has a state."""
 
     def start(self) -> AddedBias:
-        """Start the effect, with its memory if it has one."""
+        """Return the function that evaluates the effect, with its initial state."""
         return self._added_dph
 
     def added_dph(self, now: Conditions) -> FloatArray:
-        """Bias that an effect without memory adds under these conditions, deg/h, shape (n, 3)."""
+        """Bias caused by an effect without a state under these conditions, deg/h, shape (n, 3)."""
         return self._added_dph(now)
 
     def added_scale_factor_ppm(self, now: Conditions) -> FloatArray:
-        """What the effect adds to the gyros' scale factors, ppm, shape (n, 3)."""
+        """Scale factor errors of the gyros caused by the effect, ppm, shape (n, 3)."""
         return np.zeros(now.optics_c.shape)
 
     def added_ug(self, now: Conditions) -> FloatArray:
-        """What the effect adds to the biases of the accelerometers, ug, shape (n, 3)."""
+        """Accelerometer biases caused by the effect, ug, shape (n, 3)."""
         return np.zeros(now.optics_c.shape)
 
     def _added_dph(self, now: Conditions) -> FloatArray:
@@ -170,15 +169,15 @@ class ThermalHysteresis(_Effect):
     @override
     def start(self) -> AddedBias:
         sensitivity = np.array(self.sensitivity_dph_per_c)
-        follower_c: FloatArray | None = None  # without stress at the first temperature
+        follower_c: FloatArray | None = None  # starts at the first temperature
 
         def added_dph(now: Conditions) -> FloatArray:
             nonlocal follower_c
             lead_c = np.empty_like(now.optics_c)
             for row, optics_c in zip(np.atleast_2d(lead_c), np.atleast_2d(now.optics_c), strict=True):
-                before_c = optics_c if follower_c is None else follower_c
+                previous_c = optics_c if follower_c is None else follower_c
                 low_c, high_c = optics_c - self.half_width_c, optics_c + self.half_width_c
-                follower_c = np.minimum(np.maximum(before_c, low_c), high_c)
+                follower_c = np.minimum(np.maximum(previous_c, low_c), high_c)
                 row[:] = follower_c - optics_c
             return np.asarray(sensitivity * lead_c)
 
@@ -234,7 +233,7 @@ def _shape(value: Any) -> str:
     return "matrix" if isinstance(value, list) and any(isinstance(row, list) for row in value) else "vector"
 
 
-#: The shape is decided first, so that a mistake in one is not reported for the other as well.
+#: The shape is determined first, so that a mistake is reported for that shape only.
 _VectorOrMatrix = Annotated[
     Annotated[BodyVector, Tag("vector")] | Annotated[Matrix, Tag("matrix")], Discriminator(_shape)
 ]
@@ -383,24 +382,28 @@ class UndeclaredBias:
 
     def __init__(self, effects: Sequence[_Effect]) -> None:
         self._effects = [effect.start() for effect in effects]
-        none = _Effect.added_scale_factor_ppm
-        self._scaling = [each for each in effects if type(each).added_scale_factor_ppm is not none]
-        self._of_force = [each for each in effects if type(each).added_ug is not _Effect.added_ug]
+        base_method = _Effect.added_scale_factor_ppm
+        self._scale_factor_effects = [
+            each for each in effects if type(each).added_scale_factor_ppm is not base_method
+        ]
+        self._accelerometer_effects = [
+            each for each in effects if type(each).added_ug is not _Effect.added_ug
+        ]
 
     def added_dph(self, now: Conditions) -> FloatArray:
-        """Sum of all effects, deg/h, shape (n, 3); to be called for all seconds in order of time."""
+        """Sum of the biases of all effects, deg/h, shape (n, 3); must be called in the order of time."""
         total = np.zeros(now.optics_c.shape)
         for effect in self._effects:
             total += effect(now)
         return total
 
     def added_scale_factor_ppm(self, now: Conditions) -> FloatArray:
-        """Sum over all effects of what they add to the gyros' scale factors, ppm, shape (n, 3)."""
+        """Sum of the scale factor errors of all effects, ppm, shape (n, 3)."""
         total = np.zeros(now.optics_c.shape)
-        for each in self._scaling:
+        for each in self._scale_factor_effects:
             total += each.added_scale_factor_ppm(now)
         return total
 
     def added_ug(self, now: Conditions) -> FloatArray:
-        """Sum over all effects of what they add to the biases of the accelerometers, ug, shape (n, 3)."""
-        return sum((each.added_ug(now) for each in self._of_force), np.zeros(now.optics_c.shape))
+        """Sum of the accelerometer biases of all effects, ug, shape (n, 3)."""
+        return sum((each.added_ug(now) for each in self._accelerometer_effects), np.zeros(now.optics_c.shape))

@@ -1,6 +1,7 @@
-"""The simulated bench as a whole, advanced to any later time on request.
+"""The simulated world of each inertial unit, which can be advanced to any later time.
 
-Its units share the surroundings: the table's axes, the chamber's air, and the heat that they give each other.
+The units on one bench share their surroundings: the table's axes, the chamber's air, and the heat that they
+exchange.
 """
 
 from __future__ import annotations
@@ -39,20 +40,20 @@ _AXIS_KEYS = {"rate_limit_dps", "acceleration_limit_dps2", "jerk_limit_dps3", "p
 
 
 class AirSeconds(NamedTuple):
-    """The air at one unit in n successive seconds."""
+    """The air around one unit in n successive seconds."""
 
     air_c: FloatArray  #: Shape (n,). Temperature of the air around the unit.
     duty: FloatArray  #: Shape (n,). Share of the time that the chamber's compressor runs.
-    #: Shape (n,). What the neighbours' heat adds to the chamber's temperature there, K.
+    #: Shape (n,). Rise of the air temperature there caused by the heat of neighbouring units, K.
     neighbours_k: FloatArray
 
 
 class Surroundings:
     """Table and chamber around the units, from ``start_s``, a whole second.
 
-    Each unit joins once and then takes the air of every second. Units are advanced when their output is
-    needed, each to another time; all of them before the table's motion changes, and by the caller before the
-    supply of any of them is switched.
+    Each unit joins once and then takes the air of every second. A unit is advanced when its output is needed,
+    so units may be at different times. All are advanced before the table's motion changes; the caller
+    advances them before it switches the supply of any unit.
     """
 
     def __init__(self, file: WorldFile, start_s: int) -> None:
@@ -60,36 +61,36 @@ class Surroundings:
         #: The table's axes: 1 outer, 2 inner.
         self.axes = {number: TableAxis(parameters) for number in (OUTER, INNER)}
         self.air = ChamberAir(ChamberParameters(**file.chamber.model_dump()))  #: The chamber.
-        self.air_s = start_s  #: Time that the chamber's air has reached.
-        self.dissipated_w: dict[int, float] = {}  #: Heat of each unit at present, by its number.
+        self.air_s = start_s  #: Time to which the chamber's air has been simulated.
+        self.dissipated_w: dict[int, float] = {}  #: Present heat dissipation of each unit, by its number.
         self._start_s = start_s
         self._heating = file.neighbour_heating
-        self._courses: list[list[FloatArray]] = []
-        self._advance: list[Callable[[float], None]] = []
+        self._pending_air: list[list[FloatArray]] = []
+        self._advance_units: list[Callable[[float], None]] = []
         for axis in self.axes.values():
             axis.before_motion = self._before_motion
 
     def join(self, number: int, advance: Callable[[float], None]) -> UnitAir:
-        """Give the unit of that number its air; before it joins, the air was as at present.
+        """Add a unit by its number; returns the air around it. Its air up to now is the present air.
 
-        ``advance`` advances the unit to a time.
+        ``advance`` is a function that advances the unit to a time.
         """
-        self._advance.append(advance)
+        self._advance_units.append(advance)
         present = [[self.air.air_c], [self.air.compressor_duty]]
         course = [np.repeat(present, self.air_s - self._start_s, axis=1)]
-        self._courses.append(course)
+        self._pending_air.append(course)
         return UnitAir(self, course, [each for each in self._heating if each.to_unit == number])
 
     def step_air(self, seconds: int) -> None:
-        """Advance the chamber's air to that time."""
+        """Advance the chamber's air to the time ``seconds``."""
         if seconds > self.air_s:
             steps = self.air.step(1.0, seconds - self.air_s)
             self.air_s = seconds
-            for course in self._courses:
+            for course in self._pending_air:
                 course.append(steps)
 
     def _before_motion(self, now_s: float) -> None:
-        for advance in self._advance:
+        for advance in self._advance_units:
             advance(math.floor(now_s))
 
 
@@ -100,31 +101,31 @@ class UnitAir:
         self, surroundings: Surroundings, course: list[FloatArray], heating: Sequence[NeighbourHeating]
     ) -> None:
         self._surroundings = surroundings
-        self._course = course  # seconds that the unit has not taken yet
+        self._course = course  # of the seconds that the unit has not yet taken
         self._heating = heating
-        self._added_k = [0.0] * len(heating)
+        self._rises_k = [0.0] * len(heating)
 
     def take(self, seconds: int) -> AirSeconds:
-        """Air of the next seconds, to which the surroundings have been advanced."""
+        """Return the air of the next seconds, to which the surroundings have been advanced."""
         course = np.concatenate(self._course, axis=1)
         self._course[:] = [course[:, seconds:]]
         air_c, duty = course[:, :seconds]
         if not self._heating:
             return AirSeconds(air_c, duty, np.zeros(seconds))
         added_k = np.zeros(seconds)
-        for place, each in enumerate(self._heating):
+        for index, each in enumerate(self._heating):
             final_k = each.coupling_k_per_w * self._surroundings.dissipated_w.get(each.from_unit, 0.0)
             decay = np.exp(-np.arange(1, seconds + 1) / each.time_constant_s)
-            course_k = final_k + (self._added_k[place] - final_k) * decay
-            self._added_k[place] = float(course_k[-1])
+            course_k = final_k + (self._rises_k[index] - final_k) * decay
+            self._rises_k[index] = float(course_k[-1])
             added_k += course_k
         return AirSeconds(air_c + added_k, duty, added_k)
 
 
 _DT_S = 1.0 / SAMPLE_RATE_HZ
-#: Seconds that are simulated at once, unless the unit changes by itself.
+#: Most seconds that are simulated in one step.
 _MAX_SECONDS = 60
-#: Stands for the sensors' output while the unit does not use it.
+#: Substitute for the sensors' output while the unit does not use it.
 _UNUSED = np.zeros((_MAX_SECONDS * SAMPLE_RATE_HZ, 3))
 _NONE_DPH = np.zeros(3)
 _OUTER_AXES = {"east": (1.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0)}
@@ -132,11 +133,11 @@ _INNER_AXES = {"east": (0.0, 0.0, 1.0), "up": (1.0, 0.0, 0.0)}
 
 
 class World:
-    """The simulated physics of one unit behind the emulated instruments.
+    """The simulated physics of one unit on the bench.
 
-    ``seed`` is that of all random numbers, together with ``start_s``: the whole second at which this world
-    starts, at room temperature, the unit off, the table at zero. Effects that depend on time count it from
-    zero. Further units stand in the ``surroundings`` of the first one, each with another ``number``.
+    The world starts at ``start_s``, a whole second, at room temperature, with the unit off and the table at
+    zero. ``seed`` and ``start_s`` determine all random numbers. Time-dependent effects count from time zero,
+    not from ``start_s``. Further units have the ``surroundings`` of the first one and another ``number``.
     """
 
     def __init__(
@@ -153,7 +154,7 @@ class World:
 
         self.file = file
         self._random = NormalNumbers(seed_of(0))
-        # A separate stream: the unit's own readings do not change the other random numbers.
+        # A separate stream, so that the unit's temperature readings do not change the other random numbers.
         self._unit_random = NormalNumbers(seed_of(1))
         self._latitude = math.radians(file.latitude_deg)
         self._geometry = _geometry(file.table)
@@ -169,7 +170,7 @@ class World:
         self.unit = InertialUnit(file.ins, self._latitude, file.height_m)  #: The INS.
         #: Called with the navigation epochs in order of time.
         self.on_epochs: Callable[[Epochs], None] | None = None
-        #: Readings of faulty temperature sensors, by their index in :meth:`temperatures_c`.
+        #: Readings of faulty temperature sensors, by index in :meth:`temperatures_c`.
         self.broken_sensors: dict[int, float] = {}
         self._gyro = gyro_errors(file.gyro)
         triads = self._gyro, accelerometer_errors(file.accelerometer)
@@ -180,9 +181,9 @@ class World:
         self._wander_dph = np.zeros((1, 3))
         self._power_on_bias, self._power_on_ppm = np.zeros(3), np.zeros(3)
         self._scale_random = NormalNumbers(seed_of(3))
-        over_rate = file.gyro.scale_factor_asymmetry_ppm, file.gyro.scale_factor_ppm_per_dps
-        self._half_asymmetry_ppm, self._ppm_per_dps = np.array(over_rate) * [[0.5], [1.0]]
-        self._scale_varies = bool(np.any(over_rate))
+        rate_coefficients = file.gyro.scale_factor_asymmetry_ppm, file.gyro.scale_factor_ppm_per_dps
+        self._half_asymmetry_ppm, self._ppm_per_dps = np.array(rate_coefficients) * [[0.5], [1.0]]
+        self._scale_varies = bool(np.any(rate_coefficients))
         self._sample = start_s * SAMPLE_RATE_HZ
         self._powered_on_sample = self._sample
         self._remainders = np.zeros((2, 3))
@@ -192,7 +193,7 @@ class World:
         self._update_undeclared(self.attitude()[2])
 
     def power_unit(self, on: bool) -> None:
-        """Switch the unit's supply; each power-on draws another repeatability error of the gyros."""
+        """Switch the unit's supply; each power-on draws new repeatability errors of the gyros."""
         self._switched_on = on
         on = on and not self._has_lost_supply
         if on and not self.thermal.powered:
@@ -207,7 +208,7 @@ class World:
         self.unit.power(on)
 
     def lose_supply(self) -> None:
-        """Switch the unit off until the supply is restored, also if it is switched on before."""
+        """Switch the unit off until the supply is restored, even if it is switched on meanwhile."""
         self._has_lost_supply = True
         self.power_unit(self._switched_on)
 
@@ -222,47 +223,47 @@ class World:
         return self._with_faults(self.thermal.read_c(self.thermal.nodes_c[np.newaxis], normal)).ravel()
 
     def true_gyro_bias(self) -> FloatArray:
-        """The true gyro biases at this moment, rad/s, shape (3,)."""
+        """True gyro biases at the present time, rad/s, shape (3,)."""
         bias, _ = self._gyro.at(self.thermal.optics_c - self.file.reference_temperature_c)
         return bias + self._power_on_bias + self.undeclared_bias()
 
     def undeclared_bias(self) -> FloatArray:
-        """The undeclared effects' part of :meth:`true_gyro_bias`, rad/s, shape (3,)."""
+        """Part of :meth:`true_gyro_bias` caused by undeclared effects, rad/s, shape (3,)."""
         return np.asarray(self._undeclared_dph[-1] * DPH_TO_RADPS)
 
     def attitude(self) -> FloatArray:
-        """True ``C_nb`` (3, 3) at this moment."""
+        """True ``C_nb``, shape (3, 3), at the present time."""
         return np.asarray(self._attitudes(1)[0])
 
     def _attitudes(self, seconds: int) -> FloatArray:
-        """True ``C_nb`` (n, 3, 3) at this moment and each of the next whole seconds."""
+        """True ``C_nb``, shape (n, 3, 3), at the present time and each of the next whole seconds."""
         time_s = (self._sample + SAMPLE_RATE_HZ * np.arange(float(seconds))) * _DT_S
         angles = (np.radians(axis.position_deg(time_s)).tolist() for axis in (self._outer, self._inner))
         return np.array([table_attitude(*self._geometry, *each) for each in zip(*angles, strict=True)])
 
     def advance(self, time_s: float) -> None:
-        """Advance to ``time_s``; an earlier time changes nothing."""
-        end = _samples(time_s)
+        """Advance to ``time_s``; does nothing if that is in the past."""
+        end = _sample_count(time_s)
         while self._sample < end:
-            left, into_second = end - self._sample, self._sample % SAMPLE_RATE_HZ
-            seconds, count = 1, min(left, SAMPLE_RATE_HZ - into_second)
+            remaining, into_second = end - self._sample, self._sample % SAMPLE_RATE_HZ
+            seconds, count = 1, min(remaining, SAMPLE_RATE_HZ - into_second)
             resting = self._at_rest()
             if count == SAMPLE_RATE_HZ and not self.unit.changes_by_itself:
-                seconds = min(left // SAMPLE_RATE_HZ, _MAX_SECONDS)
+                seconds = min(remaining // SAMPLE_RATE_HZ, _MAX_SECONDS)
             if into_second == 0:
                 up_body = self._attitudes(seconds)[:, 2] if resting is None else resting[2]
                 self._begin_seconds(seconds, up_body)
             self._step_samples(seconds, count, resting)
 
     def advance_air(self, time_s: float) -> None:
-        """Advance the chamber's air alone to ``time_s``."""
+        """Advance only the chamber's air to ``time_s``."""
         if time_s > self.surroundings.air_s:
-            self.surroundings.step_air(math.ceil(_samples(time_s) / SAMPLE_RATE_HZ))
+            self.surroundings.step_air(math.ceil(_sample_count(time_s) / SAMPLE_RATE_HZ))
 
     def _begin_seconds(self, seconds: int, up_body: FloatArray) -> None:
-        """Step chamber, temperatures and undeclared effects to the beginning of each of the next seconds.
+        """Simulate chamber, temperatures and undeclared effects for the next seconds, second by second.
 
-        ``up_body`` is Up in body axes at these, or of all, (3,).
+        ``up_body`` is Up in body axes in each second, shape (n, 3), or in all, (3,).
         """
         self.surroundings.step_air(self._sample // SAMPLE_RATE_HZ + seconds)
         air_c, duty, self._neighbours_k = self._unit_air.take(seconds)
@@ -274,12 +275,12 @@ class World:
             self.unit.sense_temperatures(read_c[:, 1:4], read_c[:, 4:])
 
     def _with_faults(self, read_c: FloatArray) -> FloatArray:
-        for place, reading_c in self.broken_sensors.items():
-            read_c[:, place] = reading_c
+        for index, reading_c in self.broken_sensors.items():
+            read_c[:, index] = reading_c
         return read_c
 
     def _update_undeclared(self, up_body: FloatArray, duty: FloatArray | None = None) -> None:
-        """Evaluate the undeclared effects for the next seconds, or without ``duty`` for the present one."""
+        """Evaluate the undeclared effects for the next seconds; without ``duty``, for the present second."""
         course = self.thermal.course
         if self._wander.is_any:
             self._wander_dph = self._wander.next_dph(0 if duty is None else len(duty))
@@ -311,9 +312,12 @@ class World:
     def _step_samples(
         self, seconds: int, count: int, resting: tuple[FloatArray, FloatArray, FloatArray] | None
     ) -> None:
-        """Step the inertial sensors and the INS by ``count`` samples of each of some seconds."""
+        """Simulate the inertial sensors and the INS for ``count`` samples of each of some seconds.
+
+        ``resting``: result of :meth:`_at_rest`.
+        """
         unit, first = self.unit, self._sample
-        # Drawn second by second, sample by sample: the noise does not depend on how the time is split.
+        # Drawn by second and sample, so that the noise does not depend on how the time is split.
         readings = 7 if self.on_epochs and (first + count) % SAMPLE_RATE_HZ == 0 else 0
         normal = np.empty((seconds, 0))
         rotation = velocity = _UNUSED[: seconds * count]
@@ -321,22 +325,22 @@ class World:
             normal = self._random.standard_normal((seconds, 6 * count + readings))
             rotation, velocity = self._measured_increments(normal, count, resting)
         self._sample += seconds * count
-        parts, taken = [], 0
-        while taken < seconds * count:
-            epochs = unit.advance(first + taken, rotation[taken:], velocity[taken:])
+        epoch_blocks, used = [], 0
+        while used < seconds * count:
+            epochs = unit.advance(first + used, rotation[used:], velocity[used:])
             if epochs is None:
                 return
-            taken += epochs.taken
+            used += epochs.used_samples
             if len(epochs.sample) or epochs.increments:
-                parts.append(epochs)
-        if not (self.on_epochs and parts):
+                epoch_blocks.append(epochs)
+        if not (self.on_epochs and epoch_blocks):
             return
         if readings and not normal.size:
             normal = self._random.standard_normal((seconds, readings))
         read_c = self.thermal.course.nodes_c[-seconds:]
         if readings:
             read_c = self._with_faults(self.thermal.read_c(read_c, normal[:, -readings:]))
-        for epochs in parts:
+        for epochs in epoch_blocks:
             self.on_epochs(epochs._replace(read_c=read_c[: len(epochs.align_time_s)]))
             read_c = read_c[len(epochs.align_time_s) :]
 
@@ -352,7 +356,7 @@ class World:
             normal, count, _DT_S, self._walks, self._pulses, self._remainders,
         )  # fmt: skip
         if self._scale_varies or np.count_nonzero(self._undeclared_ppm):
-            true = np.resize(rotation, (len(normal) * count, 3))  # repeats that of a second at rest
+            true = np.resize(rotation, (len(normal) * count, 3))  # at rest, the second is repeated
             ppm = np.repeat(self._undeclared_ppm[-len(normal) :], count, axis=0)
             ppm += (
                 self._half_asymmetry_ppm * np.sign(true)
@@ -362,16 +366,16 @@ class World:
         if np.count_nonzero(self._undeclared_ug):
             added = np.repeat(self._undeclared_ug[-len(normal) :] * (MICRO_G * _DT_S), count, axis=0)
             measured = measured[0], measured[1] + added
-        return measured if compensation is None else compensation.corrected(*measured, _DT_S)
+        return measured if compensation is None else compensation.correct_increments(*measured, _DT_S)
 
     def _at_rest(self) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-        """Ideal increments of a second and Up in body axes while the table rests; None while it moves."""
-        still_from_s = self._outer.still_from_s, self._inner.still_from_s
-        if max(still_from_s) > self._sample * _DT_S:
+        """Ideal increments of one second, and Up in body axes; None if the table moves."""
+        settled_from_s = self._outer.settled_from_s, self._inner.settled_from_s
+        if max(settled_from_s) > self._sample * _DT_S:
             return None
-        if still_from_s != self._resting_from_s:
+        if settled_from_s != self._resting_from_s:
             self._resting = (*self._ideal_increments(SAMPLE_RATE_HZ), self.attitude()[2])
-            self._resting_from_s = still_from_s
+            self._resting_from_s = settled_from_s
         return self._resting
 
     def _ideal_increments(self, count: int) -> tuple[FloatArray, FloatArray]:
@@ -383,19 +387,19 @@ class World:
         return rotation, velocity
 
 
-def _samples(time_s: float) -> int:
-    """Samples that end up to a time."""
+def _sample_count(time_s: float) -> int:
+    """Number of samples that end at or before a time."""
     return math.floor(time_s * SAMPLE_RATE_HZ + 1e-6)
 
 
 def _geometry(table: TableGeometry) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """True outer and inner table axis in ENU and mounting of the unit, with their errors."""
-    tilt, error = _turned(table.tilt_arcsec), _turned(table.mounting_error_arcsec)
+    """Outer and inner table axis and mounting of the unit, in ENU, with their errors."""
+    tilt, mounting_error = _rotation_matrix(table.tilt_arcsec), _rotation_matrix(table.mounting_error_arcsec)
     axes = (tilt @ np.array(by_outer[table.outer_axis]) for by_outer in (_OUTER_AXES, _INNER_AXES))
-    return *axes, np.ascontiguousarray(tilt @ table.mounting.matrix @ error)
+    return *axes, np.ascontiguousarray(tilt @ table.mounting.matrix @ mounting_error)
 
 
-def _turned(vector_arcsec: Sequence[float]) -> FloatArray:
+def _rotation_matrix(vector_arcsec: Sequence[float]) -> FloatArray:
     vector = np.array(vector_arcsec) * ARCSEC
     angle = float(np.linalg.norm(vector))
     axis = vector / (angle or 1.0)

@@ -1,4 +1,4 @@
-"""The world file: all properties of the simulated bench, checked like a procedure."""
+"""The world file: all properties of the simulated bench, validated like a procedure."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from gyrobench.drivers.emulators.world.undeclared_effects import (
     UndeclaredEffect,
 )
 
-# These bounds keep the thermal network's steps of one second stable.
+# Within these bounds the thermal network is stable at steps of one second.
 HeatCapacity = Annotated[float, Field(ge=20.0)]
 HeatConductance = Annotated[float, Field(ge=0.0, le=5.0)]
 PositiveHeatConductance = Annotated[float, Field(gt=0.0, le=5.0)]
 
 
-def _is_direction(vector: list[float]) -> list[float]:
+def _check_direction(vector: list[float]) -> list[float]:
     if not any(vector):
         raise ValueError("a direction needs at least one component that is not zero")
     if not 1e-6 <= max(map(abs, vector)) <= 1e6:
@@ -31,7 +31,7 @@ def _is_direction(vector: list[float]) -> list[float]:
     return vector
 
 
-def _divides_one_second(period_s: float) -> float:
+def _check_divides_one_second(period_s: float) -> float:
     if 100 % round(100.0 * period_s):
         raise ValueError("the period must divide one second, as 0.1 or 0.25 do")
     return period_s
@@ -120,7 +120,7 @@ class GyroThermal(StrictModel):
         0.6, description="share of the convection that depends on gravity"
     )
 
-    heat_path: Annotated[BodyVector, AfterValidator(_is_direction)] = Field(
+    heat_path: Annotated[BodyVector, AfterValidator(_check_direction)] = Field(
         description="body direction from electronics to optics, the path of the rising warm air"
     )
 
@@ -141,7 +141,7 @@ class Thermal(StrictModel):
 
 
 class InsBehaviour(StrictModel):
-    """How the INS behaves."""
+    """Behaviour of the INS."""
 
     serial_number: Annotated[int, Field(ge=0, lt=2**32)] = Field(
         1001, description="serial number that it reports"
@@ -152,7 +152,7 @@ class InsBehaviour(StrictModel):
     fine_alignment_s: Positive = Field(240.0, description="alignment time to fine, s")
     latitude_error_arcmin: float = Field(0.0, description="error of the entered latitude, arcmin")
     epoch_period_s: Annotated[
-        float, Field(ge=0.01, le=1.0, multiple_of=0.01), AfterValidator(_divides_one_second)
+        float, Field(ge=0.01, le=1.0, multiple_of=0.01), AfterValidator(_check_divides_one_second)
     ] = Field(0.1, description="time between navigation outputs, s")
 
 
@@ -162,7 +162,7 @@ _DIRECTIONS = {"east": _EAST, "north": _NORTH, "up": _UP, "west": -_EAST, "south
 
 
 class Mounting(StrictModel):
-    """Where the unit's axes point while both axes of the table are at zero."""
+    """Directions of the unit's axes while both axes of the table are at zero."""
 
     x: Direction = Field(description="direction of x")
     y: Direction = Field(description="direction of y")
@@ -170,11 +170,11 @@ class Mounting(StrictModel):
 
     @property
     def matrix(self) -> FloatArray:
-        """Body axes as columns, shape (3, 3), ENU."""
+        """Body axes in ENU as columns, shape (3, 3)."""
         return np.array([_DIRECTIONS[direction] for direction in (self.x, self.y, self.z)]).T
 
     @model_validator(mode="after")
-    def _is_rotation(self) -> Mounting:
+    def _check_rotation(self) -> Mounting:
         if np.linalg.det(self.matrix) < 0.5:
             raise ValueError("the axes must be three different, right-handed directions")
         return self
@@ -237,7 +237,7 @@ class NeighbourHeating(StrictModel):
     time_constant_s: Positive = Field(600.0, description="lag of the rise behind the power, s")
 
     @model_validator(mode="after")
-    def _is_of_two(self) -> NeighbourHeating:
+    def _check_two_units(self) -> NeighbourHeating:
         if self.from_unit == self.to_unit:
             raise ValueError("from_unit and to_unit must be two different units")
         return self
@@ -272,28 +272,28 @@ class WorldFile(StrictModel):
     neighbour_heating: list[NeighbourHeating] = Field([], description="which unit heats the air of which")
 
     def of_unit(self, number: int) -> WorldFile:
-        """World of one unit alone; beyond ``units`` it is as the first, with another serial number."""
+        """World of one unit by its number; beyond ``units`` it equals the first but for its serial number."""
         if number == 1:
             return self
         further = self.units[number - 2] if number - 2 < len(self.units) else FurtherUnit()
-        own = {name: value for name in _UNIT_KEYS if (value := getattr(further, name)) is not None}
-        mounted = {name: value for name in _MOUNTING_KEYS if (value := getattr(further, name)) is not None}
-        ins = own.pop("ins", self.ins)
+        changes = {name: value for name in _UNIT_KEYS if (value := getattr(further, name)) is not None}
+        mounting = {name: value for name in _MOUNTING_KEYS if (value := getattr(further, name)) is not None}
+        ins = changes.pop("ins", self.ins)
         serial_number = further.serial_number
         if serial_number is None:
             serial_number = (self.ins.serial_number + number - 1) % 2**32
-        own["ins"] = ins.model_copy(update={"serial_number": serial_number})
-        return self.model_copy(update=own | {"table": self.table.model_copy(update=mounted)})
+        changes["ins"] = ins.model_copy(update={"serial_number": serial_number})
+        return self.model_copy(update=changes | {"table": self.table.model_copy(update=mounting)})
 
     def power_event(self, number: int) -> int:
-        """Event output of the chamber that powers the unit of that number."""
-        listed = self.units[number - 2].power_event if 0 <= number - 2 < len(self.units) else None
-        return number + 1 if listed is None else listed
+        """Event output of the chamber that powers a unit, by the unit's number."""
+        event = self.units[number - 2].power_event if 0 <= number - 2 < len(self.units) else None
+        return number + 1 if event is None else event
 
 
 def load_world(path: Path) -> WorldFile:
-    """Read and check a world file.
+    """Read and validate a world file.
 
-    Raises DocumentError: the message lists all problems, each with its place in the file.
+    Raises DocumentError, which lists all problems, each with its place in the file.
     """
     return validate(read_document(path), WorldFile)

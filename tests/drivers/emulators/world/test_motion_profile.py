@@ -87,7 +87,7 @@ def test_a_move_to_where_a_stop_would_end_is_that_stop():
 def test_a_move_to_infinity_turns_for_ever():
     up, along, down = move(AxisState(0.0), -math.inf, LIMITS)
     motion = Motion(5.0, AxisState(0.0), [*up, *along, *down], NO_SETTLING)
-    assert motion.still_from_s == math.inf
+    assert motion.settled_from_s == math.inf
     assert motion.at(1e6).rate_dps == pytest.approx(-30.0)
 
 

@@ -203,20 +203,20 @@ def test_an_axis_starts_at_rest_where_it_is_put():
 
 def test_an_axis_that_is_overcome_does_not_follow_its_command_until_it_is_let_go():
     axis = TableAxis(AxisParameters())
-    axis.overcome(0.0)
+    axis.hold_by_force(0.0)
     axis.move_to(30.0, 1.0)
     assert axis.encoder(20.0).position_deg == 0.0
     assert axis.following_error_deg(20.0) == pytest.approx(-30.0)
     assert axis.profile_complete(20.0)
-    axis.let_go(20.0, servo=True)
+    axis.end_force(20.0, servo=True)
     assert axis.encoder(40.0).position_deg == 30.0
     assert axis.following_error_deg(40.0) == 0.0
 
 
 def test_an_axis_without_a_servo_stays_where_it_was_let_go():
     axis = TableAxis(AxisParameters())
-    axis.overcome(0.0, by_deg=-5.0)
-    axis.let_go(20.0, servo=False)
+    axis.hold_by_force(0.0, by_deg=-5.0)
+    axis.end_force(20.0, servo=False)
     assert axis.encoder(40.0).position_deg == pytest.approx(-5.0)
     assert axis.following_error_deg(40.0) == 0.0
 
@@ -224,9 +224,9 @@ def test_an_axis_without_a_servo_stays_where_it_was_let_go():
 def test_a_rate_that_was_not_kept_is_not_made_up_for():
     axis = TableAxis(AxisParameters())
     axis.turn_at(2.0, 0.0)
-    axis.overcome(10.0)
+    axis.hold_by_force(10.0)
     stalled_deg = axis.encoder(11.0).position_deg
-    axis.let_go(20.0, servo=True)
+    axis.end_force(20.0, servo=True)
     assert axis.encoder(40.0).position_deg == pytest.approx(stalled_deg)
     assert not axis.is_moving(40.0)
 
@@ -234,9 +234,9 @@ def test_a_rate_that_was_not_kept_is_not_made_up_for():
 def test_an_axis_that_is_overcome_twice_keeps_its_command():
     axis = TableAxis(AxisParameters())
     axis.move_to(10.0, 0.0)
-    axis.overcome(20.0, by_deg=1.0)
-    axis.overcome(30.0)
-    axis.let_go(40.0, servo=True)
+    axis.hold_by_force(20.0, by_deg=1.0)
+    axis.hold_by_force(30.0)
+    axis.end_force(40.0, servo=True)
     assert axis.encoder(60.0).position_deg == 10.0
 
 
