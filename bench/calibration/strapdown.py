@@ -33,7 +33,7 @@ from gyrobench.bench.calibration.coefficients import BESIDE, COUNT, LOWER, Senso
 from gyrobench.bench.calibration.increment_recording import SensorNoise
 from gyrobench.bench.calibration.turns import Vector, set_turn
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
-from gyrobench.bench.foundations.kernels import compiled, set_product
+from gyrobench.bench.foundations.kernels import compiled, multiply_3x3
 from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vectors
 from gyrobench.bench.navigation.earth import earth_rate_enu
 
@@ -238,8 +238,8 @@ def _integrate(
         moved = _sum(_sum(_sum(speed, sculling, 1.0), cross, 0.5), _cross(alpha, cross), 1.0 / 6.0)
         lift = _times(half[summed], _times(C, moved))
         set_turn(turn, _sum(alpha, coning, 1.0))
-        set_product(turned, C, turn)
-        set_product(C, earth[summed], turned)
+        multiply_3x3(turned, C, turn)
+        multiply_3x3(C, earth[summed], turned)
         for i in range(3):
             angles[i] += alpha[i]
             u[i] += lift[i]
@@ -251,8 +251,8 @@ def _integrate(
             continue
         middle, step, length_s = 0.5 * (begin + C), earth[samples], samples * interval_s
         # An error of a sensor is one of the true increments by way of all scale factors and misalignments.
-        set_product(of_gyros, middle, of_errors[0])
-        set_product(of_forces, middle, of_errors[1])
+        multiply_3x3(of_gyros, middle, of_errors[0])
+        multiply_3x3(of_forces, middle, of_errors[1])
         # At rest the specific force is gravity. As measured it lets parameters explain its noise: a smaller
         # scale factor makes it smaller, another heading turns it.
         lifted = gravity * length_s
@@ -406,8 +406,8 @@ def _set_intervals(
                     tilts[i, j] += time * C[i, k] * angle_walk[k] * C[j, k]
                     lifts[i, j] += time * C[i, k] * velocity_walk[k] * C[j, k]
         cross[0, 1], cross[1, 0] = gravity * time, -gravity * time  # cross @ psi = psi x force
-        set_product(moved, cross, tilts)
-        set_product(twice, moved, cross)  # its transpose is its negative
+        multiply_3x3(moved, cross, tilts)
+        multiply_3x3(twice, moved, cross)  # its transpose is its negative
         for i in range(3):
             for j in range(3):
                 F[3 + i, j] = cross[i, j]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.foundations.kernels import compiled, set_product
+from gyrobench.bench.foundations.kernels import compiled, multiply_3x3
 
 #: Tuples stay in registers, where small arrays would be allocated for every sample.
 Vector = tuple[float, float, float]
@@ -35,6 +35,6 @@ def net_turn(steps: FloatArray) -> FloatArray:
     C, turn, turned = np.eye(3), np.empty((3, 3)), np.empty((3, 3))
     for step in steps:
         set_turn(turn, (step[0], step[1], step[2]))
-        set_product(turned, C, turn)
+        multiply_3x3(turned, C, turn)
         C, turned = turned, C
     return C

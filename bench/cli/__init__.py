@@ -139,10 +139,10 @@ class _CommandGroups(TyperGroup):
         try:
             return super().invoke(ctx)
         except typer.BadParameter as error:
-            from gyrobench.bench.foundations.documents import in_plain_words
+            from gyrobench.bench.foundations.documents import plain_message
             from gyrobench.bench.foundations.text import did_you_mean
 
-            message = in_plain_words(error.message).rstrip(".")
+            message = plain_message(error.message).rstrip(".")
             found, _, allowed = message.partition(" is not one of ")
             near = did_you_mean(found.strip("'"), re.findall(r"'([^']+)'", allowed))
             error.message = f"{message}{near}{'.' if message else ''}"  # empty where one is missing

@@ -32,7 +32,7 @@ from gyrobench.bench.closure.evidence import Evidences
 from gyrobench.bench.closure.problem import Problem
 from gyrobench.bench.closure.search import MAX_EFFECTS
 from gyrobench.bench.closure.validation import measured_minus
-from gyrobench.bench.foundations.arrays import FloatArray, rms_of_known
+from gyrobench.bench.foundations.arrays import FloatArray, nan_rms
 
 #: Laws that are fitted with all their parameters: the best of all, and of each driver.
 _FITTED, _FITTED_PER_DRIVER = 16, 3
@@ -119,7 +119,7 @@ def compose(problem: Problem, effects_found: Sequence[Candidate]) -> Composed:
         of_driver[file.driver] += probability
         model = solve_with(problem, each.candidates)
         error_dph = measured_minus(campaign, searched, model)[~searched]
-        laws.append(ComposedLaw(file, each.candidates[-1], probability, rms_of_known(error_dph)))
+        laws.append(ComposedLaw(file, each.candidates[-1], probability, nan_rms(error_dph)))
     laws.sort(key=lambda law: -law.probability)
     first = {law.file.driver: law for law in reversed(laws)}  # the most probable one of each driver
     listed = [law for law in laws if law is first[law.file.driver] and law.probability >= _MIN_PROBABILITY]

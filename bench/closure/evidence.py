@@ -22,7 +22,7 @@ from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter
 from gyrobench.bench.closure.posterior import HypothesisProbability, Posterior
 from gyrobench.bench.closure.problem import MIN_VISIBLE, Problem
 from gyrobench.bench.closure.remainder import TOGETHER, remainder_of
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray, rms_of_known
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray, nan_rms
 
 #: Prior probability of 0, 1, 2 and 3 effects; all sets of one size are equally probable.
 EFFECT_COUNT_PRIOR = (0.4, 0.35, 0.15, 0.1)
@@ -405,7 +405,7 @@ def detectable_dph(problem: Problem) -> dict[str, float]:
         found[name] = float(sizes[np.argmax(shown)]) if shown.any() else math.inf
     # Of a remainder as large in all dwells; an outlier with its large deviation does not count.
     precisions = 1.0 / problem.campaign.known_sigma_dph[problem.searched]
-    noise_dph = problem.noise_scale / rms_of_known(precisions)
+    noise_dph = problem.noise_scale / nan_rms(precisions)
     return {name: size * noise_dph for name, size in found.items()}
 
 

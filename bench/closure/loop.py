@@ -25,7 +25,7 @@ from gyrobench.bench.closure.search import Search
 from gyrobench.bench.closure.selection import Selected, select
 from gyrobench.bench.closure.uncertainty import Draws, draw, interval
 from gyrobench.bench.closure.validation import LackOfFit, lack_of_fit, leave_out_cycles, measured_minus
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms, rms_of_known
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, nan_rms, rms
 from gyrobench.bench.foundations.errors import MeasurementError, RunFolderError
 from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.runs.folder import RunFolder
@@ -107,11 +107,11 @@ def _closure(campaign: Campaign, searched: BoolArray, candidates: Sequence[Effec
         held_out=held_out,
         declared=declared,
         model=model,
-        noise_dph=selected.noise.scale * rms_of_known(campaign.known_sigma_dph[searched]),
+        noise_dph=selected.noise.scale * nan_rms(campaign.known_sigma_dph[searched]),
         confounding=confounding(campaign, searched),
         noise=selected.noise,
-        error_before_dph=rms_of_known(before_dph),
-        error_after_dph=rms_of_known(after_dph),
+        error_before_dph=nan_rms(before_dph),
+        error_after_dph=nan_rms(after_dph),
         error_before_sigma_dph=_rms_sigma(before_dph, noise_dph),
         error_after_sigma_dph=_rms_sigma(after_dph, noise_dph),
         declared_draws=declared_draws,
@@ -169,7 +169,7 @@ def _with_cycle_held_out(campaign: Campaign, cycle: int, effects: Sequence[Effec
         closure.names,
         closure.error_before_dph,
         closure.error_after_dph,
-        closure.noise_scale * rms_of_known(campaign.known_sigma_dph[campaign.cycle == cycle]),
+        closure.noise_scale * nan_rms(campaign.known_sigma_dph[campaign.cycle == cycle]),
     )
 
 

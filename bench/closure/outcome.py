@@ -21,7 +21,7 @@ from gyrobench.bench.closure.quantity import GYRO_BIAS, Quantity
 from gyrobench.bench.closure.selection import NotAccepted
 from gyrobench.bench.closure.uncertainty import Draws, bound_of
 from gyrobench.bench.closure.validation import LackOfFit, measured_minus
-from gyrobench.bench.foundations.arrays import S_PER_H, BoolArray, FloatArray, rms_of_known
+from gyrobench.bench.foundations.arrays import S_PER_H, BoolArray, FloatArray, nan_rms
 from gyrobench.bench.foundations.text import capitalised, decimals_of, plain_name, with_sigma
 
 _UNITS = {"c": "degC"}
@@ -262,7 +262,7 @@ class Closure:
             return None
         errors_dph = self.residuals_dph(self.model)[held_out]
         expected_dph = np.hypot(self.dwell_noise_dph, self.prediction_sigma_dph)[held_out]
-        error, expected = (rms_of_known(each[:, gyros]) for each in (errors_dph, expected_dph))
+        error, expected = (nan_rms(each[:, gyros]) for each in (errors_dph, expected_dph))
         place = self.quantity.place(self.held_out_axes)
         cycles = np.unique(self.campaign.cycle[self.searched])
         advice = "Measure another cycle and hold that one out, so that these dwells are searched."
@@ -295,7 +295,7 @@ class Closure:
         after, is_tested = self.after, not (self.differs_held_out or np.isnan(self.after.noise_ratio))
         beside = f", {after.noise_ratio:.1f} times the noise, and follows {after.follows}" * is_tested
         return (
-            f"The residual{where} is {rms_of_known(residual):.2g} {self.quantity.unit} rms{beside}. It is "
+            f"The residual{where} is {nan_rms(residual):.2g} {self.quantity.unit} rms{beside}. It is "
             f"largest in position {plain_name(position)}, at {low_c:.0f} to {high_c:.0f} degC, and "
             f"at {low_h:.0f} to {high_h:.0f} h."
         )

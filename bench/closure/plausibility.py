@@ -19,7 +19,7 @@ import numpy as np
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.quantity import GYRO_BIAS, Quantity
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.foundations.text import agreeing, counted
+from gyrobench.bench.foundations.text import counted, plural
 from gyrobench.bench.navigation.positions import AXES
 
 #: Temperatures at which no INS is calibrated, degC.
@@ -90,7 +90,7 @@ def _copies(rows: Sequence[DwellRow]) -> Iterator[str]:
         others = len(copies) - 1
         yield (
             f"dwell {row.dwell} has biases and gyro temperatures of dwell {other.dwell} to the last digit,"
-            f" and {counted(others, 'other')} {agreeing(others, 'has', 'have')} those of another one: leave "
+            f" and {counted(others, 'other')} {plural(others, 'has', 'have')} those of another one: leave "
             "the copies out"
         )
 

@@ -15,7 +15,7 @@ from typing import Any
 from gyrobench.bench.dwells.run_dwells import marks_in, read_frames
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.foundations.files import cant_be_written, read_limited, sync_folder, write_whole
+from gyrobench.bench.foundations.files import read_limited, sync_folder, write_error, write_whole
 from gyrobench.bench.foundations.operator_name import operator_name
 from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.runs.can_log import log_path
@@ -77,7 +77,7 @@ class Damage:
                 elif path.exists():
                     path.replace(aside)
             except OSError as error:
-                raise cant_be_written(path, error) from error
+                raise write_error(path, error) from error
         if self.is_provenance_lost:
             entries = [json.loads(line) for line in lines]
             started, options = start_of(folder, entries)
@@ -93,7 +93,7 @@ class Damage:
             whole.replace(folder.journal)
             sync_folder(folder.path)
         except OSError as error:
-            raise cant_be_written(folder.journal, error) from error
+            raise write_error(folder.journal, error) from error
 
     def _record(self, path: Path, clock: Clock, broken: Sequence[int] = ()) -> None:
         names = [each.name for each in self.files]

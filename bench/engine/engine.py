@@ -22,7 +22,7 @@ from gyrobench.bench.foundations.errors import (
     SignalMapError,
     StepTimeoutError,
 )
-from gyrobench.bench.foundations.operator_name import source_in_words
+from gyrobench.bench.foundations.operator_name import describe_source
 from gyrobench.bench.procedure.approach import RetainedState, approach, end_of_dwell, restart_of
 from gyrobench.bench.procedure.plan import PlannedStep, turns_after
 from gyrobench.bench.procedure.steps import Align, GoTo, PowerOn
@@ -322,7 +322,7 @@ class Engine:
         if given.command is RunCommand.SKIP and dwell:
             self._units.skip(dwell)
             return self._after_dwell(dwell, self._retained(is_ins_on, is_at_temperature))
-        why = f"paused by {source_in_words(given.by)}"
+        why = f"paused by {describe_source(given.by)}"
         self._units.discard(dwell, why, counts=False)
         is_safe = self._bench.station.file.safe_state.on_pause == "safe"
         if is_safe:

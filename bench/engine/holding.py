@@ -12,7 +12,7 @@ from gyrobench.bench.engine.resume import ITSELF
 from gyrobench.bench.engine.run_context import RunContext
 from gyrobench.bench.engine.units import Units
 from gyrobench.bench.foundations.errors import InstrumentError, RunStoppedError
-from gyrobench.bench.foundations.operator_name import TERMINAL, operator_name, source_in_words
+from gyrobench.bench.foundations.operator_name import TERMINAL, describe_source, operator_name
 from gyrobench.bench.foundations.text import listed
 
 #: A calendar that differs by this much more than before, s, was set, or corrected over a long time.
@@ -64,7 +64,7 @@ class Heartbeat:
             given = replace(given, by=f"{name} ({given.by})")
         run.journal.record("ordered", order=given.command, by=given.by, operator=name)
         if given.command is RunCommand.ABORT:
-            raise RunStoppedError(f"stopped by {source_in_words(given.by)}")
+            raise RunStoppedError(f"stopped by {describe_source(given.by)}")
         return given
 
     def _check_calendar(self) -> None:
@@ -173,7 +173,7 @@ class Holding:
         if given and given.command is not RunCommand.CONTINUE:
             self._run.note(f"the run holds: it accepts continue or abort, not {given.command}")
             return ""
-        return source_in_words(given.by) if given else "the operator" if answer else ""
+        return describe_source(given.by) if given else "the operator" if answer else ""
 
     def _is_clear(self, trips: Sequence[Trip]) -> bool:
         """Clear latched alarms, and return whether nothing is tripped; notes what still is."""

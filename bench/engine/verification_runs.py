@@ -29,7 +29,7 @@ from gyrobench.bench.engine.operator import Operator
 from gyrobench.bench.engine.run import run_or_resume
 from gyrobench.bench.engine.run_outcome import RunOutcome
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
-from gyrobench.bench.foundations.text import agreeing, counted
+from gyrobench.bench.foundations.text import counted, plural
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.runs.compensation_file import compensations_in_use, read_compensation
 from gyrobench.bench.runs.folder import RunFolder
@@ -256,7 +256,7 @@ class VerificationRuns:
 
 def flags_note(name: str, flagged: int, dwells: int) -> str:
     """How many dwells of the run with a compensation have flags, at least one."""
-    verbs = agreeing(flagged, "has flags and is", "have flags and are")
+    verbs = plural(flagged, "has flags and is", "have flags and are")
     return f"In the run {IN_WORDS[name]} {flagged} of {counted(dwells, 'dwell')} {verbs} not used."
 
 

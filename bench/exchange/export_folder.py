@@ -17,13 +17,13 @@ import pyarrow.parquet as pq
 from gyrobench.bench import __version__
 from gyrobench.bench.foundations.errors import RunFolderError, UnusablePathError
 from gyrobench.bench.foundations.files import (
-    cant_be_written,
     file_sha256,
     make_folder,
     parse_json,
     read_limited,
     sync_folder,
     temporary_path,
+    write_error,
     write_whole,
 )
 from gyrobench.bench.runs.folder import RunFolder
@@ -159,7 +159,7 @@ class ExportFolder:
         except OSError as error:
             if isinstance(error, RunFolderError):
                 raise
-            raise cant_be_written(path, error) from error
+            raise write_error(path, error) from error
         finally:
             temporary.unlink(missing_ok=True)
         self.written.append(path)

@@ -21,7 +21,7 @@ from gyrobench.bench.foundations.errors import (
     MeasurementError,
     RunFolderError,
 )
-from gyrobench.bench.foundations.files import make_folder, read_limited, synced_later, write_whole
+from gyrobench.bench.foundations.files import defer_sync, make_folder, read_limited, write_whole
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.station.locks import RunLock
 
@@ -72,7 +72,7 @@ def do_job(kind: JobKind, path: str, *, is_synced: bool = True) -> JobResult:
             return JobResult(path, JobState.SKIPPED, "no write permission for its folder")
         with (
             RunLock(run, clock, command=f"gyrobench fleet {kind}"),
-            nullcontext() if is_synced else synced_later(),
+            nullcontext() if is_synced else defer_sync(),
         ):
             text = _DOERS[kind](folder)
     except BenchInUseError as error:

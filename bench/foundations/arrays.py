@@ -46,7 +46,7 @@ def rms(values: ArrayLike) -> float:
     return float(np.sqrt(np.mean(squares))) if squares.size else np.nan
 
 
-def rms_of_known(values: ArrayLike) -> float:
+def nan_rms(values: ArrayLike) -> float:
     """Root mean square of the values that are not NaN; NaN if there are none."""
     values = np.asarray(values, dtype=np.float64)
     return rms(values[~np.isnan(values)])

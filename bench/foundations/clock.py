@@ -35,7 +35,7 @@ class Clock(ABC):
     Attributes
     ----------
     name : str
-        Name for :func:`clock_named`, as in the address ``emulator://table?clock=NAME``.
+        Name for :func:`find_clock`, as in the address ``emulator://table?clock=NAME``.
     is_virtual : bool
         Whether waiting takes no real time.
     speed : float
@@ -169,7 +169,7 @@ class VirtualClock(Clock):
         return 0.0
 
 
-def parsed_utc(text: object) -> datetime | None:
+def parse_utc(text: object) -> datetime | None:
     """Parse a calendar time in ISO 8601, UTC if it names no zone; None if it is not valid."""
     try:
         moment = datetime.fromisoformat(str(text))
@@ -195,7 +195,7 @@ class Deadline:
         return self._clock.now() >= self._end_s
 
 
-def clock_named(name: str) -> Clock:
+def find_clock(name: str) -> Clock:
     """Find a clock by name. Raises KeyError if no clock of that name exists."""
     return _clocks[name]
 

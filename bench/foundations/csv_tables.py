@@ -16,7 +16,7 @@ from types import MappingProxyType
 from typing import Any, TypeVar
 
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.files import decoded, read_limited, read_lines, write_whole
+from gyrobench.bench.foundations.files import decode_text, read_limited, read_lines, write_whole
 from gyrobench.bench.foundations.text import WRITE_POINT, did_you_mean, format_cell, has_decimal_comma
 
 _RowT = TypeVar("_RowT")
@@ -285,7 +285,7 @@ def read_rows(
     return _read(CsvTable(read_text(path), str(path), list(names.values())), kind, readers, names)
 
 
-def each_row(
+def iter_rows(
     path: Path,
     kind: type[_RowT],
     readers: Mapping[str, CellReader],
@@ -301,7 +301,7 @@ def each_row(
     while (part := list(islice(lines, _BATCH_LINES))) or not skipped_lines:
         while sum(line.count(b'"') for line in part) % 2 and (line := next(lines, b"")):
             part.append(line)  # belongs to a quoted cell with line ends
-        text = decoded(path, b"".join([header, *part]), _ENCODING)
+        text = decode_text(path, b"".join([header, *part]), _ENCODING)
         yield from _read(CsvTable(text, str(path), list(names.values()), skipped_lines), kind, readers, names)
         skipped_lines += max(len(part), 1)
 
@@ -323,7 +323,7 @@ def read_text(path: Path) -> str:
 
     Raises DocumentError if the file can't be read, is too large, or is not UTF-8.
     """
-    return decoded(path, read_limited(path, _MAX_TABLE_BYTES, DocumentError), _ENCODING)
+    return decode_text(path, read_limited(path, _MAX_TABLE_BYTES, DocumentError), _ENCODING)
 
 
 def write_text(path: Path, text: str) -> None:

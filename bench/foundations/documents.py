@@ -22,7 +22,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.files import decoded, read_limited
+from gyrobench.bench.foundations.files import decode_text, read_limited
 from gyrobench.bench.foundations.shipped import USES
 from gyrobench.bench.foundations.text import WRITE_POINT, did_you_mean, has_decimal_comma
 
@@ -140,7 +140,7 @@ def read_document(path: Path) -> Document:
 
     Raises DocumentError if the file can't be read, is too large, or is not valid YAML.
     """
-    return parse_document(decoded(path, read_limited(path, MAX_DOCUMENT_BYTES, DocumentError)), path)
+    return parse_document(decode_text(path, read_limited(path, MAX_DOCUMENT_BYTES, DocumentError)), path)
 
 
 def parse_document(text: str, path: Path) -> Document:
@@ -173,7 +173,6 @@ def validate(document: Document, model: type[_ModelT], further: Sequence[Documen
     """Validate a document against a model and return the model.
 
     If validation fails, ``further`` problems, found outside the model, are reported with those of the model.
-
     Raises DocumentError, which lists all problems, each with its place.
     """
     if not isinstance(document.data, dict):
@@ -209,7 +208,7 @@ def problems_of(error: ValidationError, parent: KeyPath = ()) -> list[DocumentPr
         if detail["type"] == "missing":
             location = location[:-1]
         elif detail["type"] not in _COMPLETE_TYPES:
-            value, message = detail["input"], in_plain_words(message)
+            value, message = detail["input"], plain_message(message)
             if location and isinstance(location[-1], str):
                 message = re.sub(r"^the value (?=must be a list)", f"{_quote(location[-1])} ", message)
             if keys := _DOTTED_KEYS.match(message):
@@ -235,7 +234,7 @@ def _advice(error_type: str, value: Any, location: KeyPath) -> str:
     return ""
 
 
-def in_plain_words(message: str) -> str:
+def plain_message(message: str) -> str:
     """Rewrite a message of pydantic in the words of the bench."""
     for pattern, plain in _PLAIN_WORDS:
         message = pattern.sub(plain, message)

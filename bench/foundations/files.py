@@ -31,8 +31,8 @@ def read_limited(path: Path, max_bytes: int, error_type: type[DocumentError | Ru
         return stream.read()
 
 
-def decoded(path: Path, content: bytes, encoding: str = "utf-8") -> str:
-    """Text of a file's content; raises DocumentError if it is not UTF-8."""
+def decode_text(path: Path, content: bytes, encoding: str = "utf-8") -> str:
+    """Decode the content of a file to text; raises DocumentError if it is not UTF-8."""
     try:
         return content.decode(encoding)
     except UnicodeDecodeError as error:
@@ -102,15 +102,15 @@ def write_whole(path: Path, data: bytes | Iterable[bytes | bytearray], *, is_syn
     except OSError as error:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
-        raise cant_be_written(path, error) from error
+        raise write_error(path, error) from error
 
 
-#: Whether files are being written within :func:`synced_later`.
+#: Whether files are being written within :func:`defer_sync`.
 _is_synced_later = ContextVar("_is_synced_later", default=False)
 
 
 @contextlib.contextmanager
-def synced_later() -> Iterator[None]:
+def defer_sync() -> Iterator[None]:
     """Context in which files are written atomically, but not synced to the disk until :func:`sync_all`."""
     token = _is_synced_later.set(True)
     try:
@@ -190,7 +190,7 @@ def sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def cant_be_written(path: Path, error: OSError) -> RunFolderError:
+def write_error(path: Path, error: OSError) -> RunFolderError:
     """Return the exception for a file that can't be written."""
     return _error_type(error)(f"{path}: can't be written: {_reason(error)}")
 

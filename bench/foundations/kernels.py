@@ -62,7 +62,7 @@ def compiled(function: Any = None, *, fastmath: bool = False) -> Any:
 
 
 @compiled
-def set_product(product: FloatArray, a: FloatArray, b: FloatArray) -> None:
+def multiply_3x3(product: FloatArray, a: FloatArray, b: FloatArray) -> None:
     """Write the product of two matrices (3, 3) to ``product``, which must be a different array."""
     for i in range(3):
         for j in range(3):

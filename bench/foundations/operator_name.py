@@ -40,7 +40,7 @@ def command_line() -> str:
     return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
 
 
-def source_in_words(by: str) -> str:
+def describe_source(by: str) -> str:
     """Describe the source of a command: "the operator (Ctrl-C)" for SIGINT.
 
     A signal sent by a named operator, such as "anna (SIGTERM)", is a command of ``gyrobench control``.

@@ -35,7 +35,7 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
-def agreeing(number: int, singular: str, plural_form: str) -> str:
+def plural(number: int, singular: str, plural_form: str) -> str:
     """Return the form of a verb or noun for a number: ``singular`` for 1, else ``plural_form``."""
     return singular if number == 1 else plural_form
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from urllib.parse import quote
 
-from gyrobench.bench.foundations.clock import parsed_utc
+from gyrobench.bench.foundations.clock import parse_utc
 from gyrobench.bench.foundations.text import bin_label, counted, hours_minutes
 from gyrobench.bench.monitor.run_list import RunSummary
 from gyrobench.bench.monitor.snapshot import (
@@ -55,7 +55,7 @@ def age_text(age_s: float) -> str:
 
 
 def _age_s(updated_utc: str, now: datetime) -> float:
-    updated = parsed_utc(updated_utc)
+    updated = parse_utc(updated_utc)
     return max(0.0, (now - updated).total_seconds()) if updated else 0.0
 
 
@@ -155,7 +155,7 @@ def _celsius(temperature_c: float, decimals: int = 1) -> str:
 
 def _expected_end(snapshot: RunSnapshot) -> datetime | None:
     """Expected end on the host's calendar; None for a run faster than real time."""
-    started, updated = parsed_utc(snapshot.started_utc), parsed_utc(snapshot.updated_utc)
+    started, updated = parse_utc(snapshot.started_utc), parse_utc(snapshot.updated_utc)
     if started is None or updated is None:
         return None
     is_real_time = abs((started + timedelta(seconds=snapshot.now_s) - updated).total_seconds()) < 3600.0

@@ -14,7 +14,7 @@ import serial
 from gyrobench.bench.foundations.clock import Clock, Deadline, WallClock
 from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import ConnectionFailedError, DocumentError, NoReplyError
-from gyrobench.bench.foundations.files import cant_be_written, make_folder, write_whole
+from gyrobench.bench.foundations.files import make_folder, write_error, write_whole
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.recording.replay import CHAMBER_QUERIES, TABLE_QUERIES, call_driver
 from gyrobench.bench.station.instrument_sections import DialectSection
@@ -318,7 +318,7 @@ def _log_frames(ins: CanIns, path: Path, clock: Clock, duration_s: float) -> str
     except OSError as error:
         if isinstance(error, NoReplyError):
             raise
-        raise cant_be_written(path, error) from error
+        raise write_error(path, error) from error
     return f"{ins.frames - before} frames in {duration_s:g} s; {identity}"
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from gyrobench.bench.closure.files import write_closure
 from gyrobench.bench.closure.outcome import Closure
-from gyrobench.bench.foundations.arrays import rms_of_known
+from gyrobench.bench.foundations.arrays import nan_rms
 from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import counted, listed, probability_number, with_sigma
 from gyrobench.bench.navigation.positions import AXES
@@ -270,10 +270,10 @@ def _error(closure: Closure) -> Section:
     errors = {name: closure.residuals_dph(model) for name, model in text.models_of(closure).items()}
     errors["noise"] = closure.dwell_noise_dph
     rows = [
-        [name, *(scale.text(rms_of_known(each)) for each in (*values_dph[held_out].T, values_dph[held_out]))]
+        [name, *(scale.text(nan_rms(each)) for each in (*values_dph[held_out].T, values_dph[held_out]))]
         for name, values_dph in errors.items()
     ]
-    rows.append(["prediction", *(scale.text(rms_of_known(each)) for each in (*sigma_dph.T, sigma_dph))])
+    rows.append(["prediction", *(scale.text(nan_rms(each)) for each in (*sigma_dph.T, sigma_dph))])
     table = SectionTable(
         f"Rms of measured minus predicted {closure.quantity.label} in the held-out cycles, of the noise, and "
         f"of the standard uncertainty of the predictions, in {scale.unit}",

@@ -16,7 +16,7 @@ from gyrobench.bench.closure.posterior import CLEAN, EXPLAINED, RIVAL
 from gyrobench.bench.closure.problem import Solution
 from gyrobench.bench.closure.search import EFFECT_SIGNIFICANCE
 from gyrobench.bench.closure.validation import LACK_OF_FIT_P
-from gyrobench.bench.foundations.arrays import S_PER_H, rms_of_known
+from gyrobench.bench.foundations.arrays import S_PER_H, nan_rms
 from gyrobench.bench.foundations.text import (
     capitalised,
     counted,
@@ -293,7 +293,7 @@ def power_sentence(closure: Closure) -> str:
 
 def before_sentence(closure: Closure) -> str:
     """Residual of the declared model in the dwells searched, compared with the noise."""
-    size = rms_of_known(closure.residuals_dph(closure.declared)[closure.searched])
+    size = nan_rms(closure.residuals_dph(closure.declared)[closure.searched])
     p, quantity, unit = p_phrase(closure.before.p_value), closure.quantity, closure.quantity.unit
     residual = (
         f"The residual of the declared model (a cubic in each {quantity.sensor}'s temperature and one "
@@ -422,7 +422,7 @@ def error_sentence(closure: Closure) -> str:
         models += f" and {after} {unit} with {found_labels(closure)}"
     dwells = counted(int(held_out.sum()), "dwell")
     sizes = (closure.dwell_noise_dph, closure.prediction_sigma_dph)
-    noise, sigma = (rms_of_known(each[held_out]) for each in sizes)
+    noise, sigma = (nan_rms(each[held_out]) for each in sizes)
     far = outliers_text(closure.held_out.outliers)
     explain = f"explain the {'others' if far else 'errors'}"
     if closure.held_out_axes:

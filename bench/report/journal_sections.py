@@ -10,7 +10,7 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any
 
-from gyrobench.bench.foundations.operator_name import source_in_words
+from gyrobench.bench.foundations.operator_name import describe_source
 from gyrobench.bench.foundations.text import counted, listed, run_ending
 from gyrobench.bench.report.page import Mark, Section, SectionTable
 
@@ -318,7 +318,7 @@ def _by(entry: Entry) -> str:
 
 def _who(entry: Entry) -> str:
     """Source of a command, with the operator's name where it is known and not in the source."""
-    by, operator = source_in_words(str(entry.get("by"))), str(entry.get("operator") or "")
+    by, operator = describe_source(str(entry.get("by"))), str(entry.get("operator") or "")
     return f"{operator} ({by})" if operator and operator not in by else by
 
 

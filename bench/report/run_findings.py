@@ -18,7 +18,7 @@ from gyrobench.bench.bias.noise_estimate import NoiseComparison, NoiseEstimate, 
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.vertical_pairs import Finding
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.foundations.text import agreeing, capitalised, counted, flag_text, listed
+from gyrobench.bench.foundations.text import capitalised, counted, flag_text, listed, plural
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.report.number_format import p_in_brackets
 from gyrobench.bench.runs.journal import RunFacts
@@ -143,7 +143,7 @@ def _exchange_sentence(above_board_k: FloatArray) -> str:
         return ""
     return (
         f"In all settled dwells the optics are warmer than the electronics, by {np.nanmax(least_k):.1f} "
-        f"K or more ({agreeing(len(exchanged), 'gyro', 'gyros')} {listed(exchanged)}). Unless the optics "
+        f"K or more ({plural(len(exchanged), 'gyro', 'gyros')} {listed(exchanged)}). Unless the optics "
         "are heated, the two signals are exchanged in signal map or DBC file, and bins are at the "
         "temperatures of the electronics."
     )

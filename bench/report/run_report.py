@@ -18,7 +18,7 @@ from gyrobench.bench import __version__
 from gyrobench.bench.bias.bins import BiasBin, compare_positions
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.verdicts import Acceptance
-from gyrobench.bench.foundations.clock import parsed_utc
+from gyrobench.bench.foundations.clock import parse_utc
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import file_sha256, make_folder, write_whole
 from gyrobench.bench.foundations.text import counted, hours_minutes, listed
@@ -387,7 +387,7 @@ def head_lines(content: RunContent) -> dict[str, str]:
     options = {**own.get("options", {}), **facts.options}
     resumed = f", resumed {counted(facts.resumes, 'time')}" if facts.resumes else ""
     is_end_known = JOURNAL not in content.damage
-    begun = parsed_utc(own.get("started_utc") or facts.started_utc)
+    begun = parse_utc(own.get("started_utc") or facts.started_utc)
     lines = {
         "unit": serial_number_of(content) or "serial number unknown",
         "procedure": facts.procedure or content.procedure.get("procedure"),

@@ -11,7 +11,7 @@ from gyrobench.bench.bias.bins import BiasBin, PositionComparison, not_connected
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.statistics import uniformity_p_value
 from gyrobench.bench.bias.verdicts import Acceptance, RunVerdict
-from gyrobench.bench.foundations.text import agreeing, counted, listed
+from gyrobench.bench.foundations.text import counted, listed, plural
 from gyrobench.bench.navigation.positions import AXES, gyro_label, position_label
 from gyrobench.bench.report.number_format import dph_with_sigma, p_phrase, size_text, temperature_ranges
 
@@ -205,7 +205,7 @@ def _lacking_sentence(acceptance: Acceptance) -> str:
     ]
     if more := len(plateaus) - len(named):
         named.append(counted(more, "other plateau"))
-    were = agreeing(len(dwells), "was", "were")
+    were = plural(len(dwells), "was", "were")
     return _LACKING.format(f"{counted(len(dwells), 'planned dwell')} {were}", listed(named))
 
 

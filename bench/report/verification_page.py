@@ -14,7 +14,7 @@ from gyrobench.bench.calibration.mission import HOURS
 from gyrobench.bench.closure.loadable_model import LoadableModel
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.foundations.files import file_sha256
-from gyrobench.bench.foundations.text import agreeing, counted, hours_minutes, listed, plain_name
+from gyrobench.bench.foundations.text import counted, hours_minutes, listed, plain_name, plural
 from gyrobench.bench.report.closure_text import searched_name, verdict_sentence
 from gyrobench.bench.report.figures.verification import (
     coefficients_left_figure,
@@ -237,7 +237,7 @@ def verification_plan(
     sentences = model_sentences(closure, models, searches)
     if missing:
         total = f", {hours_minutes(len(missing) * run_s)} h in total" if missing[1:] else ""
-        verb, names = agreeing(len(missing), "remains", "remain"), [IN_WORDS[name] for name in missing]
+        verb, names = plural(len(missing), "remains", "remain"), [IN_WORDS[name] for name in missing]
         sentences.append(
             f"{counted(len(missing), 'run')} of {hours_minutes(run_s)} h {verb}{total}: {listed(names)}."
         )

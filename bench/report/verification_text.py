@@ -13,7 +13,7 @@ from gyrobench.bench.closure.loop import NOT_SEARCHED
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.validation import LACK_OF_FIT_P
 from gyrobench.bench.foundations.arrays import BoolArray
-from gyrobench.bench.foundations.text import agreeing, capitalised, counted, listed, with_sigma
+from gyrobench.bench.foundations.text import capitalised, counted, listed, plural, with_sigma
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.report.closure_text import found_labels
 from gyrobench.bench.report.number_format import p_phrase, size_text
@@ -288,8 +288,8 @@ def comparability_sentences(result: VerificationResult) -> list[str]:
     valid = min(each.total.dwells for each in result.results)
     if len(result.results) > 1 and valid < result.dwells:
         sentences.append(
-            f"{valid} of {counted(result.dwells, 'dwell')} {agreeing(valid, 'is', 'are')} valid in all runs; "
-            f"only {agreeing(valid, 'this one is', 'these are')} compared."
+            f"{valid} of {counted(result.dwells, 'dwell')} {plural(valid, 'is', 'are')} valid in all runs; "
+            f"only {plural(valid, 'this one is', 'these are')} compared."
         )
     missions = [mission for each in result.coefficients for mission in each.missions]
     compared = {mission.plateau for mission in missions if mission.is_in_all}
@@ -342,11 +342,11 @@ def new_conditions_sentence(result: VerificationResult) -> str:
     rows = [plateau.known[0] for plateau in result.plateaus]
     new = [row for row in rows if row.fit != "fitted"]
     temperatures = listed([f"{row.gyro_c:z.0f} °C" for row in new])
-    where = agreeing(len(new), "is at a gyro temperature that was", "are at gyro temperatures that were")
+    where = plural(len(new), "is at a gyro temperature that was", "are at gyro temperatures that were")
     return (
         f"All measurements are new. {len(new)} of {counted(len(rows), 'plateau')} {where} not fitted"
         f"{f' ({temperatures})' if new else ''}. {result.new_attitudes} of {counted(result.dwells, 'dwell')} "
-        f"{agreeing(result.new_attitudes, 'begins', 'begin')} in a position and azimuth that are not in the "
+        f"{plural(result.new_attitudes, 'begins', 'begin')} in a position and azimuth that are not in the "
         "campaign."
     )
 

@@ -41,7 +41,7 @@ from isal import isal_zlib
 from numpy.typing import NDArray
 
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.foundations.files import cant_be_written, make_folder, read_limited, sync_folder
+from gyrobench.bench.foundations.files import make_folder, read_limited, sync_folder, write_error
 from gyrobench.bench.runs.folder import find_parts, part_path
 from gyrobench.drivers.frames import ERROR_FRAME, FRAME_DTYPE, REMOTE_FRAME, FrameBlock, concatenate
 
@@ -286,7 +286,7 @@ class CanLog:
             try:
                 self._part = _OpenPart(path)
             except OSError as error:
-                raise cant_be_written(path, error) from error
+                raise write_error(path, error) from error
             self._next += 1
         try:
             self._part.write(block)
@@ -320,7 +320,7 @@ class CanLog:
     def _abandon(self, part: _OpenPart, error: OSError) -> RunFolderError:
         self._part = None
         part.close()
-        return cant_be_written(part.path, error)
+        return write_error(part.path, error)
 
 
 class _OpenPart:

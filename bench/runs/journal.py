@@ -19,7 +19,7 @@ from filelock import lock_descriptor
 
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.foundations.files import cant_be_written, parse_json, read_lines, sync_folder
+from gyrobench.bench.foundations.files import parse_json, read_lines, sync_folder, write_error
 
 #: Some hundred times the journal of a run of 1000 h.
 MAX_JOURNAL_BYTES = 500_000_000
@@ -47,7 +47,7 @@ class Journal:
         try:
             self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
         except OSError as error:
-            raise cant_be_written(path, error) from error
+            raise write_error(path, error) from error
         try:
             self._lock()
             self._sound_bytes, self._last_line, cut_off = self._find_end()
@@ -94,7 +94,7 @@ class Journal:
         except OSError as error:
             with contextlib.suppress(OSError):  # else the next entry sees to it
                 self._drop_half_line()
-            raise cant_be_written(self._path, error) from error
+            raise write_error(self._path, error) from error
         self._sound_bytes += len(line)
         self._last_line = text
 
@@ -121,7 +121,7 @@ class Journal:
         except RunFolderError:
             raise
         except OSError as error:
-            raise cant_be_written(self._path, error) from error
+            raise write_error(self._path, error) from error
 
     def _drop_half_line(self) -> None:
         if os.fstat(self._descriptor).st_size != self._sound_bytes:

@@ -30,11 +30,11 @@ from gyrobench.bench.foundations.errors import (
     UnusablePathError,
 )
 from gyrobench.bench.foundations.files import (
-    cant_be_written,
     file_sha256,
     make_folder,
     parse_json,
     read_limited,
+    write_error,
     write_whole,
 )
 from gyrobench.bench.foundations.operator_name import command_line, login_name, operator_name
@@ -326,7 +326,7 @@ def new_key(path: Path) -> Path:
     try:
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     except OSError as error:
-        raise cant_be_written(path, error) from error
+        raise write_error(path, error) from error
     with open(descriptor, "wb") as stream:  # noqa: PTH123 - a descriptor
         stream.write(
             secret.private_bytes(pem, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())

@@ -24,8 +24,8 @@ from urllib.parse import parse_qsl, urlsplit
 
 from pydantic import TypeAdapter, ValidationError
 
-from gyrobench.bench.foundations.clock import Clock, VirtualClock, WallClock, clock_named
-from gyrobench.bench.foundations.documents import in_plain_words
+from gyrobench.bench.foundations.clock import Clock, VirtualClock, WallClock, find_clock
+from gyrobench.bench.foundations.documents import plain_message
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
 from gyrobench.bench.foundations.kernels import Kernel
 from gyrobench.bench.foundations.packages import EMULATORS, load
@@ -183,7 +183,7 @@ class EmulatedBench:
             except (KeyError, ValidationError) as error:
                 reason = f"no such option; there are {', '.join(allowed)}"
                 if isinstance(error, ValidationError):
-                    reason = in_plain_words(error.errors()[0]["msg"])
+                    reason = plain_message(error.errors()[0]["msg"])
                 raise DocumentError(f"emulated chamber {dialect}: {key}={text}: {reason}") from error
         return make(self.world.air, self.chamber_event, **arguments)
 
@@ -240,7 +240,7 @@ def bench_at(address: BenchAddress) -> EmulatedBench:
     """
     clock: Clock
     try:
-        clock = clock_named(address.clock) if address.clock else _wall_clocks.setdefault("", WallClock())
+        clock = find_clock(address.clock) if address.clock else _wall_clocks.setdefault("", WallClock())
     except KeyError:
         raise DocumentError(f"emulator address: no clock is named {address.clock!r}") from None
     world = find_document("worlds", address.world).resolve()

@@ -12,7 +12,7 @@ from urllib.parse import parse_qs, unquote, urlsplit
 
 from serial.serialutil import PortNotOpenError, SerialException
 
-from gyrobench.bench.foundations.clock import Clock, WallClock, clock_named
+from gyrobench.bench.foundations.clock import Clock, WallClock, find_clock
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.drivers.clocked_port import ClockedPort
 from gyrobench.drivers.recording.recording_file import Recording, read_recording
@@ -42,7 +42,7 @@ class Serial(ClockedPort):
         url = urlsplit(self.portstr or "")
         names = parse_qs(url.query).get("clock", [])
         try:
-            self.clock = clock_named(names[0]) if names else WallClock()
+            self.clock = find_clock(names[0]) if names else WallClock()
             recording = read_recording(Path(unquote(f"{url.netloc}{url.path}")))
         except KeyError:
             raise SerialException(f"no clock is named {names[0]!r}") from None

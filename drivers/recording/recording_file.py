@@ -15,7 +15,7 @@ from pydantic import Field
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.documents import Document, StrictModel, parse_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.files import cant_be_written, decoded, make_folder, read_limited
+from gyrobench.bench.foundations.files import decode_text, make_folder, read_limited, write_error
 
 _MAX_RECORDING_BYTES = 200_000_000
 _END_OF_HEADER = "---\n"
@@ -121,7 +121,7 @@ def read_recording(path: Path) -> Recording:
         raise DocumentError(
             f"{path}: is a folder. Give a recording, a file that `gyrobench record` wrote (*.rec)"
         )
-    text = decoded(path, read_limited(path, _MAX_RECORDING_BYTES, DocumentError))
+    text = decode_text(path, read_limited(path, _MAX_RECORDING_BYTES, DocumentError))
     head, end, body = text.partition(f"\n{_END_OF_HEADER}")
     if not end:
         raise DocumentError(
@@ -167,7 +167,7 @@ class RecordingFile:
             self._file = path.open("x", encoding="utf-8", buffering=1)
             self._file.write(_header_text(header.model_copy(update={"recorded_utc": recorded_utc})))
         except OSError as error:
-            raise cant_be_written(path, error) from error
+            raise write_error(path, error) from error
 
     def add(self, is_sent: bool, data: bytes) -> None:
         """Write a transfer with the present time; a write error ends the recording only."""

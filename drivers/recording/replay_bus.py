@@ -9,7 +9,7 @@ from typing import Any
 import can
 import numpy as np
 
-from gyrobench.bench.foundations.clock import Clock, WallClock, clock_named
+from gyrobench.bench.foundations.clock import Clock, WallClock, find_clock
 from gyrobench.drivers.frames import FrameBlock, concatenate
 
 #: Number of frames read from the log at once.
@@ -26,7 +26,7 @@ class ReplayBus(can.BusABC):
 
     def __init__(self, channel: str, clock: str = "", **options: Any) -> None:
         try:
-            self._clock: Clock = clock_named(clock) if clock else WallClock()
+            self._clock: Clock = find_clock(clock) if clock else WallClock()
             self._log = can.LogReader(channel)
         except (OSError, ValueError, KeyError) as error:
             reason = getattr(error, "strerror", None) or error

@@ -10,7 +10,7 @@ import numpy as np
 
 from gyrobench.bench.closure.outcome import Closure, FoundEffect
 from gyrobench.bench.closure.search import EFFECT_SIGNIFICANCE
-from gyrobench.bench.foundations.arrays import S_PER_H, BoolArray, FloatArray, rms_of_known
+from gyrobench.bench.foundations.arrays import S_PER_H, BoolArray, FloatArray, nan_rms
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, position_label
 from gyrobench.bench.report.closure_text import held_out_cycles, is_noise_only, models_of, scale_of_errors
 from gyrobench.bench.report.figures.style import (
@@ -76,7 +76,7 @@ def closure_residual_figure(closure: Closure, gyro: str) -> Figure:
     """
     axis = AXES.index(gyro)
     residuals = {name: closure.residuals_dph(model)[:, axis] for name, model in models_of(closure).items()}
-    noise = rms_of_known(closure.dwell_noise_dph[:, axis])
+    noise = nan_rms(closure.dwell_noise_dph[:, axis])
     scale = scale_of_errors(closure)
     against = _against(closure, axis)
     largest = _MARGIN * scale.factor * max(float(np.nanmax(np.abs(each))) for each in residuals.values())
@@ -197,7 +197,7 @@ def closure_effect_figure(closure: Closure, found: FoundEffect) -> Figure:
             say_empty(axes, "not significant")
             axes.set_xticks([])
             continue
-        noise = rms_of_known(closure.dwell_noise_dph[:, axis])
+        noise = nan_rms(closure.dwell_noise_dph[:, axis])
         _draw(axes, parts[axis], rest_dph[:, axis], noise, scale, closure.searched, gyro)
     figure.supylabel(f"partial residual / ({scale.unit})", x=0.005, fontsize=9)
     first = all_axes[min(parts)]
@@ -292,9 +292,9 @@ def _bars(axes: Axes, closure: Closure, groups: dict[str, BoolArray], scale: Bia
     colours = (_BEFORE_COLOUR, _AFTER_COLOUR)
     for number, ((label, model), colour) in enumerate(zip(models.items(), colours, strict=False)):
         errors_dph = closure.residuals_dph(model)
-        heights = [rms_of_known(errors_dph[chosen]) * scale.factor for chosen in groups.values()]
+        heights = [nan_rms(errors_dph[chosen]) * scale.factor for chosen in groups.values()]
         axes.bar(places - 0.4 + (number + 0.5) * width, heights, width, color=colour, label=label)
-    noise = [rms_of_known(closure.dwell_noise_dph[chosen]) * scale.factor for chosen in groups.values()]
+    noise = [nan_rms(closure.dwell_noise_dph[chosen]) * scale.factor for chosen in groups.values()]
     axes.hlines(noise, places - 0.45, places + 0.45, color=_NOISE_COLOUR, linewidth=1.4, label="noise")
     axes.set_xticks(places, list(groups), fontsize=7)
     axes.grid(visible=False, axis="x")

@@ -14,7 +14,7 @@ from gyrobench.bench.bias.budget import BiasBudget, Budget, Combined
 from gyrobench.bench.bias.error_sources import SOURCES
 from gyrobench.bench.calibration.coefficients import SensorCoefficient
 from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN
-from gyrobench.bench.foundations.csv_tables import CsvTable, each_row, write_rows
+from gyrobench.bench.foundations.csv_tables import CsvTable, iter_rows, write_rows
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 #: Names of the sums in the column ``contribution``: the stated uncertainty, and that with what lies outside.
@@ -156,8 +156,8 @@ def write_budget(path: Path, rows: Iterable[BudgetRow]) -> None:
 
 
 def read_budget(path: Path) -> Iterator[BudgetRow]:
-    """Read ``budget.csv``; errors as for :func:`gyrobench.bench.foundations.csv_tables.each_row`."""
-    return each_row(path, BudgetRow, {"dof": _dof})
+    """Read ``budget.csv``; errors as for :func:`gyrobench.bench.foundations.csv_tables.iter_rows`."""
+    return iter_rows(path, BudgetRow, {"dof": _dof})
 
 
 @dataclass

@@ -13,7 +13,7 @@ import numpy as np
 
 from gyrobench.bench.bias.vertical_pairs import Finding, UpRate
 from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN, RADPS_TO_DPH, UG_TO_MPS2
-from gyrobench.bench.foundations.csv_tables import each_row, format_rows, one_of, read_rows, write_text
+from gyrobench.bench.foundations.csv_tables import format_rows, iter_rows, one_of, read_rows, write_text
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 if TYPE_CHECKING:
@@ -125,8 +125,8 @@ def write_joint(path: Path, rows: Iterable[_Row], kind: type[_Row]) -> None:
 
 
 def read_joint_biases(path: Path) -> Iterator[JointBiasRow]:
-    """Give the rows of ``joint_biases.csv``; see :func:`gyrobench.bench.foundations.csv_tables.each_row`."""
-    return each_row(path, JointBiasRow, {"position": one_of(POSITIONS), "gyro": one_of(AXES)}, _COLUMNS)
+    """Give the rows of ``joint_biases.csv``; see :func:`gyrobench.bench.foundations.csv_tables.iter_rows`."""
+    return iter_rows(path, JointBiasRow, {"position": one_of(POSITIONS), "gyro": one_of(AXES)}, _COLUMNS)
 
 
 def read_joint_plateaus(path: Path) -> list[JointPlateauRow]:

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.foundations.kernels import compiled, set_product
+from gyrobench.bench.foundations.kernels import compiled, multiply_3x3
 
 #: Rotation rate of the Earth, rad/s.
 EARTH_RATE = 7.292115e-5
@@ -78,8 +78,8 @@ def table_attitude(
     outer_turn, inner_turn, table = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     _set_rotation(outer_turn, outer_axis, outer)
     _set_rotation(inner_turn, inner_axis, inner)
-    set_product(table, outer_turn, inner_turn)
-    set_product(outer_turn, table, mounting)
+    multiply_3x3(table, outer_turn, inner_turn)
+    multiply_3x3(outer_turn, table, mounting)
     return outer_turn
 
 
@@ -130,8 +130,8 @@ def true_increments(
                 velocity[k, i] = before[2, i] * lift
         else:
             after = table_attitude(outer_axis, inner_axis, mounting, outer[k + 1], inner[k + 1])
-            set_product(turned, step, after)
-            set_product(between, before.T, turned)
+            multiply_3x3(turned, step, after)
+            multiply_3x3(between, before.T, turned)
             _set_rotation_vector(rotation[k], between)
             for i in range(3):
                 velocity[k, i] = 0.5 * (before[2, i] * lift + after[2, i] * lift)

@@ -10,8 +10,8 @@ from gyrobench.bench.foundations.clock import (
     Deadline,
     VirtualClock,
     WallClock,
-    clock_named,
-    parsed_utc,
+    find_clock,
+    parse_utc,
 )
 
 TEN = datetime(2026, 3, 1, 10, tzinfo=UTC)
@@ -99,10 +99,10 @@ def test_a_deadline_shares_one_budget_among_nested_waits():
 def test_a_clock_is_found_by_its_name_while_it_is_in_use():
     clock = VirtualClock()
     name = clock.name
-    assert clock_named(name) is clock
+    assert find_clock(name) is clock
     del clock
     with pytest.raises(KeyError):
-        clock_named(name)
+        find_clock(name)
 
 
 def test_a_resumed_virtual_run_goes_on_where_it_was():
@@ -188,6 +188,6 @@ def test_a_fast_run_is_resumed_at_its_speed_after_its_last_record(host):
 
 
 def test_a_time_without_its_zone_is_utc_and_what_is_no_time_is_none():
-    assert parsed_utc("2026-03-01T10:00:00") == TEN
-    assert parsed_utc("2026-03-01T12:00:00+02:00") == TEN
-    assert parsed_utc("yesterday") is parsed_utc(None) is None
+    assert parse_utc("2026-03-01T10:00:00") == TEN
+    assert parse_utc("2026-03-01T12:00:00+02:00") == TEN
+    assert parse_utc("yesterday") is parse_utc(None) is None

@@ -5,7 +5,7 @@ import pytest
 
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
 from gyrobench.bench.foundations.files import (
-    cant_be_written,
+    defer_sync,
     file_sha256,
     make_folder,
     make_new_folder,
@@ -13,7 +13,7 @@ from gyrobench.bench.foundations.files import (
     read_limited,
     remove,
     sync_all,
-    synced_later,
+    write_error,
     write_whole,
 )
 
@@ -98,7 +98,7 @@ def test_what_need_not_outlive_a_power_cut_is_written_whole_without_a_wait(tmp_p
 def test_files_synced_later_are_whole_and_wait_for_no_disk(tmp_path, monkeypatch):
     synced = []
     monkeypatch.setattr(os, "fsync", synced.append)
-    with synced_later():
+    with defer_sync():
         write_whole(tmp_path / "bias_bins.csv", b"bins")
     assert (tmp_path / "bias_bins.csv").read_bytes() == b"bins"
     assert not synced
@@ -158,7 +158,7 @@ def test_what_is_no_json_is_a_value_error(text):
     ],
 )
 def test_the_advice_fits_the_cause_of_a_failed_write(tmp_path, number, advice):
-    error = cant_be_written(tmp_path, OSError(number, os.strerror(number)))
+    error = write_error(tmp_path, OSError(number, os.strerror(number)))
     assert os.strerror(number) in str(error)
     assert advice in str(error)
     assert ("disk" in str(error)) == (number == errno.ENOSPC)

@@ -1,6 +1,6 @@
 import pytest
 
-from gyrobench.bench.foundations.operator_name import TERMINAL, source_in_words
+from gyrobench.bench.foundations.operator_name import TERMINAL, describe_source
 
 
 @pytest.mark.parametrize(
@@ -15,4 +15,4 @@ from gyrobench.bench.foundations.operator_name import TERMINAL, source_in_words
     ],
 )
 def test_the_source_of_a_command_is_given_in_words(by, words):
-    assert source_in_words(by) == words
+    assert describe_source(by) == words
