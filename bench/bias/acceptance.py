@@ -1,30 +1,29 @@
-"""Are a unit's gyros fit for a rotational INS? Limits, and verdicts that allow for the uncertainty.
+"""Judges whether a unit's gyros are fit for a rotational INS, allowing for the measurement uncertainty.
 
 A rotational INS averages out a bias that is the same in all positions. So the largest difference of a
-gyro's bias between positions decides. Positions are compared within a plateau only, where power cycle,
-cycle and temperature are the same, after the remaining effect of temperature is removed; see
+gyro's bias between positions decides. Positions are compared only within a plateau, at the same power cycle,
+cycle and temperature, after the remaining effect of temperature is removed; see
 :mod:`gyrobench.bench.bias.position_differences`. Results are listed by temperature bin.
 
-Passes of one plateau are judged by their mean difference, whose uncertainty is smaller, as long as they
-agree (chi-square, Holm over all plateaus of all gyros). Where they disagree, as with an attitude effect
-that follows the direction of the temperature change, each pass is judged separately. Where passes differ
-by less than the test detects, the mean may be within the limit and one pass beyond it.
+Passes of one plateau are judged by their mean difference, whose uncertainty is smaller, if they agree
+(chi-square, Holm over all plateaus of all gyros). If they disagree, as with an attitude effect that follows
+the direction of the temperature change, each pass is judged separately. If passes differ by less than the
+test detects, the mean may be within the limit and one pass beyond it.
 
-The largest of several noisy differences is larger than the largest true one: six equal positions show
+The largest of several noisy differences is larger than the largest true one: with six equal positions it is
 some 2.5 times the uncertainty of one. It is therefore not judged like a single difference:
 
-* A gyro passes in a bin only where *every* pair of positions does: difference plus z times its standard
-  uncertainty below the limit, z one-sided. For a true difference at the limit or above, its own pair
-  would have to err, so no correction for the number of pairs is needed (an intersection-union test); such
+* A gyro passes in a bin only if *every* pair of positions does: difference plus z times its standard
+  uncertainty below the limit, z one-sided. If a true difference is at the limit or above, its own pair would
+  have to pass by error, so no correction for the number of pairs is needed (an intersection-union test). Such
   a unit is accepted with a probability of at most ``1 - confidence``.
-* It fails where *some* pair does: difference minus c times its standard uncertainty above the limit. Any
-  pair of any plateau and gyro could exceed it by chance, so c is corrected for their number (Bonferroni);
-  a unit without a difference above the limit is rejected with a probability of at most ``1 -
-  confidence``.
+* It fails if *any* pair does: difference minus c times its standard uncertainty above the limit. Any
+  pair of any plateau and gyro could exceed it by chance, so c is corrected for their number (Bonferroni).
+  A unit without a difference above the limit is rejected with a probability of at most ``1 - confidence``.
 * Between the two it is marginal: more cycles are needed.
 
-Both rely on the stated uncertainties of the dwells. An error by a common source, as accelerometers that
-follow the temperature, counts as the same in each pass where that makes a difference less certain.
+Both rely on the stated uncertainties of the dwells. An error due to a common source, as accelerometers that
+follow the temperature, counts as the same in each pass if that makes a difference less certain.
 
 References
 ----------
@@ -65,13 +64,13 @@ from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 _Plateau = Sequence[DwellRow]
 
-#: Passes that chance makes differ so much in fewer runs than this are judged one by one.
-_DISAGREEMENT = 0.05
+#: Passes are judged one by one if their test of agreement has a smaller p-value.
+_MAX_DISAGREEMENT_P_VALUE = 0.05
 
 
 @dataclass(frozen=True)
-class _Value:
-    """What is compared with a limit: a difference or a bias, of one or two positions."""
+class _JudgedValue:
+    """A difference of two positions, or the bias in one, to be compared with a limit."""
 
     axis: int
     quantity: JudgedQuantity
@@ -86,7 +85,7 @@ class _Value:
 
 @dataclass(frozen=True)
 class _Factors:
-    """Standard uncertainties that a value keeps from its limit to pass, and to fail."""
+    """Least distances of a value from its limit to pass and to fail, in standard uncertainties."""
 
     to_pass: float
     to_fail: float
@@ -99,10 +98,10 @@ def judge(
     width_c: float = DEFAULT_WIDTH_C,
     shared: SharedErrors = NONE_SHARED,
 ) -> Acceptance:
-    """Judge the gyros of one unit; see the module for how.
+    """Judge the gyros of one unit by the rules in the module docstring.
 
-    A run is accepted only if every dwell that was planned was compared with all others of its plateau, in
-    each cycle, and plateaus connect all positions; a gyro that breaks a limit is rejected even if not.
+    A run is accepted only if every planned dwell was compared with all others of its plateau, in each cycle,
+    and plateaus connect all positions; a gyro that exceeds a limit is rejected even if not.
 
     Parameters
     ----------
@@ -115,30 +114,34 @@ def judge(
     width_c : float
         Width of the temperature bins of the judgements, K.
     shared : mapping of int to ndarray
-        Parts of the dwells' uncertainties that are the same error in all of them.
+        Errors that are the same in all dwells, as parts of their uncertainties.
     """
     if limits is None:
         return Acceptance()
     in_time = sorted((row for row in rows if not row.flags), key=lambda row: row.dwell)
     plateaus = group_plateaus(in_time)
-    known = [
-        [good for plateau in plateaus if (good := _known(plateau, axis, limits))] for axis in range(len(AXES))
+    valid = [
+        [good for plateau in plateaus if (good := _valid_rows(plateau, axis, limits))]
+        for axis in range(len(AXES))
     ]
-    curves = [fit_bias_curve(own, axis) for axis, own in enumerate(known)]
-    compared = [[plateau for plateau in own if len({row.position for row in plateau}) > 1] for own in known]
+    curves = [fit_bias_curve(gyro_plateaus, axis) for axis, gyro_plateaus in enumerate(valid)]
+    compared = [
+        [plateau for plateau in gyro_plateaus if len({row.position for row in plateau}) > 1]
+        for gyro_plateaus in valid
+    ]
     values = _differences(compared, curves, shared, limits.vertical_difference_dph is not None)
     if limits.bias_dph is not None:
-        values += _biases(known)
+        values += _biases(valid)
     judgements = _judgements(values, limits, width_c)
     planned = list(planned)
-    missing = _not_measured(known, compared, planned, limits)
+    missing = _not_measured(valid, compared, planned, limits)
     measured = {each.position for each in planned} | {row.position for row in in_time}
-    apart = [_unconnected(measured, own) for own in compared]
+    apart = [_unconnected(measured, gyro_plateaus) for gyro_plateaus in compared]
     lacking = {each.gyro for each in missing}
     lacking |= {gyro for gyro, groups in zip(AXES, apart, strict=True) if len(groups) > 1}
-    gyros = {gyro: _of_gyro(gyro, judgements, gyro in lacking) for gyro in AXES}
+    gyros = {gyro: _gyro_verdict(gyro, judgements, gyro in lacking) for gyro in AXES}
     return Acceptance(
-        verdict=_of_run(gyros),
+        verdict=_run_verdict(gyros),
         limits=limits,
         gyros=gyros,
         plateaus=max(map(len, compared)),
@@ -148,13 +151,13 @@ def judge(
     )
 
 
-def _known(plateau: _Plateau, axis: int, limits: AcceptanceLimits) -> list[DwellRow]:
+def _valid_rows(plateau: _Plateau, axis: int, limits: AcceptanceLimits) -> list[DwellRow]:
     """Dwells of a plateau with a valid bias of a gyro."""
-    most_dph = math.inf if limits.bias_sigma_dph is None else limits.bias_sigma_dph
+    max_sigma_dph = math.inf if limits.bias_sigma_dph is None else limits.bias_sigma_dph
     return [
         row
         for row in plateau
-        if not math.isnan(row.gyro_c[axis] + row.bias_dph[axis]) and row.sigma_dph[axis] <= most_dph
+        if not math.isnan(row.gyro_c[axis] + row.bias_dph[axis]) and row.sigma_dph[axis] <= max_sigma_dph
     ]
 
 
@@ -162,29 +165,29 @@ def _differences(
     compared: Sequence[Sequence[_Plateau]],
     curves: Sequence[CubicBiasCurve],
     shared: SharedErrors,
-    vertical_apart: bool,
-) -> list[_Value]:
-    """Differences at all plateaus of all gyros; where the passes of a plateau disagree, of each pass."""
-    together = [
+    is_vertical_separate: bool,
+) -> list[_JudgedValue]:
+    """Differences on all plateaus of all gyros; if the passes of a plateau disagree, those of each pass."""
+    of_all_passes = [
         (axis, passes, position_differences(passes, axis, curves[axis], shared))
         for axis, plateaus in enumerate(compared)
         for passes in passes_of_plateaus(plateaus, axis)
     ]
-    p_values = holm([found.p_value for _, _, found in together])
+    p_values = holm([mean.p_value for _, _, mean in of_all_passes])
     values = []
-    for (axis, passes, found), p_value in zip(together, p_values, strict=True):
-        agree = not p_value < _DISAGREEMENT
+    for (axis, passes, mean), p_value in zip(of_all_passes, p_values, strict=True):
+        agree = not p_value < _MAX_DISAGREEMENT_P_VALUE
         if agree:
-            parts = [found]
+            results = [mean]
         else:
-            parts = [position_differences([each], axis, curves[axis], shared) for each in passes]
+            results = [position_differences([each], axis, curves[axis], shared) for each in passes]
         values += [
-            _Value(
+            _JudgedValue(
                 axis,
                 "vertical difference"
-                if vertical_apart and _is_vertical(axis, each.high, each.low)
+                if is_vertical_separate and _is_vertical(axis, each.high, each.low)
                 else "position difference",
-                part.temperature_c,
+                result.temperature_c,
                 (each.high, each.low),
                 each.value_dph,
                 each.sigma_dph,
@@ -192,42 +195,44 @@ def _differences(
                 len(passes) if agree else 1,
                 each.common_dph,
             )
-            for part in parts
-            for each in part.differences
+            for result in results
+            for each in result.differences
         ]
     return values
 
 
 def _is_vertical(axis: int, *positions: str) -> bool:
-    """Whether a gyro's axis is vertical in all these positions."""
+    """Whether the axis of a gyro is vertical in all these positions."""
     return all(POSITIONS[name].up_axis == axis for name in positions)
 
 
-def _biases(known: Iterable[Iterable[_Plateau]]) -> list[_Value]:
+def _biases(valid: Iterable[Iterable[_Plateau]]) -> list[_JudgedValue]:
     return [
-        _Value(axis, "bias", row.gyro_c[axis], (row.position,), abs(row.bias_dph[axis]), row.sigma_dph[axis])
-        for axis, plateaus in enumerate(known)
+        _JudgedValue(
+            axis, "bias", row.gyro_c[axis], (row.position,), abs(row.bias_dph[axis]), row.sigma_dph[axis]
+        )
+        for axis, plateaus in enumerate(valid)
         for plateau in plateaus
         for row in plateau
     ]
 
 
-def _judgements(values: Sequence[_Value], limits: AcceptanceLimits, width_c: float) -> list[Judgement]:
+def _judgements(values: Sequence[_JudgedValue], limits: AcceptanceLimits, width_c: float) -> list[Judgement]:
     risk = 1.0 - limits.confidence
     factors = _Factors(*(-NormalDist().inv_cdf(each) for each in (risk, risk / max(len(values), 1))))
-    bins: dict[tuple[int, int, int], list[_Value]] = {}
+    bins: dict[tuple[int, int, int], list[_JudgedValue]] = {}
     for each in values:
         order = get_args(JudgedQuantity).index(each.quantity)
         key = (each.axis, math.floor(each.temperature_c / width_c), order)
         bins.setdefault(key, []).append(each)
     return [
-        _judged(bins[key], (key[1] * width_c, (key[1] + 1) * width_c), limits, factors)
+        _judge_bin(bins[key], (key[1] * width_c, (key[1] + 1) * width_c), limits, factors)
         for key in sorted(bins)
     ]
 
 
-def _judged(
-    values: Sequence[_Value], ends_c: tuple[float, float], limits: AcceptanceLimits, factors: _Factors
+def _judge_bin(
+    values: Sequence[_JudgedValue], ends_c: tuple[float, float], limits: AcceptanceLimits, factors: _Factors
 ) -> Judgement:
     """Judge all values of one gyro, bin and quantity."""
     quantity = values[0].quantity
@@ -261,7 +266,7 @@ def _judged(
 
 
 def _not_measured(
-    known: Sequence[Sequence[_Plateau]],
+    valid: Sequence[Sequence[_Plateau]],
     compared: Sequence[Sequence[_Plateau]],
     planned: Sequence[PlannedDwell],
     limits: AcceptanceLimits,
@@ -269,13 +274,13 @@ def _not_measured(
     """Planned dwells that were not compared with the others of their plateau, or not measured at all."""
     result, plateaus = [], group_plateaus(planned, MAX_PLANNED_FROM_MEAN_K)
     for axis, gyro in enumerate(AXES):
-        found = {row.dwell for plateau in known[axis] for row in plateau}
+        measured = {row.dwell for plateau in valid[axis] for row in plateau}
         for plateau in plateaus:
             if len({dwell.position for dwell in plateau}) > 1:
-                lacking = _outside_largest(plateau, compared[axis])
+                uncompared = _outside_largest(plateau, compared[axis])
             else:
-                lacking = [
-                    dwell for dwell in plateau if limits.bias_dph is not None and dwell.dwell not in found
+                uncompared = [
+                    dwell for dwell in plateau if limits.bias_dph is not None and dwell.dwell not in measured
                 ]
             result += [
                 NotMeasured(
@@ -284,15 +289,15 @@ def _not_measured(
                     chamber_set_c=None if math.isnan(dwell.chamber_set_c) else dwell.chamber_set_c,
                     position=dwell.position,
                 )
-                for dwell in lacking
+                for dwell in uncompared
             ]
     return result
 
 
 def _outside_largest(planned: Sequence[PlannedDwell], plateaus: Iterable[_Plateau]) -> list[PlannedDwell]:
-    """Planned dwells of one plateau outside the largest part of it that was compared in one."""
-    parts = ({row.dwell for row in plateau} for plateau in plateaus)
-    inside = ([dwell for dwell in planned if dwell.dwell in part] for part in parts)
+    """Planned dwells of one plateau that are not in its largest part that was compared together."""
+    compared_sets = ({row.dwell for row in plateau} for plateau in plateaus)
+    inside = ([dwell for dwell in planned if dwell.dwell in compared] for compared in compared_sets)
     largest = max(inside, key=len, default=[])
     if len({dwell.position for dwell in largest}) < 2:
         return list(planned)
@@ -310,7 +315,7 @@ def _unconnected(positions: Iterable[str], plateaus: Iterable[_Plateau]) -> list
     return sorted(in_order, key=lambda names: list(POSITIONS).index(names[0]))
 
 
-def _of_gyro(gyro: str, judgements: Iterable[Judgement], is_lacking: bool) -> GyroVerdict:
+def _gyro_verdict(gyro: str, judgements: Iterable[Judgement], is_lacking: bool) -> GyroVerdict:
     verdicts = {each.verdict for each in judgements if each.gyro == gyro}
     if "fail" in verdicts:
         return "fail"
@@ -319,7 +324,7 @@ def _of_gyro(gyro: str, judgements: Iterable[Judgement], is_lacking: bool) -> Gy
     return "marginal" if "marginal" in verdicts else "pass"
 
 
-def _of_run(gyros: Mapping[str, GyroVerdict]) -> RunVerdict:
+def _run_verdict(gyros: Mapping[str, GyroVerdict]) -> RunVerdict:
     verdicts = gyros.values()
     if "fail" in verdicts:
         return "rejected"

@@ -1,22 +1,22 @@
-"""Overlapping Allan variance of a rate from its integral, and the noise terms that explain it.
+"""Overlapping Allan variance of a rate from its integral, and the noise terms fitted to it.
 
-The rate's integral ``theta`` (an angle, or a velocity for accelerations) is what an instrument
-puts out. Its second differences over an averaging time tau give the Allan variance,
+The output of an instrument is the integral ``theta`` of the rate (an angle, or a velocity for accelerations).
+Its second differences over an averaging time tau give the Allan variance,
 
     ``sigma^2(tau) = <(theta(t + 2 tau) - 2 theta(t + tau) + theta(t))^2> / (2 tau^2)``
 
-and three kinds of noise show in it with different slopes (IEEE Std 952, annex C):
+in which three kinds of noise have different slopes (IEEE Std 952, annex C):
 
     ``sigma^2(tau) = 3 S^2 / tau^2 + N^2 / tau + K^2 tau / 3``
 
 with S the white noise of the angle (rounding, quantisation), N the random walk of the angle (white
-noise of the rate), K the random walk of the rate. On request the bias instability B (flicker noise of the
-rate) joins them with ``2 ln 2 / pi B^2``. Here the mean of the second differences of each
-segment is taken off first, so that a steady ramp of the rate (Earth-rate coupling, warm-up, an
-acceleration that a gyro bias feeds) does not count; what that costs is in the expected variances.
+noise of the rate), K the random walk of the rate. On request, the bias instability B (flicker noise of the
+rate) adds ``2 ln 2 / pi B^2``. Here the mean of the second differences of each segment is subtracted first,
+so that a steady ramp of the rate (Earth-rate coupling, warm-up, an acceleration due to a gyro bias) has no
+effect. The expected variances allow for this.
 
-The variance of each averaging time's Allan variance, and the correlation of two of them, are
-summed exactly over the second differences for Gaussian noise of the fitted kind, not looked up.
+The covariance of the Allan variances at all averaging times is computed exactly, as a sum over the second
+differences, for Gaussian noise of the fitted kind.
 
 References
 ----------
@@ -38,21 +38,21 @@ from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.kernels import compiled
 
-#: Terms of the noise, in the order of arrays: S^2, N^2, K^2, and B^2 where asked for.
+#: Indices of the noise terms: S^2, N^2, K^2, and on request B^2.
 WHITE_ANGLE, RANDOM_WALK, RATE_WALK, BIAS_INSTABILITY = range(4)
 #: Averaging times in a decade.
-_PER_DECADE = 8
-#: The longest segment holds the longest averaging time at least this number of times.
+_TIMES_PER_DECADE = 8
+#: The longest segment is at least this number of times as long as the longest averaging time.
 _MIN_REPEATS = 6
-#: Fewest equivalent degrees of freedom of an averaging time that takes part in a fit.
+#: Fewest equivalent degrees of freedom of an averaging time that is used in a fit.
 _MIN_EDF = 8.0
-#: Squares of the residuals above this, relative to their expectation, mean that the model does not fit.
+#: The model does not fit if the sum of squared residuals, relative to its expectation, is larger.
 _MAX_CHI2_RATIO = 3.0
 
 _TERMS = 3  # without the bias instability
-_FLICKER_REACH = 4  # in overlaps of two second differences
+_FLICKER_LAG_FACTOR = 4  # in overlaps of two second differences
 _SPARE_TIMES = 1  # averaging times beyond the number of terms
-_ROUNDS = 4
+_ITERATIONS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,10 +61,10 @@ class AllanVariance:
 
     interval_s: float  #: Time between two samples.
     factors: IntArray  #: Shape (k,). Averaging times in samples.
-    #: Shape (k,). Of the rate, (unit of the integral / s)^2; mean of each segment's second differences taken
-    #: off.
+    #: Shape (k,). Of the rate, (unit of the integral / s)^2, without the mean of each segment's second
+    #: differences.
     variance: FloatArray
-    counts: IntArray  #: Shape (k,). Second differences in each, of which only few are independent.
+    counts: IntArray  #: Shape (k,). Number of second differences, of which only few are independent.
     lengths: tuple[int, ...]  #: Samples of each segment.
 
     @property
@@ -82,15 +82,15 @@ class AllanVariance:
 class RateNoise:
     """Noise terms fitted to an Allan variance."""
 
-    terms: FloatArray  #: Shape (3,), with B^2 (4,). Squares in the module's formula, none below zero.
-    unbounded: FloatArray  #: Of the same shape. The same where the fit may go below zero.
+    terms: FloatArray  #: Shape (3,), with B^2 (4,). Squares in the module's formula, at least zero.
+    unbounded: FloatArray  #: Of the same shape. Terms of a fit that may be below zero.
     covariance: FloatArray  #: Shape (3, 3) or (4, 4). Covariance of ``unbounded``.
-    #: Shape (k,). Allan variance that ``terms`` lead to expect, less what the means of the segments take off.
+    #: Shape (k,). Allan variance expected from ``terms``, without the means of the segments.
     expected: FloatArray
-    used: BoolArray  #: Shape (k,). Averaging times that took part.
+    used: BoolArray  #: Shape (k,). Mask of the averaging times used.
     edf: FloatArray  #: Shape (k,). Equivalent degrees of freedom of each averaging time.
-    #: Relative standard deviation by which the variances miss the model beyond their uncertainty; 0 where the
-    #: model fits. It is in the covariance.
+    #: Relative standard deviation of the variances about the model beyond their uncertainty; 0 if the model
+    #: fits. The covariance includes it.
     excess: float
 
     @property
@@ -100,7 +100,7 @@ class RateNoise:
 
     @property
     def mean_terms(self) -> FloatArray:
-        """Expectation of each term, given that it is not below zero: its truncated normal distribution."""
+        """Expectation of each term, if it is at least zero: mean of the truncated normal distribution."""
         from scipy.stats import norm
 
         z = self.unbounded / self.sigmas
@@ -109,10 +109,10 @@ class RateNoise:
 
 
 def on_grid(time_s: FloatArray, values: FloatArray) -> tuple[float, FloatArray]:
-    """Put samples on an even grid; what is missing is NaN there.
+    """Put samples on an even grid, with NaN for missing samples.
 
-    ``time_s`` (n,): increasing; jitter that is small against the interval does not matter. ``values`` (n, c):
-    samples.
+    ``time_s`` (n,): increasing; jitter that is small relative to the interval does not matter. ``values``
+    (n, c): samples.
 
     Returns
     -------
@@ -121,17 +121,17 @@ def on_grid(time_s: FloatArray, values: FloatArray) -> tuple[float, FloatArray]:
     values : ndarray, shape (m, c)
     """
     steps = np.diff(time_s)
-    places = np.concatenate([[0], np.cumsum(np.maximum(np.rint(steps / np.median(steps)), 1))]).astype(int)
-    grid = np.full((places[-1] + 1, values.shape[1]), np.nan)
-    grid[places] = values
-    return float((time_s[-1] - time_s[0]) / places[-1]), grid
+    indices = np.concatenate([[0], np.cumsum(np.maximum(np.rint(steps / np.median(steps)), 1))]).astype(int)
+    grid = np.full((indices[-1] + 1, values.shape[1]), np.nan)
+    grid[indices] = values
+    return float((time_s[-1] - time_s[0]) / indices[-1]), grid
 
 
 def allan_variance(segments: Sequence[FloatArray], interval_s: float) -> AllanVariance:
     """Overlapping Allan variance of a rate from its integral.
 
-    ``segments``, each (n_i,): integral of the rate on an even grid, NaN where a sample is missing: a second
-    difference counts if its three samples are there. Channels with the same noise are further segments.
+    ``segments``, each (n_i,): integral of the rate on an even grid, NaN for missing samples: a second
+    difference is used if its three samples are present. Channels with the same noise may be further segments.
     ``interval_s``: time between two samples. Raises MeasurementError if no segment is long enough.
     """
     longest = max((len(each) for each in segments), default=0)
@@ -140,9 +140,9 @@ def allan_variance(segments: Sequence[FloatArray], interval_s: float) -> AllanVa
             f"the longest segment for an Allan variance has {longest} samples; it needs {2 * _MIN_REPEATS}. "
             "Record longer at rest"
         )
-    top = longest // _MIN_REPEATS
-    wanted = np.geomspace(1, top, max(2, 1 + int(np.ceil(_PER_DECADE * np.log10(top)))))
-    factors = np.unique(np.rint(wanted).astype(np.int64))
+    max_factor = longest // _MIN_REPEATS
+    spaced = np.geomspace(1, max_factor, max(2, 1 + int(np.ceil(_TIMES_PER_DECADE * np.log10(max_factor)))))
+    factors = np.unique(np.rint(spaced).astype(np.int64))
     arrays = [np.ascontiguousarray(segment, np.float64) for segment in segments]
     sums = [[_sum_of_squares(segment, factor) for segment in arrays] for factor in factors.tolist()]
     squares, counts = np.array(sums).sum(axis=1).T
@@ -161,20 +161,19 @@ def _sum_of_squares(angle: FloatArray, factor: int) -> tuple[float, int]:
         second = angle[k + 2 * factor] - 2.0 * angle[k + factor] + angle[k]
         if np.isfinite(second):
             count += 1
-            away = second - mean
-            mean += away / count
-            squares += away * (second - mean)
+            deviation = second - mean
+            mean += deviation / count
+            squares += deviation * (second - mean)
     return (squares, count) if count > 1 else (0.0, 0)
 
 
 def fit_rate_noise(allan: AllanVariance, *, with_instability: bool = False) -> RateNoise:
-    """Fit the noise terms to an Allan variance, with the bias instability only if asked for.
+    """Fit the noise terms to an Allan variance, with the bias instability only on request.
 
-    Weighted least squares of variances without negative terms. The weights are those of the model
-    itself, iterated: weights of the measured variances would favour the ones that came out small.
-    Where the model does not explain the variances, as with the spectral lines of a dither, the
-    weights and the covariance get a common relative error that does (Paule and Mandel, J. Res. NBS
-    87, 1982).
+    Weighted least squares of variances without negative terms. The weights are computed from the model,
+    iteratively: weights from the measured variances would favour those that happen to be small. If the model
+    does not explain the variances, as with the spectral lines of a dither, a common relative error that
+    explains them is included in the weights and the covariance (Paule and Mandel, J. Res. NBS 87, 1982).
 
     Raises MeasurementError if too few averaging times have enough degrees of freedom.
     """
@@ -184,7 +183,7 @@ def fit_rate_noise(allan: AllanVariance, *, with_instability: bool = False) -> R
     _check_enough(used, allan)
     relative = 2.0 * allan.factors / allan.counts
     terms, _ = _solve(information.design, allan.variance, relative * allan.variance**2, used)
-    for _ in range(_ROUNDS):
+    for _ in range(_ITERATIONS):
         model, covariance = information.design @ terms, information.covariance(terms)
         edf = 2.0 * model**2 / np.diag(covariance)
         used = candidates & (edf >= _MIN_EDF)
@@ -204,10 +203,10 @@ def fit_rate_noise(allan: AllanVariance, *, with_instability: bool = False) -> R
 
 
 def goodness_of_fit(allan: AllanVariance, noise: RateNoise) -> float:
-    """p-value of the Allan variance under the fitted terms: small where they do not explain it.
+    """p-value of the Allan variance under the fitted terms; small if they do not explain it.
 
-    From logarithms, which are nearer to normal than the variances are, with their covariance: one averaging
-    time determines most of the next.
+    Computed from logarithms, whose distribution is closer to normal than that of the variances, with their
+    covariance, since neighbouring averaging times are strongly correlated.
     """
     from scipy.stats import chi2
 
@@ -216,7 +215,7 @@ def goodness_of_fit(allan: AllanVariance, noise: RateNoise) -> float:
     model = information.design[used] @ noise.terms
     relative = information.covariance(noise.terms)[np.ix_(used, used)] / np.outer(model, model)
     root = np.linalg.cholesky(relative)
-    # The mean of the logarithm of chi-squared is below that of its mean by 1 / edf.
+    # The mean of the logarithm of chi-squared is below the logarithm of its mean by 1 / edf.
     logs = np.log(allan.variance[used] / model) + 1.0 / noise.edf[used]
     white = np.linalg.solve(root, np.column_stack([logs, information.design[used] / model[:, np.newaxis]]))
     residual = white[:, 0] - white[:, 1:] @ np.linalg.lstsq(white[:, 1:], white[:, 0])[0]
@@ -224,9 +223,9 @@ def goodness_of_fit(allan: AllanVariance, noise: RateNoise) -> float:
 
 
 def mean_ramp(segments: Sequence[FloatArray], interval_s: float, noise: RateNoise) -> tuple[float, float]:
-    """Mean slope of the rate over segments without a gap, and its standard uncertainty by the noise.
+    """Mean slope of the rate over segments without a gap, and its standard uncertainty due to the noise.
 
-    The mean of the second differences over a third of each segment gives the slope of the segment.
+    The slope of a segment is the mean of its second differences over a third of its length.
     """
     powers = interval_s ** np.array([0.0, 1.0, 3.0, 2.0])[: len(noise.terms)]
     slopes, variances = [], []
@@ -247,30 +246,30 @@ def mean_ramp(segments: Sequence[FloatArray], interval_s: float, noise: RateNois
 def _solve(
     design: FloatArray, variance: FloatArray, errors: FloatArray, used: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Terms not below zero, and the matrix that gives the unbounded ones from the variances."""
+    """Non-negative terms, and the matrix that computes the unbounded ones from the variances."""
     weight = 1.0 / np.sqrt(errors[used])
     weighted = design[used] * weight[:, np.newaxis]
     scale = np.sqrt((weighted**2).sum(axis=0))
-    terms = not_negative(weighted / scale, variance[used] * weight)
+    terms = nonnegative_least_squares(weighted / scale, variance[used] * weight)
     return terms / scale, np.linalg.pinv(weighted / scale) * weight / scale[:, np.newaxis]
 
 
-def not_negative(design: FloatArray, values: FloatArray) -> FloatArray:
-    """Least squares without negative terms: of the fits of any of the terms, the best that has none."""
+def nonnegative_least_squares(design: FloatArray, values: FloatArray) -> FloatArray:
+    """Least squares without negative terms: the best of the non-negative fits of all subsets of terms."""
     count = design.shape[1]
-    chosen = np.indices((2,) * count).reshape(count, -1).T == 1
-    normal, right = design.T @ design, design.T @ values
-    both = chosen[:, :, np.newaxis] & chosen[:, np.newaxis, :]
-    systems = np.where(both, normal, np.eye(count))
-    terms = np.linalg.solve(systems, np.where(chosen, right, 0.0)[:, :, np.newaxis])[:, :, 0]
-    explained = np.where((terms >= 0.0).all(axis=1), terms @ right, -1.0)
+    is_free = np.indices((2,) * count).reshape(count, -1).T == 1
+    normal, products = design.T @ design, design.T @ values
+    are_both_free = is_free[:, :, np.newaxis] & is_free[:, np.newaxis, :]
+    systems = np.where(are_both_free, normal, np.eye(count))
+    terms = np.linalg.solve(systems, np.where(is_free, products, 0.0)[:, :, np.newaxis])[:, :, 0]
+    explained = np.where((terms >= 0.0).all(axis=1), terms @ products, -1.0)
     return np.asarray(terms[np.argmax(explained)])
 
 
 def _excess(
     variance: FloatArray, model: FloatArray, errors: FloatArray, used: BoolArray, terms: int
 ) -> float:
-    """Common relative error that brings the squares of the residuals down to their number."""
+    """Common relative error with which chi-square of the residuals equals the degrees of freedom."""
     residual = ((variance - model) / model)[used] ** 2
     relative, dof = (errors / model**2)[used], np.count_nonzero(used) - terms
     if (residual / relative).sum() <= _MAX_CHI2_RATIO * dof:
@@ -294,7 +293,7 @@ def _check_enough(used: BoolArray, allan: AllanVariance) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Information:
-    """Expectation and covariance of Allan variances, for any noise terms."""
+    """Expectation and covariance of Allan variances as functions of the noise terms."""
 
     design: FloatArray  #: Shape (k, terms). Expected variance for each term of size one.
     products: FloatArray  #: Shape (k, k, terms, terms). Quadratic form of the covariance in the terms.
@@ -305,8 +304,8 @@ class _Information:
         design, products, full = _information(factors, allan.lengths, terms)
         powers = float(allan.interval_s) ** np.array([-2.0, -1.0, 1.0, 0.0])[:terms]
         # Missing samples cost differences; the remaining ones carry as much information each.
-        thinned = np.sqrt(full / allan.counts)
-        products = products * np.outer(thinned, thinned)[:, :, np.newaxis, np.newaxis]
+        thinning = np.sqrt(full / allan.counts)
+        products = products * np.outer(thinning, thinning)[:, :, np.newaxis, np.newaxis]
         return cls(design * powers, products * np.outer(powers, powers))
 
     def covariance(self, terms: FloatArray) -> FloatArray:
@@ -318,20 +317,20 @@ class _Information:
 def _information(
     factors: tuple[int, ...], lengths: tuple[int, ...], terms: int
 ) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Expectation (k, t), covariance (k, k, t, t) and count (k,) of the differences at interval 1 s."""
+    """Expectation (k, t) and covariance (k, k, t, t) at interval 1 s, and number of differences (k,)."""
     size = len(factors)
     different, repeats = np.unique(lengths, return_counts=True)
-    numbers = _number(different, np.array(factors)[:, np.newaxis])
+    numbers = _difference_counts(different, np.array(factors)[:, np.newaxis])
     full = np.asarray(numbers @ repeats, np.int64)
     design, products = np.empty((size, terms)), np.empty((size, size, terms, terms))
     for row, factor in enumerate(factors):
         for column in range(row, size):
             other = factors[column]
-            # That of flicker noise falls with the square of the lag, the others' end with the overlap.
-            reach = _FLICKER_REACH * 2 * other if terms > _TERMS else 0
+            # The covariance of flicker noise falls with the square of the lag; others end with the overlap.
+            reach = _FLICKER_LAG_FACTOR * 2 * other if terms > _TERMS else 0
             lags = np.arange(-2 * other - reach, 2 * factor + reach + 1)
             between = _covariance_of_differences(factor, other, lags, terms)
-            pairs = _pairs(numbers[row], numbers[column], lags)
+            pairs = _pair_counts(numbers[row], numbers[column], lags)
             scale = 2.0 / (full[row] * full[column]) / (2.0 * factor * other) ** 2
             product = scale * (between * (pairs @ repeats)) @ between.T
             products[row, column] = products[column, row] = product
@@ -342,14 +341,14 @@ def _information(
     return design, products, full
 
 
-def _number(lengths: IntArray, factor: IntArray) -> IntArray:
-    """Second differences in segments; a single one says nothing about its mean."""
+def _difference_counts(lengths: IntArray, factor: IntArray) -> IntArray:
+    """Number of second differences in segments; 0 for a single one, which has no deviation from its mean."""
     number = lengths - 2 * factor
     return np.asarray(np.where(number > 1, number, 0))
 
 
-def _pairs(first: IntArray, second: IntArray, lags: IntArray) -> IntArray:
-    """How often two series of the given lengths (s,) meet at each lag, (lags, s)."""
+def _pair_counts(first: IntArray, second: IntArray, lags: IntArray) -> IntArray:
+    """Number of pairs (lags, s) from two series of the given lengths (s,) at each lag."""
     lag = lags[:, np.newaxis]
     return np.asarray(np.maximum(np.minimum(first, second - lag) - np.maximum(0, -lag), 0))
 

@@ -1,14 +1,15 @@
-"""Gyro bias of one dwell from the full error model of an INS at rest.
+"""Estimates the gyro biases of one dwell by the full error model of an INS at rest.
 
-What the paper's method leaves out, the Schuler loop, the Earth rate and the accelerometers, is part of the
-model here; what is unknown about it is estimated along with the bias. The sensors' random walk enters as
-integrated noise, so every epoch has its right weight and the covariance is that of the data. Level gyros
-are measured by velocity, which stays true if the mount creeps; the vertical gyro by the heading inside each
-window, so the heading in a turn plays no part. The estimate is recursive: epochs may be added as they
-arrive, and the estimate may be read at any time.
+The model contains the terms that the paper's method neglects: the Schuler loop, the Earth rate and the
+accelerometers. Their unknown parameters are estimated together with the biases. The random walk of the
+sensors enters as integrated noise, so that every epoch has the correct weight, and the covariance follows
+from the data. Level gyros are measured by the velocity, which is still correct if the mount creeps; the
+vertical gyro by the heading inside each window, so the heading in a turn has no influence. The estimate is
+recursive: epochs may be added as they arrive, and the estimate may be read at any time.
 
-The goodness of fit is tested on innovations summed minute by minute. A wrong model leaves slow residuals: a
-white sum stays at one standard deviation, a slow one grows with the number of epochs.
+The goodness of fit is tested with the sums of the innovations over each minute. The residuals of a wrong
+model change slowly: the normalised sum of white residuals keeps unit variance, that of slow ones grows with
+the number of epochs.
 """
 
 from __future__ import annotations
@@ -34,11 +35,11 @@ from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vect
 from gyrobench.bench.navigation.earth import EARTH_RATE, earth_rate_enu
 from gyrobench.bench.navigation.error_model import STATES, Site, integrate, unit_walks
 
-#: A rate of damping of which nothing is known beforehand, 1/s.
+#: Prior of the damping rate without prior knowledge, 1/s.
 _WIDE_DAMPING = 1.0
-#: A latitude error of which nothing is known beforehand, rad.
+#: Prior of the latitude error without prior knowledge, rad.
 _WIDE_LATITUDE = 0.1
-#: A change of an acceleration of which nothing is known beforehand, m/s^2; and the p-value above which
+#: Prior of a change of acceleration without prior knowledge, m/s^2; and the p-value above which
 #: accelerometers count as settled.
 _WIDE_ACCELERATION, _MAX_TRANSIENT_P_VALUE = 0.1, 0.01
 
@@ -50,48 +51,48 @@ class DwellInformation:
     #: Shape (n, p). White rows with unit variance, for the parameters of
     #: :mod:`gyrobench.bench.bias.parameters`.
     rows: FloatArray
-    data: FloatArray  #: Shape (n,). What they are to give.
-    #: bias_at_mean, acceleration_at_mean: Shape (3, p). The biases of gyros and accelerometers at their mean
+    data: FloatArray  #: Shape (n,). Data of these rows.
+    #: bias_at_mean, acceleration_at_mean: Shape (3, p). Biases of gyros and accelerometers at their mean
     #: temperatures for a unit of each parameter.
     bias_at_mean: FloatArray
     acceleration_at_mean: FloatArray
     earth_rate: FloatArray  #: Shape (3,). ENU, rad/s.
-    #: Rate North, rad/s, by an error of the heading beyond the linear model; taken from the data.
+    #: Rate North, rad/s, due to the heading error beyond the linear model; subtracted from the data.
     north_rate: float = 0.0
 
     @property
     def windows(self) -> int:
         """Number of windows."""
-        return int(self.rows.shape[1] - parameters.COMMON) // parameters.PER_WINDOW
+        return int(self.rows.shape[1] - parameters.COMMON_COUNT) // parameters.PER_WINDOW
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class StateSpaceEstimate(BiasEstimate):
-    """Gyro bias of one dwell at the mean temperature of each gyro, and what was found with it."""
+    """Gyro biases of one dwell at the mean temperature of each gyro, with the results of the tests."""
 
     #: accelerometer_bias, accelerometer_sigma: Shape (3,). M/s^2, body axes; an axis that stays vertical is
     #: not measured and keeps its prior uncertainty.
     accelerometer_bias: FloatArray
     accelerometer_sigma: FloatArray
-    fit: Chi2Test  #: Whether the model explains the data.
+    fit: Chi2Test  #: Goodness of fit of the model.
     #: Probability that the biases of the windows differ at least as much, if each gyro has one bias.
     steady_p_value: float
     #: Most significant step of the biases in the dwell; None in very short windows, or if not searched for.
     step: BiasStep | None
-    #: Of the velocities, as estimated; the biases presume that there is none, as in a free inertial INS.
+    #: Estimated damping of the velocities; the biases assume none, as in a free inertial INS.
     damping: Damping
-    #: latitude_error, latitude_sigma: Of the latitude that the INS uses, rad, by these data alone.
+    #: latitude_error, latitude_sigma: Of the latitude that the INS uses, rad, by these data without prior.
     latitude_error: float
     latitude_sigma: float
-    #: For the joint solution of several dwells; None where only its result is kept.
+    #: For the joint solution of several dwells; None if only :class:`JointInformation` of it is kept.
     information: DwellInformation | None
-    parts: Mapping[str, ErrorPart]  #: Errors of the biases by source, of a complete dwell; otherwise empty.
+    parts: Mapping[str, ErrorPart]  #: Errors of the biases by source; empty for an incomplete dwell.
 
     @property
     def probable_step(self) -> BiasStep | None:
-        """The step of a bias, where it is more probable than what else was tested."""
-        others = self.fit.p_value, self.steady_p_value, self.damping.p_value
-        return self.step if self.step and self.step.p_value < min(MIN_STEP_P_VALUE, *others) else None
+        """The bias step if it is significant, and more so than all other tests; otherwise None."""
+        other_p_values = self.fit.p_value, self.steady_p_value, self.damping.p_value
+        return self.step if self.step and self.step.p_value < min(MIN_STEP_P_VALUE, *other_p_values) else None
 
 
 class BiasFilter:
@@ -100,11 +101,11 @@ class BiasFilter:
     Parameters
     ----------
     site : Site
-        Where the bench stands.
+        Location of the bench.
     noise : NoiseModel
         Noise of the INS.
     prior : PriorKnowledge
-        What is known beforehand.
+        Prior knowledge of the INS.
     """
 
     def __init__(self, site: Site, noise: NoiseModel, prior: PriorKnowledge) -> None:
@@ -115,13 +116,12 @@ class BiasFilter:
         self._expansions: list[FloatArray] = []
         self._changes: list[WindowChange] = []
         self._reference_c = np.full(4, np.nan)
-        self._last_k = np.zeros(4)
+        self._last_change_k = np.zeros(4)
 
     def begin_window(self, time_s: float, C_nb: FloatArray, turn: TurnPath | None = None) -> None:
-        """Begin a segment of navigation at rest.
+        """Begin a window of navigation at rest.
 
-        Raises MeasurementError if a window after the first comes without its turn, or before the last one is
-        over.
+        Raises MeasurementError if a window after the first has no turn, or begins before the last one ends.
 
         Parameters
         ----------
@@ -132,8 +132,9 @@ class BiasFilter:
         turn : TurnPath, optional
             Attitude of the table from the last window to this one.
         """
-        count = parameters.COMMON + parameters.PER_WINDOW * (len(self._windows) + 1)
-        state, known, covariance = np.zeros((STATES, count)), np.zeros(STATES), np.zeros((STATES, STATES))
+        count = parameters.COMMON_COUNT + parameters.PER_WINDOW * (len(self._windows) + 1)
+        state_response = np.zeros((STATES, count))
+        negated_state, covariance = np.zeros(STATES), np.zeros((STATES, STATES))
         if self._windows:
             if turn is None:
                 raise MeasurementError("a window after the first one needs the turn that led to it")
@@ -143,25 +144,25 @@ class BiasFilter:
                     f"{self._windows[-1].last_s:.3f} s. Add windows in order, none of them empty"
                 )
             last = self._windows[-1]
-            change, driven = self._through_turn(time_s, turn, count - parameters.PER_WINDOW)
+            change, turn_response = self._through_turn(time_s, turn, count - parameters.PER_WINDOW)
             self._changes.append(change)
             before = last.columns[:, : window_filter.DATA] @ self._expansions[-1]
-            state[:, : -parameters.PER_WINDOW] = change.transition @ before + driven
-            known = change.transition @ last.columns[:, window_filter.DATA]
+            state_response[:, : -parameters.PER_WINDOW] = change.transition @ before + turn_response
+            negated_state = change.transition @ last.columns[:, window_filter.DATA]
             walks = np.square([self._noise.angle_random_walk, self._noise.velocity_random_walk])
             covariance = change.transition @ last.covariance @ change.transition.T
-            covariance += np.tensordot(walks, change.by_walk, 1)
-        state[3:5, count - parameters.PER_WINDOW :][:, parameters.VELOCITY] = np.eye(2)
-        state[:3, count - parameters.PER_WINDOW :][:, parameters.ATTITUDE] = np.eye(3)
-        self._windows.append(WindowFilter(self._site, self._noise, time_s, C_nb, known, covariance))
-        self._expansions.append(_expansion(state, C_nb, self._earth_rate))
+            covariance += np.tensordot(walks, change.walk_covariance, 1)
+        state_response[3:5, count - parameters.PER_WINDOW :][:, parameters.VELOCITY] = np.eye(2)
+        state_response[:3, count - parameters.PER_WINDOW :][:, parameters.ATTITUDE] = np.eye(3)
+        self._windows.append(WindowFilter(self._site, self._noise, time_s, C_nb, negated_state, covariance))
+        self._expansions.append(_expansion(state_response, C_nb, self._earth_rate))
         self._prior_root = parameters.prior_root(self._prior, len(self._windows), self._earth_rate)
 
     def add(self, rest: RestOutput) -> None:
         """Add the next epochs of the present window.
 
-        The first epoch of each second is used. The biases of gyros and accelerometers may change with their
-        temperatures, where these are known. Raises MeasurementError if no window has begun, or something is
+        Only the first epoch of each second is used. The biases of gyros and accelerometers may change with
+        their temperatures, if these are known. Raises MeasurementError if no window has begun, or a value is
         not a number.
         """
         if not self._windows:
@@ -169,29 +170,29 @@ class BiasFilter:
         time_s, velocity_en_mps = rest.time_s, rest.velocity_enu_mps[:, :2]
         if not all(np.isfinite(each).all() for each in (time_s, velocity_en_mps, rest.C_nb)):
             raise MeasurementError(f"an epoch after {time_s[0]:.3f} s is not a number")
-        chosen = self._windows[-1].choose(time_s)
+        chosen = self._windows[-1].new_epochs(time_s)
         if len(chosen):
-            temperatures = self._from_first(_temperatures(rest)[chosen])
-            self._last_k = temperatures[-1]
+            temperatures = self._changes_since_first(_temperatures(rest)[chosen])
+            self._last_change_k = temperatures[-1]
             self._windows[-1].add(time_s[chosen], velocity_en_mps[chosen], rest.C_nb[chosen], temperatures)
 
     def estimate(self, complete: bool = False) -> StateSpaceEstimate:
-        """Estimate the biases from what has been added so far.
+        """Estimate the biases from the epochs added so far.
 
-        Of a ``complete`` dwell it is also tested whether accelerometers settle after a turn and whether a
-        bias steps; otherwise neither is presumed.
+        For a ``complete`` dwell this also tests whether accelerometers settle after a turn and whether a bias
+        steps; otherwise neither is assumed.
 
-        Raises MeasurementError if there was no turn yet, or nothing has been added after it.
+        Raises MeasurementError if there was no turn yet, or no epoch has been added after it.
         """
         if len(self._windows) < 2 or not self._windows[-1].epochs:
             raise MeasurementError(
                 "no navigation after a turn: the biases are not observable beside the initial errors. "
                 "Turn the unit and navigate again"
             )
-        information, shown = self._information(test=complete)
-        values, covariance = self._solved(information)
-        taken = _with_north_rate(values, information)
-        expansions = [each * shown[: each.shape[1]] for each in self._expansions]
+        information, parameter_mask = self._information(test=complete)
+        values, covariance = self._solution(information)
+        full_parameters = _add_north_rate(values, information)
+        expansions = [each * parameter_mask[: each.shape[1]] for each in self._expansions]
         at_mean, acceleration = information.bias_at_mean, information.acceleration_at_mean
         latitude_error, latitude_sigma = self._latitude(information)
         return StateSpaceEstimate(
@@ -199,22 +200,22 @@ class BiasFilter:
             covariance=at_mean @ covariance @ at_mean.T,
             accelerometer_bias=acceleration @ values,
             accelerometer_sigma=np.sqrt(np.diag(acceleration @ covariance @ acceleration.T)),
-            fit=self._goodness_of_fit(expansions, taken, covariance),
+            fit=self._goodness_of_fit(expansions, full_parameters, covariance),
             steady_p_value=self._steady_p_value(information),
-            step=find_bias_step(self._windows, self._changes, expansions, taken, covariance)
+            step=find_bias_step(self._windows, self._changes, expansions, full_parameters, covariance)
             if complete
             else None,
             damping=self._damping(information),
             latitude_error=latitude_error,
             latitude_sigma=latitude_sigma,
             information=information,
-            parts=self._parts(information, shown, expansions, covariance) if complete else {},
+            parts=self._error_parts(information, parameter_mask, expansions, covariance) if complete else {},
         )
 
-    def _parts(
+    def _error_parts(
         self,
         information: DwellInformation,
-        shown: FloatArray,
+        parameter_mask: FloatArray,
         expansions: list[FloatArray],
         covariance: FloatArray,
     ) -> ErrorParts:
@@ -222,44 +223,45 @@ class BiasFilter:
         at_gain = gain.T @ information.rows.T @ information.rows
         by_prior = at_mean @ self._prior_root - at_gain @ self._prior_root
         noise = noise_parts(self._windows, self._changes, expansions, gain, self._site, self._noise)
-        return ErrorParts(noise | prior_parts(by_prior, self._prior, shown, len(self._windows)))
+        return ErrorParts(noise | prior_parts(by_prior, self._prior, parameter_mask, len(self._windows)))
 
     def goodness_of_fit(self) -> Chi2Test:
-        """Test whether the model explains what has been added, even a single window."""
-        information, shown = self._information(test=True)
-        expansions = [each * shown[: each.shape[1]] for each in self._expansions]
-        values, covariance = self._solved(information)
-        return self._goodness_of_fit(expansions, _with_north_rate(values, information), covariance)
+        """Test whether the model explains the epochs added so far, even of a single window."""
+        information, parameter_mask = self._information(test=True)
+        expansions = [each * parameter_mask[: each.shape[1]] for each in self._expansions]
+        values, covariance = self._solution(information)
+        return self._goodness_of_fit(expansions, _add_north_rate(values, information), covariance)
 
     def chi2(self) -> float:
-        """Sum of squares that model and prior knowledge leave of what has been added."""
+        """Sum of squared residuals of the data and of the parameters about their prior, in sigmas."""
         information = self.information()
         return least_chi2(information.rows, information.data, self._prior_root)
 
-    def _solved(self, information: DwellInformation) -> tuple[FloatArray, FloatArray]:
+    def _solution(self, information: DwellInformation) -> tuple[FloatArray, FloatArray]:
         return solve(information.rows, information.data, self._prior_root)
 
     def _steady_p_value(self, information: DwellInformation) -> float:
-        """Give each window after the first its own biases, and see whether any differs from those of all.
+        """Test whether the biases of any window differ from those of the dwell.
 
-        The sums of the test of fit are many, and hide a small difference between two windows.
+        The goodness-of-fit test has so many sums that a small difference between two windows would hide in
+        it.
         """
         changes = [window.root[:, window_filter.INPUT :][:, :3] @ window.C_nb for window in self._windows]
         rows = np.hstack([information.rows, block_diagonal(*changes)[:, 3:]])
         count = len(self._prior_root)
         wide = np.eye(rows.shape[1] - count) * parameters.WIDE_GYRO_BIAS
         values, covariance = solve(rows, information.data, block_diagonal(self._prior_root, wide))
-        away = np.abs(values[count:]) / np.sqrt(np.diag(covariance)[count:])
-        return min(1.0, len(away) * math.erfc(away.max() / math.sqrt(2.0)))
+        significances = np.abs(values[count:]) / np.sqrt(np.diag(covariance)[count:])
+        return min(1.0, len(significances) * math.erfc(significances.max() / math.sqrt(2.0)))
 
     def _damping(self, information: DwellInformation) -> Damping:
         prior_root = self._prior_root.copy()
         prior_root[parameters.DAMPING, parameters.DAMPING] = _WIDE_DAMPING
         values, covariance = solve(information.rows, information.data, prior_root)
         variance = float(covariance[parameters.DAMPING, parameters.DAMPING])
-        # A velocity that walks at random returns to its mean by chance, as if it was damped. Once constants
-        # are fitted, the information of a rate times the mean of its estimate is half the duration for each
-        # axis (Dickey and Fuller, 1979).
+        # A random walk of the velocity returns to its mean by chance, which looks like damping. If constants
+        # are fitted, the information on the rate times its mean estimate is half the duration for each axis
+        # (Dickey and Fuller, 1979).
         duration_s = sum(window.last_s - window.first_s for window in self._windows)
         return Damping(float(values[parameters.DAMPING]) - duration_s * variance, math.sqrt(variance))
 
@@ -268,70 +270,78 @@ class BiasFilter:
         prior_root = parameters.prior_root(prior, len(self._windows), self._earth_rate)
         values, covariance = solve(information.rows, information.data, prior_root)
         rates = parameters.NAVIGATION_RATE
-        of_latitude = np.array([self._earth_rate[2], -self._earth_rate[1]]) / EARTH_RATE**2
-        sigma = math.sqrt(of_latitude @ covariance[rates, rates] @ of_latitude)
-        return float(of_latitude @ values[rates]), sigma
+        latitude_gain = np.array([self._earth_rate[2], -self._earth_rate[1]]) / EARTH_RATE**2
+        sigma = math.sqrt(latitude_gain @ covariance[rates, rates] @ latitude_gain)
+        return float(latitude_gain @ values[rates]), sigma
 
-    def _from_first(self, temperatures_c: FloatArray) -> FloatArray:
-        """Change (n, 4) of temperatures since the first one; the last known where they are not known."""
+    def _changes_since_first(self, temperatures_c: FloatArray) -> FloatArray:
+        """Change (n, 4) of temperatures since the first one; NaN is replaced by the latest known change."""
         self._reference_c = np.where(np.isnan(self._reference_c), temperatures_c[0], self._reference_c)
         changes = temperatures_c - self._reference_c
-        return np.where(np.isnan(changes), self._last_k, changes)
+        return np.where(np.isnan(changes), self._last_change_k, changes)
 
     def _through_turn(self, time_s: float, turn: TurnPath, count: int) -> tuple[WindowChange, FloatArray]:
-        """What state before a turn and noise, and each parameter (6, count), make of the state after it."""
+        """Propagation through a turn, and the state (6, count) after it for a unit of each parameter."""
         last = self._windows[-1]
-        through, state, by_walk = np.eye(STATES), np.zeros((STATES, count)), np.zeros((2, STATES, STATES))
-        # At rest until the turn begins, and again when it is over; the INS's own attitude before the
-        # turn, carried on by the table.
+        turn_transition, state_response = np.eye(STATES), np.zeros((STATES, count))
+        walk_covariance = np.zeros((2, STATES, STATES))
+        # The unit rests before and after the turn. The attitude is that of the INS before the turn, moved
+        # with the table.
         edges = np.clip(np.concatenate([[last.last_s], turn.time_s, [time_s]]), last.last_s, time_s)
         path = last.C_nb @ turn.C_nb[0].T @ np.concatenate([turn.C_nb[:1], turn.C_nb, turn.C_nb[-1:]])
-        turned = rotation_vectors(path[:-1].transpose(0, 2, 1) @ path[1:])
-        middle = path[:-1] @ rotation_matrices(0.5 * turned)
+        rotations = rotation_vectors(path[:-1].transpose(0, 2, 1) @ path[1:])
+        middle = path[:-1] @ rotation_matrices(0.5 * rotations)
         durations = np.diff(edges)
         steps, walks = integrate(self._site, durations, 0.0, 0.0), unit_walks(self._site, durations)
         for k in np.flatnonzero(durations > 0.0):
-            rate_body = middle[k].T @ self._earth_rate + turned[k] / durations[k]
-            driven = parameters.inputs(middle[k], rate_body, count)
-            driven[:3, parameters.GYRO_SLOPE] = middle[k] * self._last_k[:3]
-            driven[3:, parameters.ACCELEROMETER_SLOPE] = middle[k][:2] * self._last_k[3]
+            rate_body = middle[k].T @ self._earth_rate + rotations[k] / durations[k]
+            inputs = parameters.inputs(middle[k], rate_body, count)
+            inputs[:3, parameters.GYRO_SLOPE] = middle[k] * self._last_change_k[:3]
+            inputs[3:, parameters.ACCELEROMETER_SLOPE] = middle[k][:2] * self._last_change_k[3]
             transition = steps.transition[k]
-            through, state = transition @ through, transition @ state + steps.response[k] @ driven
-            by_walk = transition @ by_walk @ transition.T + walks[:, k]
-        return WindowChange(through, state[:, parameters.GYRO_BIAS], by_walk), state
+            turn_transition = transition @ turn_transition
+            state_response = transition @ state_response + steps.response[k] @ inputs
+            walk_covariance = transition @ walk_covariance @ transition.T + walks[:, k]
+        return WindowChange(
+            turn_transition, state_response[:, parameters.GYRO_BIAS], walk_covariance
+        ), state_response
 
     def _information(self, test: bool) -> tuple[DwellInformation, FloatArray]:
-        """Information in all epochs added, and which parameters it holds (p,), 0 or 1.
+        """Information in all epochs added, and a mask (p,) of the parameters in it, 0 or 1.
 
-        To estimate how accelerometers settle after a turn costs a sixth of the level gyros' uncertainty: they
-        count as settled unless the data contradict it.
+        Estimating the settling of the accelerometers after a turn raises the uncertainty of the level gyros
+        by a sixth, so accelerometers count as settled unless the data contradict it.
         """
         information = self.information()
         count = len(self._windows)
-        settling = parameters.transients(count)
-        shown = np.ones(information.rows.shape[1])
-        if not len(settling) or self._prior.accelerometer_transient == 0.0:
-            return information, shown
-        if not (test and self._transient_p_value(information, settling) < _MAX_TRANSIENT_P_VALUE):
-            shown[settling] = 0.0
-        return replace(information, rows=information.rows * shown), shown
+        transient_indices = parameters.transients(count)
+        parameter_mask = np.ones(information.rows.shape[1])
+        if not len(transient_indices) or self._prior.accelerometer_transient == 0.0:
+            return information, parameter_mask
+        if not (test and self._transient_p_value(information, transient_indices) < _MAX_TRANSIENT_P_VALUE):
+            parameter_mask[transient_indices] = 0.0
+        return replace(information, rows=information.rows * parameter_mask), parameter_mask
 
-    def _transient_p_value(self, information: DwellInformation, settling: IntArray) -> float:
+    def _transient_p_value(self, information: DwellInformation, transient_indices: IntArray) -> float:
         prior_root = self._prior_root.copy()
-        prior_root[settling, settling] = _WIDE_ACCELERATION
+        prior_root[transient_indices, transient_indices] = _WIDE_ACCELERATION
         values, covariance = solve(information.rows, information.data, prior_root)
-        size, covariance = values[settling], covariance[np.ix_(settling, settling)]
-        # Short windows can't distinguish it from a bias: nothing that they show speaks for it.
+        changes_mps2, covariance = (
+            values[transient_indices],
+            covariance[np.ix_(transient_indices, transient_indices)],
+        )
+        # Short windows can't distinguish settling from a bias, so they are no evidence of it.
         if np.sqrt(np.diag(covariance)).max() > self._prior.accelerometer_transient:
             return 1.0
-        chi2 = float(size @ np.linalg.solve(covariance, size))
-        return chi2_p_value(len(settling), chi2)
+        chi2 = float(changes_mps2 @ np.linalg.solve(covariance, changes_mps2))
+        return chi2_p_value(len(transient_indices), chi2)
 
     def information(self) -> DwellInformation:
         """Information in all epochs added, without prior knowledge.
 
-        A gyro bias East turns the heading that an INS finds by gyrocompassing: 2 deg for 0.5 deg/h. The
-        Earth's rate North in its axes is then less by half the square of that angle; a linear model lacks it.
+        A gyro bias East turns the heading that an INS finds by gyrocompassing: 2 deg for 0.5 deg/h. This
+        reduces the Earth's rate North in its axes by half the square of that angle, which the linear model
+        lacks.
         """
         count = self._expansions[-1].shape[1]
         pairs = list(zip(self._windows, self._expansions, strict=True))
@@ -342,13 +352,13 @@ class BiasFilter:
         at_mean[:, parameters.GYRO_SLOPE] = np.diag(mean_k[:3])
         acceleration_at_mean[:, parameters.ACCELEROMETER_SLOPE] = mean_k[3] * np.eye(3)
         linear = DwellInformation(
-            rows=np.vstack([_expanded(window.root, expansion, count) for window, expansion in pairs]),
+            rows=np.vstack([_expand_rows(window.root, expansion, count) for window, expansion in pairs]),
             data=np.concatenate([window.root[:, window_filter.DATA] for window in self._windows]),
             bias_at_mean=at_mean,
             acceleration_at_mean=acceleration_at_mean,
             earth_rate=self._earth_rate,
         )
-        heading = float(self._solved(linear)[0][parameters.FIRST_HEADING_ERROR])
+        heading = float(self._solution(linear)[0][parameters.FIRST_HEADING_ERROR])
         north_rate = (math.cos(heading) - 1.0) * float(self._earth_rate[1])
         data = linear.data - north_rate * linear.rows[:, parameters.NAVIGATION_RATE.start]
         return replace(linear, data=data, north_rate=north_rate)
@@ -357,16 +367,16 @@ class BiasFilter:
         self, expansions: list[FloatArray], values: FloatArray, covariance: FloatArray
     ) -> Chi2Test:
         blocks = [
-            (total[:, window_filter.DATA], _expanded(total, expansion, len(values)))
+            (total[:, window_filter.DATA], _expand_rows(total, expansion, len(values)))
             for window, expansion in zip(self._windows, expansions, strict=True)
-            for total in window.minutes()
+            for total in window.minute_sums()
         ]
         sums, responses = (np.concatenate(each) for each in zip(*blocks, strict=True))
         return chi2_test(sums - responses @ values, responses, covariance)
 
 
 def _temperatures(rest: RestOutput) -> FloatArray:
-    """Temperatures (n, 4) of the gyros and the accelerometers; NaN where they are not known."""
+    """Temperatures (n, 4) of the gyros and the accelerometers; NaN if not known."""
     count = len(rest.time_s)
     return np.column_stack(
         [
@@ -376,8 +386,8 @@ def _temperatures(rest: RestOutput) -> FloatArray:
     )
 
 
-def _with_north_rate(values: FloatArray, information: DwellInformation) -> FloatArray:
-    """The parameters (p,) that explain the innovations, from which the rate North is not taken."""
+def _add_north_rate(values: FloatArray, information: DwellInformation) -> FloatArray:
+    """Parameters (p,) that explain the innovations, from which the rate North was not subtracted."""
     result = values.copy()
     result[parameters.NAVIGATION_RATE.start] += information.north_rate
     return result
@@ -386,22 +396,22 @@ def _with_north_rate(values: FloatArray, information: DwellInformation) -> Float
 def estimate_state_space(
     dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge
 ) -> StateSpaceEstimate:
-    """Estimate the gyro biases of one dwell; see the module.
+    """Estimate the gyro biases of one complete dwell; see the module docstring.
 
     Raises MeasurementError if the dwell has no turn.
     """
-    return _filtered(dwell, site, noise, prior).estimate(complete=True)
+    return _filter_dwell(dwell, site, noise, prior).estimate(complete=True)
 
 
-def chi2_at(dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge) -> float:
-    """Sum of squares that error model and prior knowledge leave of a dwell at this site."""
-    return _filtered(dwell, site, noise, prior).chi2()
+def dwell_chi2(dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge) -> float:
+    """Chi-square of a dwell under the error model for this site; see :meth:`BiasFilter.chi2`."""
+    return _filter_dwell(dwell, site, noise, prior).chi2()
 
 
-def _filtered(dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge) -> BiasFilter:
+def _filter_dwell(dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge) -> BiasFilter:
     bias_filter = BiasFilter(site, noise, prior)
-    for number, window in enumerate(dwell.windows):
-        turn = dwell.turns[number - 1] if number else None
+    for index, window in enumerate(dwell.windows):
+        turn = dwell.turns[index - 1] if index else None
         bias_filter.begin_window(window.time_s[0], window.C_nb[0], turn)
         bias_filter.add(window)
     return bias_filter
@@ -410,21 +420,18 @@ def _filtered(dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge
 def navigation_fit(
     window: NavigationWindow, site: Site, noise: NoiseModel, prior: PriorKnowledge
 ) -> Chi2Test:
-    """Test whether error model and noise explain one navigation.
-
-    Nothing of the alignment enters.
-    """
+    """Test whether error model and noise explain one navigation; does not test the alignment."""
     bias_filter = BiasFilter(site, noise, prior)
     bias_filter.begin_window(window.time_s[0], window.C_nb[0])
     bias_filter.add(window)
     return bias_filter.goodness_of_fit()
 
 
-def _expansion(state: FloatArray, C_nb: FloatArray, earth_rate: FloatArray) -> FloatArray:
-    """What each column of a window is of the parameters (p), given its first state (6, p)."""
-    count = state.shape[1]
+def _expansion(state_response: FloatArray, C_nb: FloatArray, earth_rate: FloatArray) -> FloatArray:
+    """Columns of a window (c, p) for a unit of each parameter, given its first state (6, p)."""
+    count = state_response.shape[1]
     expansion = np.zeros((window_filter.DATA, count))
-    expansion[: window_filter.INPUT] = state
+    expansion[: window_filter.INPUT] = state_response
     expansion[window_filter.INPUT : window_filter.HEADING] = parameters.inputs(
         C_nb, C_nb.T @ earth_rate, count
     )
@@ -440,8 +447,8 @@ def _expansion(state: FloatArray, C_nb: FloatArray, earth_rate: FloatArray) -> F
     return expansion
 
 
-def _expanded(rows: FloatArray, expansion: FloatArray, count: int) -> FloatArray:
-    """Rows of a window (n, c) for all parameters of the dwell (n, count)."""
+def _expand_rows(rows: FloatArray, expansion: FloatArray, count: int) -> FloatArray:
+    """Convert rows for the columns of a window (n, c) to rows for all parameters of the dwell (n, count)."""
     result = np.zeros((len(rows), count))
     result[:, : expansion.shape[1]] = rows[:, : window_filter.DATA] @ expansion
     return result

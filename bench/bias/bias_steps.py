@@ -1,7 +1,7 @@
-"""Test for a gyro bias that changes at an unknown time in a dwell.
+"""Test for a step of a gyro bias at an unknown time in a dwell.
 
-A sum over minutes hides a small step among everything that might be wrong. The matched test (generalised
-likelihood ratio) knows what a step at each time makes of all later innovations, through the turns. One
+A small step hides in the sums over minutes, which test for any fault. The matched test (generalised
+likelihood ratio) uses the response of all later innovations, through the turns, to a step at each time. One
 backward pass of the whitening filter gives the information of all later epochs on a step at any epoch, so
 that no response has to be filtered for each time.
 """
@@ -18,13 +18,13 @@ from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, FloatArray, IntArra
 from gyrobench.bench.foundations.kernels import compiled
 from gyrobench.bench.navigation.error_model import STATES
 
-#: Below this p-value a bias steps: one in 250 dwells with steady biases.
+#: A step with a smaller p-value is significant: one in 250 dwells with constant biases.
 MIN_STEP_P_VALUE = 4e-3
-#: Epochs between the times that are tried, and fewest epochs of a window before and after a step: the
-#: biases of the windows are compared elsewhere.
-_EVERY, _MARGIN = 10, 60
-#: This number of independent tests is about as likely to give a false alarm as all times and gyros together.
-_TESTS = 60.0
+#: Epochs between the times that are tested, and fewest epochs of a window before and after a step. Another
+#: test compares the biases of the windows.
+_TRIAL_SPACING, _MARGIN = 10, 60
+#: All tested times and gyros together give as many false alarms as about this number of independent tests.
+_INDEPENDENT_TESTS = 60.0
 _GYROS = 3
 
 
@@ -33,18 +33,18 @@ class BiasStep:
     """The most significant step of the gyro biases."""
 
     time_s: float  #: On the clock of the INS.
-    gyro: int  #: Which gyro changes most significantly: 0 to 2 for x, y, z.
+    gyro: int  #: Index of the gyro that changes most significantly: 0 to 2 for x, y, z.
     size_dph: float  #: Its step, deg/h.
-    p_value: float  #: Probability of one as significant at any time in any gyro of a dwell without steps.
+    p_value: float  #: Probability of a step as significant at any time in any gyro of a dwell without steps.
 
 
 @dataclass(frozen=True, eq=False)
 class WindowChange:
-    """From the end of one window to the start of the next: the state, and what biases and noise add to it."""
+    """Propagation of the state from the end of one window to the start of the next."""
 
     transition: FloatArray  #: Shape (6, 6).
-    by_bias: FloatArray  #: Shape (6, 3). For a unit of each gyro's bias, body axes.
-    by_walk: FloatArray  #: Shape (2, 6, 6). Covariance for unit angle and velocity random walk.
+    bias_response: FloatArray  #: Shape (6, 3). Change of the state for a unit of each gyro's bias, body axes.
+    walk_covariance: FloatArray  #: Shape (2, 6, 6). Covariance for unit angle and velocity random walk.
 
 
 def find_bias_step(
@@ -54,9 +54,9 @@ def find_bias_step(
     parameters: FloatArray,
     covariance: FloatArray,
 ) -> BiasStep | None:
-    """Find the most significant step.
+    """Find the most significant step of a gyro bias in a dwell.
 
-    Result: None if the windows are too short for any.
+    Result: None if the windows are too short for the test.
 
     Parameters
     ----------
@@ -72,13 +72,13 @@ def find_bias_step(
     size, count = STATES + _GYROS, len(parameters)
     later, later_information = np.zeros((size, count + 1)), np.zeros((size, size))
     times, scores, variances = [], [], []
-    for number in reversed(range(len(windows))):
-        window, expansion = windows[number], expansions[number]
-        epochs = window.epochs_filtered
-        tried = _tried(len(epochs.time_s))
+    for index in reversed(range(len(windows))):
+        window, expansion = windows[index], expansions[index]
+        epochs = window.filtered_epochs
+        trial_epochs = _trial_epochs(len(epochs.time_s))
         information, responses = _backward(
             epochs.rows, epochs.gains, epochs.scales, epochs.transition,
-            np.ascontiguousarray(epochs.response[:, :, :_GYROS] @ window.C_nb), np.append(tried, -1),
+            np.ascontiguousarray(epochs.response[:, :, :_GYROS] @ window.C_nb), np.append(trial_epochs, -1),
         )  # fmt: skip
         # The columns of a window, and the state and biases at its end, for the parameters and the data.
         for_parameters = np.zeros((COLUMN_COUNT + size, count + 1))
@@ -86,7 +86,7 @@ def find_bias_step(
         for_parameters[DATA, -1] = 1.0
         for_parameters[COLUMN_COUNT:] = later
         response, to_end = responses[:-1, STATES:] @ for_parameters, responses[:-1, STATES:, COLUMN_COUNT:]
-        times.append(epochs.time_s[tried])
+        times.append(epochs.time_s[trial_epochs])
         scores.append(response[:, :, -1] - response[:, :, :-1] @ parameters)
         response = response[:, :, :-1]
         variances.append(
@@ -94,12 +94,14 @@ def find_bias_step(
             + to_end @ later_information @ to_end.transpose(0, 2, 1)
             - (response @ covariance) @ response.transpose(0, 2, 1)
         )
-        if number:
-            back = np.eye(size)
-            back[:STATES] = np.hstack([changes[number - 1].transition, changes[number - 1].by_bias])
+        if index:
+            backward = np.eye(size)
+            backward[:STATES] = np.hstack([changes[index - 1].transition, changes[index - 1].bias_response])
             to_end = responses[-1, :, COLUMN_COUNT:]
-            later = back.T @ responses[-1] @ for_parameters
-            later_information = back.T @ (information[-1] + to_end @ later_information @ to_end.T) @ back
+            later = backward.T @ responses[-1] @ for_parameters
+            later_information = (
+                backward.T @ (information[-1] + to_end @ later_information @ to_end.T) @ backward
+            )
     return _most_significant(*(np.concatenate(each) for each in (times, scores, variances)))
 
 
@@ -110,35 +112,37 @@ def _most_significant(time_s: FloatArray, score: FloatArray, variance: FloatArra
     """
     if not len(time_s):
         return None
-    away = score**2 / np.diagonal(variance, axis1=1, axis2=2)
-    together = np.einsum("ti,ti->t", score, np.linalg.solve(variance, score[:, :, np.newaxis])[:, :, 0])
-    at, gyro = np.unravel_index(int(np.argmax(away)), away.shape)
-    smallest = min(chi2_p_value(1, float(away[at, gyro])), chi2_p_value(_GYROS, float(together.max())))
+    significances = score**2 / np.diagonal(variance, axis1=1, axis2=2)
+    joint_chi2 = np.einsum("ti,ti->t", score, np.linalg.solve(variance, score[:, :, np.newaxis])[:, :, 0])
+    best, gyro = np.unravel_index(int(np.argmax(significances)), significances.shape)
+    smallest = min(
+        chi2_p_value(1, float(significances[best, gyro])), chi2_p_value(_GYROS, float(joint_chi2.max()))
+    )
     return BiasStep(
-        float(time_s[at]),
+        float(time_s[best]),
         int(gyro),
-        float(score[at, gyro] / variance[at, gyro, gyro]) * RADPS_TO_DPH,
-        min(1.0, _TESTS * smallest),
+        float(score[best, gyro] / variance[best, gyro, gyro]) * RADPS_TO_DPH,
+        min(1.0, _INDEPENDENT_TESTS * smallest),
     )
 
 
-def _tried(epochs: int) -> IntArray:
-    """Epochs of a window at which a step is tried, last first."""
-    return np.arange(epochs - 1 - _MARGIN, _MARGIN - 1, -_EVERY)
+def _trial_epochs(epochs: int) -> IntArray:
+    """Epochs of a window at which a step is tested, last first."""
+    return np.arange(epochs - 1 - _MARGIN, _MARGIN - 1, -_TRIAL_SPACING)
 
 
 @compiled(fastmath=True)
 def _backward(
-    rows: FloatArray, gains: FloatArray, scales: FloatArray, transitions: FloatArray, by_bias: FloatArray,
-    saved: IntArray,
+    rows: FloatArray, gains: FloatArray, scales: FloatArray, transitions: FloatArray,
+    bias_response: FloatArray, saved: IntArray,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """Information of all later epochs of a window on the state and a bias from an epoch on.
+    """Information of all later epochs of a window on the state and the biases from an epoch on.
 
     Parameters
     ----------
     rows, gains, scales, transitions : ndarray, shape (n, 3, c), (n, 3, 6), (n, 3), (n, 6, 6)
-        See :class:`gyrobench.bench.bias.window_filter.EpochsFiltered`.
-    by_bias : ndarray, shape (n, 6, 3)
+        See :class:`gyrobench.bench.bias.window_filter.FilteredEpochs`.
+    bias_response : ndarray, shape (n, 6, 3)
         State after each interval for a unit of each gyro's bias.
     saved : ndarray, shape (m,)
         Epochs, descending; -1 stands for the start of the window.
@@ -156,29 +160,29 @@ def _backward(
     for i in range(size):
         responses[i, columns + i] = 1.0
     infos, all_responses = np.empty((len(saved), size, size)), np.empty((len(saved), size, width))
-    carried, taken, number = np.empty(size), np.empty(width), 0
-    moved, turned = np.empty((STATES, width)), np.empty((STATES, size))
+    carried, gain_response, index = np.empty(size), np.empty(width), 0
+    propagated, propagated_info = np.empty((STATES, width)), np.empty((STATES, size))
     for k in range(len(rows) - 1, -2, -1):
-        if number < len(saved) and saved[number] == k:
+        if index < len(saved) and saved[index] == k:
             # Numba takes seconds to compile the assignment of a whole array.
             for i in range(size):
                 for c in range(size):
-                    infos[number, i, c] = info[i, c]
+                    infos[index, i, c] = info[i, c]
                 for c in range(width):
-                    all_responses[number, i, c] = responses[i, c]
-            number += 1
+                    all_responses[index, i, c] = responses[i, c]
+            index += 1
         if k < 0:
             break
         for m in range(2, -1, -1):
             h, scale, gain = MEASURED_STATES[m], scales[k, m], gains[k, m]
             row = rows[k, m]
             for c in range(width):
-                taken[c] = 0.0
+                gain_response[c] = 0.0
             for i in range(STATES):
                 for c in range(width):
-                    taken[c] += gain[i] * responses[i, c]
+                    gain_response[c] += gain[i] * responses[i, c]
             for c in range(width):
-                responses[h, c] -= taken[c]
+                responses[h, c] -= gain_response[c]
             for c in range(columns):
                 responses[h, c] += scale * row[c]
             for i in range(size):
@@ -191,7 +195,7 @@ def _backward(
             for j in range(STATES):
                 info[h, h] += gain[j] * carried[j]
             info[h, h] += scale * scale
-        transition, response = transitions[k], by_bias[k]
+        transition, response = transitions[k], bias_response[k]
         # Both are multiplied by the transposed transition of state and biases; the information, which is
         # symmetric, twice.
         for i in range(STATES, size):
@@ -203,20 +207,20 @@ def _backward(
                     info[i, c] += factor * info[j, c]
         for i in range(STATES):
             for c in range(width):
-                moved[i, c] = 0.0
+                propagated[i, c] = 0.0
             for c in range(size):
-                turned[i, c] = 0.0
+                propagated_info[i, c] = 0.0
             for j in range(STATES):
                 factor = transition[j, i]
                 for c in range(width):
-                    moved[i, c] += factor * responses[j, c]
+                    propagated[i, c] += factor * responses[j, c]
                 for c in range(size):
-                    turned[i, c] += factor * info[j, c]
+                    propagated_info[i, c] += factor * info[j, c]
         for i in range(STATES):
             for c in range(width):
-                responses[i, c] = moved[i, c]
+                responses[i, c] = propagated[i, c]
             for c in range(size):
-                info[i, c] = turned[i, c]
+                info[i, c] = propagated_info[i, c]
         for i in range(size):
             for j in range(STATES):
                 carried[j] = info[i, j]

@@ -1,9 +1,9 @@
-"""Bias per gyro, position and temperature bin (``bias_bins.csv``), and how positions compare in a bin.
+"""Bias per gyro, position and temperature bin (``bias_bins.csv``), and the comparison of positions in a bin.
 
-Each power-on gives a gyro another bias. Where the positions of a bin were measured in different power
-cycles, as after a resume in the middle of a plateau, that change would pass for a difference of positions. A
-constant for each power cycle takes it out: positions are compared within power cycles, and across them only
-as far as positions that were measured in several connect them.
+The bias of a gyro changes with each power-on. If the positions of a bin were measured in different power
+cycles, as after a resume in the middle of a plateau, that change would look like a difference of positions.
+Therefore each power cycle has a constant: positions are compared within power cycles, and between power
+cycles only if positions measured in both connect them.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 #: Usual width of a bin, K.
 DEFAULT_WIDTH_C = 5.0
-#: Narrower ones would fill the memory with empty bins.
+#: Smallest width, K; narrower bins would fill the memory with empty ones.
 _MIN_WIDTH_C = 0.01
-_ZERO = 1e-9
+_MAX_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -48,13 +48,13 @@ class PowerCycleMean:
     number: int  #: Of the power cycle in the table, from 1.
     bias_dph: float
     sigma_dph: float
-    #: paper_bias_dph, paper_sigma_dph: By the paper's method; NaN where there is none.
+    #: paper_bias_dph, paper_sigma_dph: By the paper's method; NaN if it does not apply.
     paper_bias_dph: float = math.nan
     paper_sigma_dph: float = math.nan
 
     @property
     def by_paper(self) -> PowerCycleMean:
-        """The paper's in the place of the other."""
+        """Mean with the bias by the paper's method in place of the state-space one."""
         return PowerCycleMean(self.number, self.paper_bias_dph, self.paper_sigma_dph)
 
 
@@ -67,21 +67,21 @@ class BiasBin:
     #: bin_low_c, bin_high_c: Range of the gyro's temperature; the upper end belongs to the next bin.
     bin_low_c: float
     bin_high_c: float
-    #: temperature_c, bias_dph: Means weighted by 1/sigma^2; NaN in an empty bin, as are all below but
-    #: ``count``.
+    #: temperature_c, bias_dph: Means weighted by 1/sigma^2; NaN in an empty bin, as are all others below
+    #: except ``count``.
     temperature_c: float
     bias_dph: float
     sigma_dph: float  #: Standard uncertainty of the mean from those of the dwells.
     count: int  #: Number of dwells.
-    #: Spread of the dwells' biases against their uncertainties: near 1 where these explain it; NaN for a
+    #: Reduced chi-square of the dwells' biases: near 1 if their uncertainties explain the spread; NaN for a
     #: single dwell.
     chi2_reduced: float
-    spread_p_value: float  #: Probability of a spread at least as large from these uncertainties alone.
-    #: paper_bias_dph, paper_sigma_dph: The mean by the paper's method, over the dwells that it applies to;
-    #: NaN where there are none.
+    spread_p_value: float  #: Probability of at least this spread if due only to these uncertainties.
+    #: paper_bias_dph, paper_sigma_dph: The mean by the paper's method, over the dwells to which it applies;
+    #: NaN if there are none.
     paper_bias_dph: float = math.nan
     paper_sigma_dph: float = math.nan
-    #: Means by power cycle, where the dwells of the gyro at these temperatures come from several. Not in the
+    #: Means by power cycle, if the dwells of the gyro at these temperatures are from several. Not in the
     #: file: :func:`with_power_cycles` adds them.
     by_power_cycle: tuple[PowerCycleMean, ...] = ()
 
@@ -96,7 +96,7 @@ BIN_COLUMNS = tuple(field.name for field in fields(BiasBin) if field.name != "by
 _PAPER = {"paper_bias_dph", "paper_sigma_dph"}
 _MAY_BE_EMPTY = {"temperature_c", "bias_dph", "sigma_dph", "chi2_reduced", "spread_p_value", *_PAPER}
 _SIGMA = partial(CsvTable.uncertainty, may_be_empty=True)
-#: Of columns that are no plain numbers.
+#: Readers of columns that are not plain numbers.
 _READERS: Mapping[str, CellReader] = {
     "gyro": one_of(AXES),
     "position": one_of(POSITIONS),
@@ -110,13 +110,12 @@ _READERS: Mapping[str, CellReader] = {
 def bin_biases(rows: Iterable[DwellRow], width_c: float = DEFAULT_WIDTH_C) -> list[BiasBin]:
     """Sort the dwells of one unit into temperature bins.
 
-    Every position that was measured at all gets every bin from the lowest to the highest
-    occupied one of the gyro, so that a missing measurement shows as an empty bin.
+    Every position that was measured has all bins of the gyro from the lowest to the highest occupied one, so
+    a missing measurement shows as an empty bin.
 
-    ``rows``: dwells in any order; a gyro without result (NaN) in a dwell is left out of its bins.
-    ``width_c``: width of a bin; bins begin at its multiples. Result: by gyro, position (in the order of the
-    paper) and temperature. Raises MeasurementError if the width is too small, or the dwells are of several
-    units.
+    ``rows``: dwells in any order; a gyro without result (NaN) in a dwell is left out. ``width_c``: width of a
+    bin; bins begin at its multiples. Result: by gyro, position (in the order of the paper) and temperature.
+    Raises MeasurementError if the width is too small, or the dwells are of several units.
     """
     rows = list(rows)
     if not (math.isfinite(width_c) and width_c >= _MIN_WIDTH_C):
@@ -138,17 +137,17 @@ def bin_biases(rows: Iterable[DwellRow], width_c: float = DEFAULT_WIDTH_C) -> li
         for position in positions:
             for number in range(min(numbers, default=0), max(numbers, default=-1) + 1):
                 ends = (number * width_c, (number + 1) * width_c)
-                own = members.get((position, number), [])
-                several = len({row.run for name in positions for row in members.get((name, number), [])}) > 1
-                by_cycle = _by_power_cycle(axis, own, power_cycles) if several else ()
-                result.append(replace(_bin(axis, gyro, position, ends, own), by_power_cycle=by_cycle))
+                dwells = members.get((position, number), [])
+                runs = {row.run for name in positions for row in members.get((name, number), [])}
+                by_cycle = _by_power_cycle(axis, dwells, power_cycles) if len(runs) > 1 else ()
+                result.append(replace(_bin(axis, gyro, position, ends, dwells), by_power_cycle=by_cycle))
     return result
 
 
 def paper_bins(bins: Iterable[BiasBin]) -> list[BiasBin]:
-    """Bins with the paper's bias in the place of the state-space one; empty where there is none.
+    """Bins with the paper's bias instead of the state-space one; empty if there is none.
 
-    The spread of the dwells is that of the other estimate, so it is left out.
+    The spread of the dwells applies to the other estimate, so it is left out.
     """
     return [
         replace(
@@ -167,18 +166,18 @@ def paper_bins(bins: Iterable[BiasBin]) -> list[BiasBin]:
 
 
 def with_power_cycles(bins: Sequence[BiasBin], rows: Iterable[DwellRow]) -> list[BiasBin]:
-    """Bins of one unit as read from a file, with the means by power cycle of the dwells without flags.
+    """Bins of one unit as read from a file, with means by power cycle added from dwells without flags.
 
     Raises MeasurementError as :func:`bin_biases`.
     """
     width_c = round(bins[0].bin_high_c - bins[0].bin_low_c, 9) if bins else DEFAULT_WIDTH_C
 
-    def place(each: BiasBin) -> tuple[str, str, int]:
+    def key(each: BiasBin) -> tuple[str, str, int]:
         return each.gyro, each.position, round(each.bin_low_c / width_c)
 
-    found = {place(each): each for each in bin_biases([row for row in rows if not row.flags], width_c)}
+    by_key = {key(each): each for each in bin_biases([row for row in rows if not row.flags], width_c)}
     return [
-        replace(each, by_power_cycle=found[place(each)].by_power_cycle if place(each) in found else ())
+        replace(each, by_power_cycle=by_key[key(each)].by_power_cycle if key(each) in by_key else ())
         for each in bins
     ]
 
@@ -203,7 +202,7 @@ def parse_bins(text: str, name: str) -> list[BiasBin]:
     Raises DocumentError, which lists all that is wrong with it.
     """
     table = CsvTable(text, name, required=[column for column in BIN_COLUMNS if column not in _PAPER])
-    return table.rows(partial(_parsed, table))
+    return table.rows(partial(_parse_bin, table))
 
 
 def _by_position_and_number(
@@ -244,24 +243,24 @@ def _by_power_cycle(
 ) -> tuple[PowerCycleMean, ...]:
     means = []
     for run in dict.fromkeys(row.run for row in rows):
-        own = [row for row in rows if row.run == run]
-        mean = weighted_mean([row.bias_dph[axis] for row in own], [row.sigma_dph[axis] for row in own])
-        means.append(PowerCycleMean(power_cycles[run], mean.value, mean.sigma, *_paper_mean(axis, own)))
+        in_run = [row for row in rows if row.run == run]
+        mean = weighted_mean([row.bias_dph[axis] for row in in_run], [row.sigma_dph[axis] for row in in_run])
+        means.append(PowerCycleMean(power_cycles[run], mean.value, mean.sigma, *_paper_mean(axis, in_run)))
     return tuple(means)
 
 
 def _paper_mean(axis: int, rows: Sequence[DwellRow]) -> tuple[float, float]:
     """Mean and its standard uncertainty by the paper's method; NaN without."""
     pairs = [(row.paper_bias_dph[axis], row.paper_sigma_dph[axis]) for row in rows]
-    known = [pair for pair in pairs if not any(map(math.isnan, pair))]
-    if not known:
+    valid = [pair for pair in pairs if not any(map(math.isnan, pair))]
+    if not valid:
         return math.nan, math.nan
-    values, sigmas = zip(*known, strict=True)
+    values, sigmas = zip(*valid, strict=True)
     mean = weighted_mean(values, sigmas)
     return mean.value, mean.sigma
 
 
-def _parsed(table: CsvTable, index: int) -> BiasBin:
+def _parse_bin(table: CsvTable, index: int) -> BiasBin:
     cells: dict[str, Any] = {
         column: _READERS[column](table, index, column)
         if column in _READERS
@@ -273,46 +272,46 @@ def _parsed(table: CsvTable, index: int) -> BiasBin:
 
 @dataclass(frozen=True)
 class PositionComparison:
-    """Positions compared for one gyro in one temperature bin."""
+    """Comparison of the positions of one gyro in one temperature bin."""
 
     gyro: str  #: "x", "y" or "z".
     #: bin_low_c, bin_high_c: Range of the gyro's temperature.
     bin_low_c: float
     bin_high_c: float
     #: Probability of differences at least as large if the positions were equal: the chi-square test of
-    #: homogeneity with a degree of freedom for each position but one, and fewer where power
-    #: cycles have no position in common.
+    #: homogeneity with a degree of freedom for each position except one, and fewer if power cycles have no
+    #: position in common.
     p_value: float
     largest_pair: tuple[str, str]  #: The two positions that differ most, the higher bias first.
-    #: largest_difference_dph, largest_difference_sigma_dph: By how much, and its standard uncertainty.
+    #: largest_difference_dph, largest_difference_sigma_dph: Their difference and its standard uncertainty.
     largest_difference_dph: float
     largest_difference_sigma_dph: float
-    #: Largest difference of the positions' mean temperatures inside the bin. The test takes no account of it:
-    #: the bias's own slope times this can pass for a difference of positions.
+    #: Largest difference of the positions' mean temperatures inside the bin. The test does not account for
+    #: it: the slope of the bias times this can look like a difference of positions.
     temperature_spread_c: float
 
 
 def compare_positions(bins: Iterable[BiasBin]) -> list[PositionComparison]:
-    """Compare the positions of each gyro and bin; bins in which no two can be compared are left out.
+    """Compare the positions of each gyro and bin; bins without two comparable positions are left out.
 
-    Where the dwells of a bin come from several power cycles, each has a constant.
+    If the dwells of a bin are from several power cycles, each power cycle has a constant.
 
     ``bins``: of one unit, in any order; :func:`gyrobench.bench.bias.bins.paper_bins` for the paper's method.
     Result: by gyro and temperature.
     """
-    compared = (_compared(group) for group in _groups(bins))
+    compared = (_compare_group(group) for group in _groups(bins))
     return [each for each in compared if each is not None]
 
 
-def not_connected(bins: Iterable[BiasBin]) -> list[BiasBin]:
-    """One bin of each gyro and range in which power cycles have no position in common.
+def disconnected_bins(bins: Iterable[BiasBin]) -> list[BiasBin]:
+    """One bin of each gyro and range in which some positions can't be compared with the others.
 
-    There some positions, or all, are not compared with the others.
+    There, power cycles have no position in common.
     """
     return [
         group[0]
         for group in _groups(bins)
-        if (means := _power_cycle_means(group)) and not _compared_over_power_cycles(means).are_all_connected
+        if (means := _power_cycle_means(group)) and not _compare_over_power_cycles(means).are_all_connected
     ]
 
 
@@ -326,23 +325,24 @@ def _groups(bins: Iterable[BiasBin]) -> list[list[BiasBin]]:
 
 
 def _power_cycle_means(group: Iterable[BiasBin]) -> list[tuple[str, PowerCycleMean]]:
-    """Means by position and power cycle, with the uncertainty of errors that the dwells have in common."""
+    """Means by position and power cycle, with uncertainties that include errors common to the dwells."""
     means = []
     for each in group:
-        own = each.by_power_cycle
-        independent = sum(mean.sigma_dph**-2.0 for mean in own)
-        larger = max(1.0, each.sigma_dph * math.sqrt(independent))
-        means += [(each.position, replace(mean, sigma_dph=larger * mean.sigma_dph)) for mean in own]
+        weight = sum(mean.sigma_dph**-2.0 for mean in each.by_power_cycle)
+        factor = max(1.0, each.sigma_dph * math.sqrt(weight))
+        means += [
+            (each.position, replace(mean, sigma_dph=factor * mean.sigma_dph)) for mean in each.by_power_cycle
+        ]
     return means
 
 
-def _compared(group: Sequence[BiasBin]) -> PositionComparison | None:
+def _compare_group(group: Sequence[BiasBin]) -> PositionComparison | None:
     if means := _power_cycle_means(group):
-        found = _compared_over_power_cycles(means)
-        if not found.dof:
+        comparison = _compare_over_power_cycles(means)
+        if not comparison.dof:
             return None
-        p_value, pair = found.p_value, found.pair
-        difference_dph, sigma_dph = found.difference_dph, found.sigma_dph
+        p_value, pair = comparison.p_value, comparison.pair
+        difference_dph, sigma_dph = comparison.difference_dph, comparison.sigma_dph
     else:
         p_value = weighted_mean([each.bias_dph for each in group], [each.sigma_dph for each in group]).p_value
         pairs = combinations(sorted(group, key=lambda each: -each.bias_dph), 2)
@@ -366,7 +366,7 @@ def _compared(group: Sequence[BiasBin]) -> PositionComparison | None:
 class _ConnectedComparison:
     """Comparison of the positions of a bin with a constant for each power cycle."""
 
-    #: dof, p_value: Of the chi-square test of equal positions; none compared is dof 0 and NaN.
+    #: dof, p_value: Of the chi-square test of equal positions; 0 and NaN if none are comparable.
     dof: int
     p_value: float
     #: pair, difference_dph, sigma_dph: The largest difference of two positions that are connected.
@@ -376,34 +376,34 @@ class _ConnectedComparison:
     are_all_connected: bool  #: Whether every position is compared with every other.
 
 
-def _compared_over_power_cycles(means: Sequence[tuple[str, PowerCycleMean]]) -> _ConnectedComparison:
+def _compare_over_power_cycles(means: Sequence[tuple[str, PowerCycleMean]]) -> _ConnectedComparison:
     """Compare positions by their means in each power cycle."""
     positions = list(dict.fromkeys(position for position, _ in means))
     cycles = list(dict.fromkeys(each.number for _, each in means))
     constants = np.array([[each.number == cycle for cycle in cycles] for _, each in means], dtype=np.float64)
-    of_positions = np.array([[name == each for each in positions] for name, _ in means], dtype=np.float64)
-    design = np.hstack([of_positions, constants])
+    position_columns = np.array([[name == each for each in positions] for name, _ in means], dtype=np.float64)
+    design = np.hstack([position_columns, constants])
     sigma_dph = np.array([each.sigma_dph for _, each in means])
     data = np.array([each.bias_dph for _, each in means]) / sigma_dph
 
-    def solved(columns: FloatArray) -> tuple[FloatArray, float]:
+    def fit(columns: FloatArray) -> tuple[FloatArray, float]:
         rows = columns / sigma_dph[:, np.newaxis]
         values = np.linalg.lstsq(rows, data)[0]
         return values, float(((data - rows @ values) ** 2).sum())
 
-    values, chi2 = solved(design)
+    values, chi2 = fit(design)
     dof = int(np.linalg.matrix_rank(design)) - len(cycles)
-    p_value = chi2_p_value(dof, solved(constants)[1] - chi2) if dof else math.nan
+    p_value = chi2_p_value(dof, fit(constants)[1] - chi2) if dof else math.nan
     rows = design / sigma_dph[:, np.newaxis]
     covariance = np.linalg.pinv(rows.T @ rows)
-    reachable = np.linalg.pinv(design) @ design  # projects on what the data determine
-    found = ("", ""), -math.inf, math.nan
+    projection = np.linalg.pinv(design) @ design  # onto the combinations that the data determine
+    largest = ("", ""), -math.inf, math.nan
     are_all_connected = True
     for a, b in permutations(range(len(positions)), 2):
         contrast = np.zeros(design.shape[1])
         contrast[[a, b]] = 1.0, -1.0
-        if np.abs(reachable @ contrast - contrast).max() > _ZERO:
+        if np.abs(projection @ contrast - contrast).max() > _MAX_ROUNDING:
             are_all_connected = False
-        elif (difference := float(contrast @ values)) > found[1]:
-            found = (positions[a], positions[b]), difference, math.sqrt(contrast @ covariance @ contrast)
-    return _ConnectedComparison(dof, p_value, *found, are_all_connected)
+        elif (difference := float(contrast @ values)) > largest[1]:
+            largest = (positions[a], positions[b]), difference, math.sqrt(contrast @ covariance @ contrast)
+    return _ConnectedComparison(dof, p_value, *largest, are_all_connected)

@@ -1,12 +1,12 @@
 """Uncertainty budgets of measured biases, by dwell and by bin.
 
-A bias's error is a sum of independent contributions; their squares add up to the stated variance. In the mean
-of several dwells, noise averages out, and what is the same in each of them does not: errors of scale factor,
-misalignment, accelerometers, latitude and temperature slope count with their signs.
+The error of a bias is a sum of independent contributions, whose variances add up to the stated one. In the
+mean of several dwells, noise averages out. Errors that are the same in each dwell do not: those of scale
+factor, misalignment, accelerometers, latitude and temperature slope add with their signs.
 
-Two contributions lie outside the stated uncertainty, which is that of the bias in the power cycle measured
-and at the temperature indicated: error of the gyro's temperature sensor, and repeatability between power
-cycles. Where they are known, a second sum includes them.
+Two contributions are not part of the stated uncertainty, which applies to the power cycle measured and the
+temperature indicated: the error of the gyro's temperature sensor, and the repeatability between power cycles.
+If they are known, a second sum includes them.
 
 References
 ----------
@@ -41,7 +41,7 @@ COVERAGE = 0.95
 NORMAL_K = 1.959963984540054
 
 
-_SETTLED = "not significant in the data (p ≥ 0.01): taken as zero"
+_SETTLED_NOTE = "not significant in the data (p ≥ 0.01): taken as zero"
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,10 +49,10 @@ class Contribution:
     """Contribution of one source to the uncertainty of a result."""
 
     source: str  #: Key of :data:`~gyrobench.bench.bias.error_sources.SOURCES`.
-    #: Standard uncertainty of the input quantity, in the unit of the source; NaN where it has none.
+    #: Standard uncertainty of the input quantity, in the unit of the source; NaN if it has none.
     input_sigma: float
-    sigma: float  #: Standard uncertainty of the result by this source, in its unit; NaN where not evaluated.
-    dof: float = math.inf  #: Degrees of freedom; infinite where declared.
+    sigma: float  #: Standard uncertainty of the result by this source, in its unit; NaN if not evaluated.
+    dof: float = math.inf  #: Degrees of freedom; infinite if declared.
     distribution: str = "normal"
     is_within: bool = True  #: Whether it is part of the stated uncertainty.
     note: str = ""
@@ -64,7 +64,7 @@ class Contribution:
 
     @property
     def sensitivity(self) -> float:
-        """Sensitivity coefficient: unit of the result per unit of the input; NaN where there is no input.
+        """Sensitivity coefficient: unit of the result per unit of the input; NaN if there is no input.
 
         For a source with several components of equal uncertainty, such as one for each axis, it is the root
         sum of squares over them.
@@ -72,23 +72,23 @@ class Contribution:
         return self.sigma / self.input_sigma if self.input_sigma > 0.0 else math.nan
 
 
-#: More effective degrees of freedom, as of a contribution by rounding alone, count as infinite.
+#: Effective degrees of freedom above this count as infinite.
 _MANY_DOF = 1e9
 
 
 @dataclass(frozen=True)
-class Combined:
+class CombinedUncertainty:
     """Combined and expanded uncertainty of several contributions."""
 
     sigma: float  #: Combined standard uncertainty.
     dof: float  #: Effective degrees of freedom.
 
     @classmethod
-    def of(cls, contributions: Iterable[Contribution]) -> Combined:
+    def of(cls, contributions: Iterable[Contribution]) -> CombinedUncertainty:
         """Combine independent contributions; those not evaluated are left out."""
-        known = [each for each in contributions if each.sigma > 0.0]
-        variance = math.fsum(each.sigma**2 for each in known)
-        fourth = math.fsum(each.sigma**4 / each.dof for each in known)
+        evaluated = [each for each in contributions if each.sigma > 0.0]
+        variance = math.fsum(each.sigma**2 for each in evaluated)
+        fourth = math.fsum(each.sigma**4 / each.dof for each in evaluated)
         dof = variance**2 / fourth if fourth else math.inf
         return cls(math.sqrt(variance), dof if dof < _MANY_DOF else math.inf)
 
@@ -119,15 +119,15 @@ class Budget:
     contributions: tuple[Contribution, ...]
 
     @property
-    def stated(self) -> Combined:
+    def stated(self) -> CombinedUncertainty:
         """The stated uncertainty."""
-        return Combined.of(each for each in self.contributions if each.is_within)
+        return CombinedUncertainty.of(each for each in self.contributions if each.is_within)
 
     @property
-    def any_power_cycle(self) -> Combined | None:
-        """With the contributions outside the stated uncertainty; None where none of them is known."""
+    def any_power_cycle(self) -> CombinedUncertainty | None:
+        """Uncertainty including the contributions outside the stated one; None if none of these is known."""
         if any(not each.is_within and not math.isnan(each.sigma) for each in self.contributions):
-            return Combined.of(self.contributions)
+            return CombinedUncertainty.of(self.contributions)
         return None
 
 
@@ -146,7 +146,7 @@ class BiasBudget:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class BudgetedDwell:
-    """A dwell and the parts of its biases' errors."""
+    """A dwell with the errors of its biases by source."""
 
     row: DwellRow
     parts: Mapping[str, ErrorPart]
@@ -154,29 +154,29 @@ class BudgetedDwell:
 
 @dataclass(frozen=True)
 class BudgetInputs:
-    """What budgets need beside the dwells."""
+    """Inputs of budgets in addition to the dwells."""
 
-    #: velocity_resolution_mps, heading_resolution_rad: Standard uncertainties by the outputs' resolution.
+    #: velocity_resolution_mps, heading_resolution_rad: Standard uncertainties due to the outputs' resolution.
     velocity_resolution_mps: float = 0.0
     heading_resolution_rad: float = 0.0
-    #: Standard uncertainty of a gyro's temperature sensor, K; None where not declared.
+    #: Standard uncertainty of a gyro's temperature sensor, K; None if not declared.
     temperature_c: float | None = None
 
 
 def dwell_budgets(dwells: Sequence[BudgetedDwell], inputs: BudgetInputs) -> Iterator[BiasBudget]:
     """Budgets of the biases of the dwells of a run, one after the other."""
-    outside = _outside(dwells, inputs)
+    external = _external_errors(dwells, inputs)
     for each in dwells:
         for axis, gyro in enumerate(AXES):
-            budget = _budget(axis, [each], [1.0], inputs, outside[axis])
+            budget = _budget(axis, [each], [1.0], inputs, external[axis])
             yield BiasBudget(gyro, each.row.position, budget, each.row.dwell)
 
 
 def bin_budgets(
     dwells: Sequence[BudgetedDwell], bins: Sequence[BiasBin], inputs: BudgetInputs
 ) -> list[BiasBudget]:
-    """Budgets of the bins, over those of the dwells that have no flags, that are not empty."""
-    outside, result = _outside(dwells, inputs), []
+    """Budgets of the bins that contain dwells without flags."""
+    external, result = _external_errors(dwells, inputs), []
     for each in bins:
         axis = AXES.index(each.gyro)
         members = [
@@ -188,7 +188,7 @@ def bin_budgets(
         ]
         if members:
             weights = np.array([dwell.row.sigma_dph[axis] ** -2.0 for dwell in members])
-            budget = _budget(axis, members, (weights / weights.sum()).tolist(), inputs, outside[axis])
+            budget = _budget(axis, members, (weights / weights.sum()).tolist(), inputs, external[axis])
             result.append(BiasBudget(each.gyro, each.position, budget, None, each.bin_low_c, each.bin_high_c))
     return result
 
@@ -220,12 +220,12 @@ def coefficient_budget(
         if name in variances
     ]
     note = "not evaluated: the coefficients are those of one power cycle"
-    outside = Contribution("power_cycles", math.nan, math.nan, is_within=False, note=note)
-    return Budget((*contributions, outside))
+    external = Contribution("power_cycles", math.nan, math.nan, is_within=False, note=note)
+    return Budget((*contributions, external))
 
 
 def with_budgets(bins: Sequence[BiasBin], budgets: Iterable[BiasBudget]) -> list[BiasBin]:
-    """The bins with the uncertainties of their budgets, in which common errors do not average out."""
+    """Bins with the uncertainties of their budgets, in which common errors do not average out."""
     sigmas = {(each.gyro, each.position, each.bin_low_c): each.budget.stated.sigma for each in budgets}
     return [
         replace(each, sigma_dph=sigmas.get((each.gyro, each.position, each.bin_low_c), each.sigma_dph))
@@ -234,20 +234,22 @@ def with_budgets(bins: Sequence[BiasBin], budgets: Iterable[BiasBudget]) -> list
 
 
 @dataclass(frozen=True, eq=False)
-class _Outside:
-    """What lies outside the stated uncertainty of one gyro's bias."""
+class _ExternalErrors:
+    """Errors of one gyro's bias that are not part of the stated uncertainty."""
 
-    #: Repeatability between power cycles: standard deviation, deg/h, NaN where not evaluated; its degrees of
+    #: Repeatability between power cycles: standard deviation, deg/h, NaN if not evaluated; its degrees of
     #: freedom; and a note.
     sigma_dph: float
     dof: float
     note: str
-    #: For each position a polynomial of the bias over the gyro's temperature; None with fewer than two
+    #: For each position: polynomial of the bias over the gyro's temperature; None with fewer than two
     #: temperatures.
     curves: Mapping[str, np.poly1d | None]
 
     @classmethod
-    def of(cls, axis: int, rows: Sequence[DwellRow], errors: SplitErrors, inputs: BudgetInputs) -> _Outside:
+    def of(
+        cls, axis: int, rows: Sequence[DwellRow], errors: SplitErrors, inputs: BudgetInputs
+    ) -> _ExternalErrors:
         positions = {row.position for row in rows}
         curves = {
             position: _curve([row for row in rows if row.position == position], axis)
@@ -256,20 +258,20 @@ class _Outside:
         return cls(*_between_power_cycles(axis, rows, errors), curves)
 
 
-def _outside(dwells: Sequence[BudgetedDwell], inputs: BudgetInputs) -> list[_Outside]:
+def _external_errors(dwells: Sequence[BudgetedDwell], inputs: BudgetInputs) -> list[_ExternalErrors]:
     good = [each for each in dwells if not each.row.flags]
     errors = split_errors({each.row.dwell: each.parts for each in good})
-    return [_Outside.of(axis, [each.row for each in good], errors, inputs) for axis in range(3)]
+    return [_ExternalErrors.of(axis, [each.row for each in good], errors, inputs) for axis in range(3)]
 
 
-#: Temperatures of one plateau differ by less, K.
+#: Width of the temperature cells in which power cycles are compared, K.
 _PLATEAU_C = 5.0
 
 
 def _between_power_cycles(
     axis: int, rows: Sequence[DwellRow], errors: SplitErrors
 ) -> tuple[float, float, str]:
-    """Standard deviation of a gyro's bias between power cycles beyond noise, deg/h, its dof, and a note."""
+    """Standard deviation of a gyro's bias between power cycles without noise, deg/h, its dof, and a note."""
     cells: dict[tuple[str, int], dict[str, list[DwellRow]]] = defaultdict(lambda: defaultdict(list))
     for row in rows:
         cells[row.position, math.floor(row.gyro_c[axis] / _PLATEAU_C)][row.run].append(row)
@@ -281,18 +283,20 @@ def _between_power_cycles(
             "not evaluated: no position and temperature was measured in two power cycles",
         )
     runs = {run for by_run in repeated for run in by_run}
-    squares, noise, free = 0.0, 0.0, 0
+    squares, noise, dof = 0.0, 0.0, 0
     for by_run in repeated:
-        means = [np.mean([row.bias_dph[axis] for row in of_run]) for of_run in by_run.values()]
-        of_means = [
-            mean_error([errors[row.dwell] for row in of_run], np.full((len(of_run), 3), 1.0 / len(of_run)))
-            for of_run in by_run.values()
+        means = [np.mean([row.bias_dph[axis] for row in run_rows]) for run_rows in by_run.values()]
+        mean_errors = [
+            mean_error(
+                [errors[row.dwell] for row in run_rows], np.full((len(run_rows), 3), 1.0 / len(run_rows))
+            )
+            for run_rows in by_run.values()
         ]
-        variances = scatter_variances(of_means)[:, axis]
+        variances = scatter_variances(mean_errors)[:, axis]
         squares += float(np.sum((means - np.mean(means)) ** 2))
         noise += float(np.mean(variances)) * (len(means) - 1)
-        free += len(means) - 1
-    sigma = math.sqrt(max(squares - noise, 0.0) / free)
+        dof += len(means) - 1
+    sigma = math.sqrt(max(squares - noise, 0.0) / dof)
     note = f"{len(runs)} power cycles" + ("" if sigma else ": no more than the noise")
     return sigma, len(runs) - 1.0, note
 
@@ -310,10 +314,10 @@ def _budget(
     dwells: Sequence[BudgetedDwell],
     weights: Sequence[float],
     inputs: BudgetInputs,
-    outside: _Outside,
+    external: _ExternalErrors,
 ) -> Budget:
     """Budget of a weighted mean of dwells."""
-    parts = [_as_stated(axis, dwell) for dwell in dwells]
+    parts = [_parts_as_stated(axis, dwell) for dwell in dwells]
     names = [name for name in SOURCES if any(name in each for each in parts)]
     resolutions = {
         "velocity_output": inputs.velocity_resolution_mps,
@@ -321,15 +325,17 @@ def _budget(
     }
     contributions = []
     for name in names:
-        own = [(each[name], weight) for each, weight in zip(parts, weights, strict=True) if name in each]
-        combine = _common if SOURCES[name].is_common else _independent
-        sigma, dof = combine([(part.columns[axis] * RADPS_TO_DPH, part.dof, w) for part, w in own])
-        given = math.sqrt(float(np.mean([part.sigma**2 for part, _ in own])))
-        is_resolution = math.isinf(dof) and given <= 1.001 * resolutions.get(name, 0.0)
+        of_source = [
+            (each[name], weight) for each, weight in zip(parts, weights, strict=True) if name in each
+        ]
+        combine = _common_sigma if SOURCES[name].is_common else _independent_sigma
+        sigma, dof = combine([(part.columns[axis] * RADPS_TO_DPH, part.dof, w) for part, w in of_source])
+        input_sigma = math.sqrt(float(np.mean([part.sigma**2 for part, _ in of_source])))
+        is_resolution = math.isinf(dof) and input_sigma <= 1.001 * resolutions.get(name, 0.0)
         contributions.append(
             Contribution(
                 name,
-                given * SOURCES[name].per_si,
+                input_sigma * SOURCES[name].per_si,
                 sigma,
                 dof,
                 "rectangular" if is_resolution else "normal",
@@ -337,8 +343,8 @@ def _budget(
             )
         )
     if "accelerometer_settling" not in names:
-        contributions.append(Contribution("accelerometer_settling", math.nan, math.nan, note=_SETTLED))
-    return Budget((*contributions, *_outside_contributions(dwells, inputs, outside, axis, weights)))
+        contributions.append(Contribution("accelerometer_settling", math.nan, math.nan, note=_SETTLED_NOTE))
+    return Budget((*contributions, *_external_contributions(dwells, inputs, external, axis, weights)))
 
 
 def _note(name: str, dof: float) -> str:
@@ -346,11 +352,11 @@ def _note(name: str, dof: float) -> str:
     return "estimated from the output of the dwell" if math.isfinite(dof) else declared
 
 
-def _as_stated(axis: int, dwell: BudgetedDwell) -> Mapping[str, ErrorPart]:
-    """Parts whose variances add up to the stated one of a gyro.
+def _parts_as_stated(axis: int, dwell: BudgetedDwell) -> Mapping[str, ErrorPart]:
+    """Parts whose variances add up to the stated variance of a gyro.
 
-    They do, but for a vertical gyro whose bias was corrected for a wrong latitude: there what the joint
-    solution says more or less is taken as that of the latitude.
+    The original ones do, except for a vertical gyro whose bias was corrected for a wrong latitude: there, the
+    difference from the stated variance is attributed to the latitude.
     """
     stated = (dwell.row.sigma_dph[axis] * DPH_TO_RADPS) ** 2
     variances = {name: float(np.sum(part.columns[axis] ** 2)) for name, part in dwell.parts.items()}
@@ -358,50 +364,50 @@ def _as_stated(axis: int, dwell: BudgetedDwell) -> Mapping[str, ErrorPart]:
     if "latitude" not in variances or abs(stated - total) <= 1e-6 * total:
         return dwell.parts
     others = total - variances["latitude"]
-    factors, left = np.ones(3), math.sqrt(max(stated - others, 0.0))
+    factors, latitude_sigma = np.ones(3), math.sqrt(max(stated - others, 0.0))
     factors[axis] = math.sqrt(min(stated / others, 1.0))
     changed = {name: part.scaled(factors) for name, part in dwell.parts.items()}
-    column, latitude = np.zeros((3, 1)), dwell.parts["latitude"]
-    column[axis] = left
+    latitude_column, latitude = np.zeros((3, 1)), dwell.parts["latitude"]
+    latitude_column[axis] = latitude_sigma
     is_corrected = variances["latitude"] > 1e-6 * total
-    factor = left / math.sqrt(variances["latitude"]) if is_corrected else 1.0
-    return changed | {"latitude": replace(latitude, columns=column, sigma=factor * latitude.sigma)}
+    factor = latitude_sigma / math.sqrt(variances["latitude"]) if is_corrected else 1.0
+    return changed | {"latitude": replace(latitude, columns=latitude_column, sigma=factor * latitude.sigma)}
 
 
 _Weighted = Sequence[tuple[FloatArray, float, float]]
 
 
-def _common(errors: _Weighted) -> tuple[float, float]:
-    """Standard uncertainty and dof of a mean by components (m,) that are the same in all dwells."""
+def _common_sigma(errors: _Weighted) -> tuple[float, float]:
+    """Standard uncertainty and dof of a mean, due to components (m,) that are the same in all dwells."""
     total = np.zeros(max(len(columns) for columns, _, _ in errors))
     for columns, _, weight in errors:
         total[: len(columns)] += weight * columns
     return float(np.linalg.norm(total)), min(dof for _, dof, _ in errors)
 
 
-def _independent(errors: _Weighted) -> tuple[float, float]:
-    """The same by components that are independent from dwell to dwell."""
+def _independent_sigma(errors: _Weighted) -> tuple[float, float]:
+    """Standard uncertainty and dof of a mean, due to components that are independent between dwells."""
     variances = [float(np.sum((weight * columns) ** 2)) for columns, _, weight in errors]
     total = math.fsum(variances)
     fourth = math.fsum(variance**2 / dof for variance, (_, dof, _) in zip(variances, errors, strict=True))
     return math.sqrt(total), total**2 / fourth if fourth else math.inf
 
 
-def _outside_contributions(
+def _external_contributions(
     dwells: Sequence[BudgetedDwell],
     inputs: BudgetInputs,
-    outside: _Outside,
+    external: _ExternalErrors,
     axis: int,
     weights: Sequence[float],
 ) -> tuple[Contribution, Contribution]:
     by_run: dict[str, float] = defaultdict(float)
     for dwell, weight in zip(dwells, weights, strict=True):
         by_run[dwell.row.run] += weight
-    repeated = outside.sigma_dph * math.sqrt(math.fsum(weight**2 for weight in by_run.values()))
+    repeated = external.sigma_dph * math.sqrt(math.fsum(weight**2 for weight in by_run.values()))
     cycles = Contribution(
-        "power_cycles", outside.sigma_dph, repeated, outside.dof, is_within=False, note=outside.note
+        "power_cycles", external.sigma_dph, repeated, external.dof, is_within=False, note=external.note
     )
-    curve = outside.curves.get(dwells[0].row.position)
+    curve = external.curves.get(dwells[0].row.position)
     if inputs.temperature_c is None:
         note = "not evaluated: ins.uncertainty.gyro_temperature_c is not declared"
     elif curve is None:
@@ -417,5 +423,5 @@ def _outside_contributions(
             note="declared in ins.uncertainty; sensitivity is the slope of the measured biases",
         )
         return sensor, cycles
-    given = math.nan if inputs.temperature_c is None else inputs.temperature_c
-    return Contribution("temperature_sensor", given, math.nan, is_within=False, note=note), cycles
+    input_sigma = math.nan if inputs.temperature_c is None else inputs.temperature_c
+    return Contribution("temperature_sensor", input_sigma, math.nan, is_within=False, note=note), cycles

@@ -1,4 +1,4 @@
-"""Velocity that an INS damps, although free inertial navigation is expected of it."""
+"""Damping of the velocity by an INS that should navigate free inertially."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import ClassVar
 
 import numpy as np
 
-#: Least rate that is reported, 1/s: what a slower one does to the biases is small.
+#: Lowest rate that is reported, 1/s: a lower one has little effect on the biases.
 _MIN_DAMPING = 0.5 / 3600.0
-#: Share of its uncertainty in one dwell that is the same in all dwells of a unit.
+#: Share of the uncertainty of the rate in one dwell that is the same error in all dwells of a unit.
 _COMMON_SHARE = 0.3
 
 
@@ -26,12 +26,12 @@ class Damping:
 
     @property
     def p_value(self) -> float:
-        """Probability of at least this rate in an INS that is free inertial; damping is never negative."""
+        """Probability of at least this rate in a free inertial INS (one-sided)."""
         return 0.5 * math.erfc(self.rate / self.sigma / math.sqrt(2.0))
 
-    def shows(self, p_value: float) -> bool:
-        """Whether the INS damps its velocity: at a rate that matters, rarer by chance than this."""
-        return self.rate >= _MIN_DAMPING and self.p_value < p_value
+    def is_significant(self, max_p_value: float) -> bool:
+        """Whether the rate is large enough to affect the biases, and its p-value below ``max_p_value``."""
+        return self.rate >= _MIN_DAMPING and self.p_value < max_p_value
 
     @property
     def text(self) -> str:
@@ -42,14 +42,14 @@ class Damping:
         )
 
     @classmethod
-    def mean(cls, several: Sequence[Damping]) -> Damping:
-        """Mean of several dwells of one INS, weighted by the inverse squares of their uncertainties.
+    def mean(cls, dwells: Sequence[Damping]) -> Damping:
+        """Mean of the rates of one or more dwells of an INS, weighted by 1/sigma^2.
 
-        Its uncertainty is that of the scatter, and of what the dwells have in common: how accelerometers
-        settle, and biases that follow the temperature within a dwell. ``several``: one or more, 1/s.
+        Its uncertainty includes the scatter and the errors that the dwells have in common: settling of the
+        accelerometers, and biases that follow the temperature within a dwell.
         """
-        rates = np.array([each.rate for each in several])
-        weights = np.array([each.sigma**-2.0 for each in several])
+        rates = np.array([each.rate for each in dwells])
+        weights = np.array([each.sigma**-2.0 for each in dwells])
         rate = weights @ rates / weights.sum()
         scatter = weights @ (rates - rate) ** 2 / max(len(rates) - 1, 1)
         common = _COMMON_SHARE**2 * len(rates) if len(rates) > 1 else 0.0

@@ -1,4 +1,4 @@
-"""One dwell as input of an estimator, and the estimate."""
+"""One dwell as the input of an estimator, and the estimated bias."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from gyrobench.bench.navigation.positions import POSITIONS, Position
 
 #: Fewest epochs of a window.
 MIN_EPOCHS = 30
-#: Shortest window, s: a minute of navigation less the epochs that its commands cost.
+#: Shortest window, s: a minute of navigation without the epochs lost to commands.
 MIN_DURATION = 55.0
-#: Longest time between two epochs, as a multiple of the usual one, and in s if that is more: velocity and
-#: heading are integrals, which lose nothing in a gap.
+#: Longest time between two epochs: this multiple of the median interval, or this time in s if that is longer.
+#: Velocity and heading are integrals, which lose nothing in a gap.
 MAX_GAP_EPOCHS, MAX_GAP_S = 5.5, 2.0
 _SLOT_TOLERANCE = 1e-3
 #: Largest angle between the attitude of the INS and that of the table, rad.
 MAX_ATTITUDE_DISAGREEMENT = np.deg2rad(5.0)
-#: Largest deviation of axes from right angles where the mounting is wrong, rad.
+#: If an attitude is wrong by right angles within this tolerance, rad, the mounting is wrong.
 _RIGHT_ANGLE_TOLERANCE = np.deg2rad(2.0)
 #: Largest change of the attitude of the INS within a window, rad: 3 deg/h for 10 min.
 _MAX_MOVEMENT = np.deg2rad(0.5)
 
 
-def slots(time_s: FloatArray, first_s: float, interval_s: float) -> IntArray:
-    """Number of the interval, counted from ``first_s``, that each time (n,) lies in."""
+def interval_indices(time_s: FloatArray, first_s: float, interval_s: float) -> IntArray:
+    """Index of the interval, counted from ``first_s``, in which each time (n,) lies."""
     return np.floor((time_s - first_s) / interval_s + _SLOT_TOLERANCE).astype(np.int64)
 
 
@@ -44,8 +44,8 @@ class RestOutput:
     #: Shape (n,), optional. Temperature of the accelerometers.
     accelerometer_c: FloatArray | None = None
 
-    def checked(self) -> NavigationWindow:
-        """The same as a window for the estimators, with its exceptions."""
+    def as_window(self) -> NavigationWindow:
+        """Return this output as a window for the estimators; raises as :class:`NavigationWindow`."""
         return NavigationWindow(
             self.time_s, self.velocity_enu_mps, self.C_nb, self.gyro_c, self.accelerometer_c
         )
@@ -53,9 +53,9 @@ class RestOutput:
 
 @dataclass(frozen=True, eq=False)
 class NavigationWindow(RestOutput):
-    """Output that the estimators can use.
+    """Output checked for use by the estimators.
 
-    Raises MeasurementError for too few epochs, too short a time, a gap, times that do not increase, NaN.
+    Raises MeasurementError for too few epochs, too short a time, a gap, times that do not increase, or NaN.
     """
 
     def __post_init__(self) -> None:
@@ -95,8 +95,10 @@ class NavigationWindow(RestOutput):
         return float(self.time_s[-1] - self.time_s[0])
 
     def thinned(self, interval_s: float) -> NavigationWindow:
-        """The first epoch of each interval alone."""
-        first = np.flatnonzero(np.diff(slots(self.time_s, self.time_s[0], interval_s), prepend=-1) > 0)
+        """Window with only the first epoch of each interval."""
+        first = np.flatnonzero(
+            np.diff(interval_indices(self.time_s, self.time_s[0], interval_s), prepend=-1) > 0
+        )
         gyro_c, accelerometer_c = (
             None if each is None else each[first] for each in (self.gyro_c, self.accelerometer_c)
         )
@@ -111,20 +113,20 @@ class TurnPath:
 
     #: Shape (k,). Times on the clock of the INS; before the first and after the last one the unit rests.
     time_s: FloatArray
-    C_nb: FloatArray  #: Shape (k, 3, 3). Attitude at each of them.
+    C_nb: FloatArray  #: Shape (k, 3, 3). Attitude at each of these times.
 
     @classmethod
-    def steady(cls, begin_s: float, end_s: float, C_nb: FloatArray) -> TurnPath:
+    def at_constant_rate(cls, begin_s: float, end_s: float, C_nb: FloatArray) -> TurnPath:
         """Attitudes (k, 3, 3) at equal times from begin to end."""
         return cls(np.linspace(begin_s, end_s, len(C_nb)), C_nb)
 
 
 @dataclass(frozen=True, eq=False)
 class Dwell:
-    """Navigation in one position, with turns about the vertical between segments at rest.
+    """Navigation in one position: windows at rest, with turns about the vertical between them.
 
-    Raises MeasurementError for an unknown position, windows out of order, or an INS whose attitude is not the
-    table's.
+    Raises MeasurementError for an unknown position, windows out of order, or an attitude of the INS that
+    disagrees with the table; SignalMapError if it disagrees by right angles.
     """
 
     position_name: str  #: Key of :data:`gyrobench.bench.navigation.positions.POSITIONS`.
@@ -157,33 +159,35 @@ class Dwell:
         self._check_attitude("position and azimuth", nominal, "table at the start", self.C_nb_table[0])
         for number, (window, C_nb) in enumerate(zip(self.windows, self.C_nb_table, strict=True), 1):
             self._check_attitude("INS", window.C_nb[0], f"table in window {number}", C_nb)
-            self._check_still(number, window)
+            self._check_rest(number, window)
 
     @property
     def position(self) -> Position:
-        """The position that the name stands for."""
+        """The position by its name."""
         return POSITIONS[self.position_name]
 
-    def _check_still(self, number: int, window: NavigationWindow) -> None:
-        moved = np.linalg.norm(rotation_vector_enu(window.C_nb, window.C_nb[0]), axis=1)
-        if not moved.max() <= _MAX_MOVEMENT:
+    def _check_rest(self, number: int, window: NavigationWindow) -> None:
+        rotation = np.linalg.norm(rotation_vector_enu(window.C_nb, window.C_nb[0]), axis=1)
+        if not rotation.max() <= _MAX_MOVEMENT:
             raise MeasurementError(
                 f"{self.position_name}: in window {number} the unit turned by "
-                f"{np.rad2deg(moved.max()):.1f} deg according to the INS (limit "
+                f"{np.rad2deg(rotation.max()):.1f} deg according to the INS (limit "
                 f"{np.rad2deg(_MAX_MOVEMENT):g} deg). Check that the table holds its position"
             )
 
-    def _check_attitude(self, what: str, C_one: FloatArray, other: str, C_other: FloatArray) -> None:
-        angle = angle_between(C_one, C_other)
+    def _check_attitude(
+        self, first_name: str, C_first: FloatArray, second_name: str, C_second: FloatArray
+    ) -> None:
+        angle = angle_between(C_first, C_second)
         if not angle <= MAX_ATTITUDE_DISAGREEMENT:
             # An INS that has not aligned is off by any angle, a wrong mounting by right angles.
-            turn = C_one.T @ C_other
+            turn = C_first.T @ C_second
             is_mounting = np.abs(turn - np.rint(turn)).max() < _RIGHT_ANGLE_TOLERANCE
             raise (SignalMapError if is_mounting else MeasurementError)(
-                f"{self.position_name}: {what} and {other} disagree by {np.rad2deg(angle):.1f} deg "
-                f"(at most {np.rad2deg(MAX_ATTITUDE_DISAGREEMENT):g} deg is allowed). Check directions and "
-                "numbers of the axes and the mounting in rate_table of the station file, and whether the INS "
-                "had aligned"
+                f"{self.position_name}: {first_name} and {second_name} disagree by "
+                f"{np.rad2deg(angle):.1f} deg (at most {np.rad2deg(MAX_ATTITUDE_DISAGREEMENT):g} deg is "
+                "allowed). Check directions and numbers of the axes and the mounting in rate_table of the "
+                "station file, and whether the INS had aligned"
             )
 
 

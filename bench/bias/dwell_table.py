@@ -1,4 +1,4 @@
-"""The dwell table ``dwells.csv``: one row per dwell, read from and written to CSV."""
+"""Reads and writes the dwell table ``dwells.csv``, which has one row per dwell."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ _TRIPLES = {
     "accelerometer_sigma_ug": "accelerometer_sigma_{}_ug",
 }
 _FIT = ("fit_ratio", "fit_p_value")
-#: How values are read that are more than a number.
+#: Readers of values with further checks; all others are read as plain numbers.
 _READERS = {"gyro_c": CsvTable.temperature} | dict.fromkeys(
     ("sigma_dph", "paper_sigma_dph", "accelerometer_sigma_ug"), CsvTable.uncertainty
 )
 
 
 def columns_of(names: Iterable[str]) -> tuple[str, ...]:
-    """Columns of fields: three of those with three values."""
+    """Columns of fields; a field of three values has three columns."""
     return tuple(
         column
         for name in names
@@ -43,13 +43,13 @@ def columns_of(names: Iterable[str]) -> tuple[str, ...]:
     )
 
 
-#: Fields beside what is measured, and how many numbers that is.
-_NOT_NUMBERS = ("unit", "run", "dwell", "cycle", "position", "other", "flags")
-_NUMBERS = len(SCALARS) + 3 * len(_TRIPLES) + len(_FIT)
-_NAMES = ("unit", "run", "dwell", "cycle", "position", *SCALARS, *_TRIPLES, *_FIT)
+#: Fields other than measured numbers, and the number of measured numbers in a row.
+_LABEL_FIELDS = ("unit", "run", "dwell", "cycle", "position", "other", "flags")
+_NUMBER_COUNT = len(SCALARS) + 3 * len(_TRIPLES) + len(_FIT)
+_FIELD_NAMES = ("unit", "run", "dwell", "cycle", "position", *SCALARS, *_TRIPLES, *_FIT)
 
-#: Columns that a table is written with.
-COLUMNS = (*columns_of(_NAMES), "flags")
+#: Columns of a table as it is written.
+COLUMNS = (*columns_of(_FIELD_NAMES), "flags")
 #: Other column: number of other units in the chamber that were on, mean over the dwell.
 NEIGHBOURS_ON = "neighbours_on"
 #: Values of three gyros without a measurement.
@@ -65,8 +65,8 @@ class DwellRow:
     #: unit, run: Serial number of the INS, and one value per power-on.
     unit: str
     run: str
-    dwell: int  #: Number unique in the table, in time order.
-    cycle: int  #: Which pass of the temperature profile.
+    dwell: int  #: Number of the dwell, unique in the table, in time order.
+    cycle: int  #: Number of the pass of the temperature profile.
     position: str  #: Key of :data:`gyrobench.bench.navigation.positions.POSITIONS`.
     #: start_s, end_s: Time on one clock for the whole table.
     start_s: float
@@ -76,55 +76,53 @@ class DwellRow:
     gyro_c: Triple
     gyro_rate_c_per_h: Triple
     #: bias_dph, sigma_dph: Measured bias in body axes, and its standard uncertainty; by the state-space
-    #: estimator where the bench measured it.
+    #: estimator if the bench measured it.
     bias_dph: Triple
     sigma_dph: Triple
-    azimuth_deg: float = math.nan  #: Azimuth at the start of the dwell; NaN where not known.
-    #: chamber_set_c, chamber_c, case_c: Mean temperatures; NaN where not measured.
+    azimuth_deg: float = math.nan  #: Azimuth at the start of the dwell; NaN if not known.
+    #: chamber_set_c, chamber_c, case_c: Mean temperatures; NaN if not measured.
     chamber_set_c: float = math.nan
     chamber_c: float = math.nan
     case_c: float = math.nan
-    #: Mean temperature of each gyro's electronics; NaN where there is no sensor.
+    #: Mean temperature of each gyro's electronics; NaN if there is no sensor.
     board_c: Triple = NOT_MEASURED
-    #: paper_bias_dph, paper_sigma_dph: The same by the paper's method; NaN where that does not apply.
+    #: paper_bias_dph, paper_sigma_dph: The same by the paper's method; NaN if that does not apply.
     paper_bias_dph: Triple = NOT_MEASURED
     paper_sigma_dph: Triple = NOT_MEASURED
     #: accelerometer_ug, accelerometer_sigma_ug: Biases of the accelerometers and their standard
-    #: uncertainties, ug; NaN where not known. That of the vertical one keeps the uncertainty of prior
-    #: knowledge.
+    #: uncertainties, ug; NaN if not known. The vertical one is not measured and keeps its prior uncertainty.
     accelerometer_ug: Triple = NOT_MEASURED
     accelerometer_sigma_ug: Triple = NOT_MEASURED
-    #: fit_ratio, fit_p_value: See :class:`gyrobench.bench.bias.statistics.Chi2Test`; NaN where not
-    #: known.
+    #: fit_ratio, fit_p_value: See :class:`gyrobench.bench.bias.statistics.Chi2Test`; NaN if not known.
     fit_ratio: float = math.nan
     fit_p_value: float = math.nan
     #: Numbers of other columns by name, such as ``supply_w``: inputs that an effect may follow.
     other: tuple[tuple[str, float], ...] = ()
-    #: What was wrong with the dwell; empty where nothing was. A dwell with flags may be without result: NaN
-    #: for its biases, their uncertainties and the gyros' temperatures.
+    #: Faults of the dwell; empty if there are none. A dwell with flags may have no result: NaN for its
+    #: biases, their uncertainties and the gyros' temperatures.
     flags: tuple[str, ...] = ()
 
 
-#: What a table may lack, or have empty.
+#: Fields whose columns may be missing or have empty cells.
 _OPTIONAL = {field.name for field in fields(DwellRow) if field.default is not MISSING}
-_REQUIRED = columns_of(name for name in _NAMES if name not in _OPTIONAL)
+_REQUIRED = columns_of(name for name in _FIELD_NAMES if name not in _OPTIONAL)
 
 
 class PackedDwells(Sequence[DwellRow]):
-    """Rows in a third of the memory, for tables that are kept while much else is.
+    """Rows packed into a third of the memory, for tables that are kept for long.
 
-    Each row is made when it is used: the same row is equal twice only where all of it is measured.
+    Each row is created on access, so two copies of a row compare equal only if they contain no NaN.
     """
 
     def __init__(self, rows: Iterable[DwellRow]) -> None:
-        self._names: list[tuple[Any, ...]] = []
-        self._numbers = array("d")
+        self._labels: list[tuple[Any, ...]] = []
+        self._measured_values = array("d")
         for row in rows:
-            self._names.append(tuple(getattr(row, name) for name in _NOT_NUMBERS))
-            self._numbers.extend(_numbers(row))
+            self._labels.append(tuple(getattr(row, name) for name in _LABEL_FIELDS))
+            self._measured_values.extend(_measured_values(row))
 
     def __len__(self) -> int:
-        return len(self._names)
+        return len(self._labels)
 
     @overload
     def __getitem__(self, index: int) -> DwellRow: ...
@@ -132,10 +130,10 @@ class PackedDwells(Sequence[DwellRow]):
     def __getitem__(self, index: slice) -> list[DwellRow]: ...
     def __getitem__(self, index: int | slice) -> DwellRow | list[DwellRow]:
         if isinstance(index, slice):
-            return [self[place] for place in range(*index.indices(len(self)))]
-        place = range(len(self))[index]
-        numbers = iter(self._numbers[place * _NUMBERS : (place + 1) * _NUMBERS])
-        values: dict[str, Any] = dict(zip(_NOT_NUMBERS, self._names[place], strict=True))
+            return [self[row_index] for row_index in range(*index.indices(len(self)))]
+        row_index = range(len(self))[index]
+        numbers = iter(self._measured_values[row_index * _NUMBER_COUNT : (row_index + 1) * _NUMBER_COUNT])
+        values: dict[str, Any] = dict(zip(_LABEL_FIELDS, self._labels[row_index], strict=True))
         values |= {name: next(numbers) for name in SCALARS}
         values |= {name: (next(numbers), next(numbers), next(numbers)) for name in _TRIPLES}
         values |= zip(_FIT, numbers, strict=True)
@@ -143,7 +141,7 @@ class PackedDwells(Sequence[DwellRow]):
 
 
 def paper_rows(rows: Iterable[DwellRow]) -> list[DwellRow]:
-    """Rows with the paper's biases in the place of the state-space ones; those without are left out."""
+    """Rows with the paper's biases instead of the state-space ones; rows without any are left out."""
     return [
         replace(row, bias_dph=row.paper_bias_dph, sigma_dph=row.paper_sigma_dph)
         for row in rows
@@ -168,14 +166,14 @@ def write_dwells(path: Path, rows: Iterable[DwellRow]) -> None:
 
 
 def parse_dwells(text: str, name: str) -> list[DwellRow]:
-    """Read CSV text.
+    """Read a dwell table from CSV text.
 
-    Columns may come in any order; the numbers of others are kept. ``flags``, what the paper's method gave,
-    accelerometers, the test of fit and the temperatures that may be empty may also be missing. Values of the
-    gyros may be empty in a row with flags, which say why.
+    Columns may be in any order; the numbers in unknown columns are kept. The columns of ``flags``, the
+    paper's method, accelerometers, goodness of fit and the temperatures that may be empty may also be
+    missing. Values of the gyros may be empty in a row with flags, which give the reason.
 
-    ``name``: what to call the file in messages. Raises DocumentError, which lists everything that is wrong
-    with the table, each with file, line and column.
+    ``name``: name of the file in messages. Raises DocumentError, which lists all problems of the table, each
+    with file, line and column.
     """
     return list(_rows(text, name))
 
@@ -189,12 +187,12 @@ def read_dwells(path: Path) -> list[DwellRow]:
 
 
 def read_packed_dwells(path: Path) -> PackedDwells:
-    """The same, as rows that are kept."""
+    """Read a dwell table as :class:`PackedDwells`; see :func:`parse_dwells`."""
     return PackedDwells(_rows(read_text(path), str(path)))
 
 
 def _rows(text: str, name: str) -> Iterator[DwellRow]:
-    """Give the rows, then raise what is wrong with the table."""
+    """Yield the rows, then raise DocumentError if the table has problems."""
     table = CsvTable(text, name, required=_REQUIRED)
     other = [name for name in table.header if name not in COLUMNS and table.is_numeric(name)]
     seen: dict[int, int] = {}
@@ -207,8 +205,8 @@ def _rows(text: str, name: str) -> Iterator[DwellRow]:
     table.raise_problems()
 
 
-def _numbers(row: DwellRow) -> Iterator[float]:
-    """What is measured, in the order of the columns."""
+def _measured_values(row: DwellRow) -> Iterator[float]:
+    """Measured numbers of a row, in the order of the columns."""
     yield from (getattr(row, name) for name in SCALARS)
     for name in _TRIPLES:
         yield from getattr(row, name)
@@ -217,7 +215,7 @@ def _numbers(row: DwellRow) -> Iterator[float]:
 
 def _cells(row: DwellRow) -> list[str]:
     names = [row.unit, row.run, str(row.dwell), str(row.cycle), row.position]
-    return [*names, *map(format_number, _numbers(row)), flag_text(row.flags)]
+    return [*names, *map(format_number, _measured_values(row)), flag_text(row.flags)]
 
 
 def _row(table: CsvTable, index: int, other: Sequence[str]) -> DwellRow:

@@ -1,4 +1,4 @@
-"""Sources of error of measured biases and coefficients, as uncertainty budgets name them."""
+"""Error sources of measured biases and coefficients, with their names in uncertainty budgets."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from gyrobench.bench.foundations.arrays import (
 class ErrorSource:
     """A source of error."""
 
-    title: str  #: For people.
+    title: str  #: Name in reports.
     unit: str
-    per_si: float  #: What a value in SI is multiplied by.
-    is_common: bool = False  #: Whether it is the same in all dwells of a bin.
+    per_si: float  #: Factor from SI to the unit.
+    is_common: bool = False  #: Whether the error is the same in all dwells of a bin.
     note: str = ""
 
 
 _DECLARED = "declared in ins.uncertainty"
-#: Names in tables, in their order.
+#: Sources by their names in tables, in the order of the tables.
 SOURCES: Mapping[str, ErrorSource] = MappingProxyType(
     {
         "angle_random_walk": ErrorSource(

@@ -1,16 +1,16 @@
-"""The error of a dwell's biases split over its independent sources, with the gains of the estimator fixed.
+"""Splits the error of a dwell's biases by its independent sources, with the gains of the estimator fixed.
 
-The estimate is linear: the bias's error is the sum of what each noise source and each part of the prior
-knowledge contributes by the estimator's gains, so the covariances of the parts add up to that of the estimate
-(Joseph's form). The part of the prior knowledge follows from the normal equations. For that of the noise one
-backward pass of the whitening filter carries the weights of all innovations to the noise of each interval and
-each output.
+The estimate is linear: the error of a bias is the sum of the contributions of each noise source and each part
+of the prior knowledge through the estimator's gains, so the covariances of the parts add up to that of the
+estimate (Joseph's form). The contribution of the prior knowledge follows from the normal equations. For that
+of the noise, one backward pass of the whitening filter propagates the weights of all innovations to the noise
+of each interval and each output.
 
-An error that acts alike in several dwells moves their biases together. In all power cycles it does not show
-in their scatter: to subtract it from the scatter as noise would hide what the gyros do from one power cycle
-to the next. The drift of accelerometers counts as such an error there, although it is independent from dwell
-to dwell otherwise: power cycles are measured as long after power-on, where accelerometers that warm up drift
-alike.
+An error that is the same in several dwells changes their biases by the same amount. If it is the same in all
+power cycles, it does not add to their scatter; subtracting it from the scatter as noise would hide changes of
+the gyros from one power cycle to the next. There, the drift of accelerometers counts as a common error,
+although it is independent from dwell to dwell otherwise: power cycles are measured at the same time after
+power-on, when accelerometers that warm up drift by the same amount.
 """
 
 from __future__ import annotations
@@ -37,61 +37,61 @@ from gyrobench.bench.navigation.error_model import STATES, Site, unit_walks
 
 @dataclass(frozen=True, eq=False)
 class ErrorPart:
-    """Error of the biases of the x, y and z gyro by one source."""
+    """Error of the biases of the x, y and z gyro due to one source."""
 
-    #: Shape (3, m). By one standard deviation of each of m independent components, rad/s.
+    #: Shape (3, m). Error for one standard deviation of each of m independent components, rad/s.
     columns: FloatArray
     sigma: float  #: Standard uncertainty of each component, SI.
-    dof: float = math.inf  #: Its degrees of freedom; infinite where it is declared.
+    dof: float = math.inf  #: Its degrees of freedom; infinite if it is declared.
 
     def scaled(self, factors: FloatArray) -> ErrorPart:
-        """The same with the error of each gyro multiplied by a factor (3,)."""
+        """Part with the error of each gyro multiplied by a factor (3,)."""
         return replace(self, columns=self.columns * factors[:, np.newaxis])
 
 
-#: Errors (3, s) of the biases of the x, y and z gyro in a dwell by each of s independent sources that act in
-#: all dwells, deg/h, by number of the dwell.
+#: By number of the dwell: errors (3, s) of the biases of its x, y and z gyro due to each of s independent
+#: sources that act in all dwells, deg/h.
 SharedErrors = Mapping[int, FloatArray]
 NONE_SHARED: SharedErrors = MappingProxyType({})
 
 
 def shared_errors(dwells: Mapping[int, Mapping[str, ErrorPart]], sources: Iterable[str]) -> SharedErrors:
-    """Errors by these sources, from the parts of each dwell by its number."""
+    """Errors due to these sources, from the parts of each dwell by its number."""
     columns: dict[int, list[FloatArray]] = {number: [] for number in dwells}
     for source in sources:
-        own = {number: parts[source].columns for number, parts in dwells.items() if source in parts}
-        width = max((each.shape[1] for each in own.values()), default=0)
-        for number, of_dwell in columns.items():
-            found = own.get(number, np.zeros((3, 0)))
-            of_dwell.append(np.pad(found, ((0, 0), (0, width - found.shape[1]))))
+        by_dwell = {number: parts[source].columns for number, parts in dwells.items() if source in parts}
+        width = max((each.shape[1] for each in by_dwell.values()), default=0)
+        for number, blocks in columns.items():
+            dwell_columns = by_dwell.get(number, np.zeros((3, 0)))
+            blocks.append(np.pad(dwell_columns, ((0, 0), (0, width - dwell_columns.shape[1]))))
     return {number: RADPS_TO_DPH * np.hstack(each) for number, each in columns.items()}
 
 
 class ErrorParts(Mapping[str, ErrorPart]):
-    """The parts by source, in two arrays: a run keeps those of all its dwells."""
+    """Mapping of source to part, stored in two arrays, since a run keeps the parts of all its dwells."""
 
-    __slots__ = ("_columns", "_places", "_scalars")
+    __slots__ = ("_columns", "_scalars", "_slices")
 
     def __init__(self, parts: Mapping[str, ErrorPart]) -> None:
-        self._places = _places(tuple((name, part.columns.shape[1]) for name, part in parts.items()))
+        self._slices = _slices(tuple((name, part.columns.shape[1]) for name, part in parts.items()))
         self._columns = np.hstack([part.columns for part in parts.values()])
         self._scalars = np.array([(part.sigma, part.dof) for part in parts.values()])
 
     def __getitem__(self, name: str) -> ErrorPart:
-        number, columns = self._places[name]
-        sigma, dof = self._scalars[number].tolist()
+        index, columns = self._slices[name]
+        sigma, dof = self._scalars[index].tolist()
         return ErrorPart(self._columns[:, columns], sigma, dof)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._places)
+        return iter(self._slices)
 
     def __len__(self) -> int:
-        return len(self._places)
+        return len(self._slices)
 
 
 @lru_cache(maxsize=16)
-def _places(sizes: tuple[tuple[str, int], ...]) -> Mapping[str, tuple[int, slice]]:
-    """Number and columns of each part of some sizes; all dwells with the same parts share them."""
+def _slices(sizes: tuple[tuple[str, int], ...]) -> Mapping[str, tuple[int, slice]]:
+    """Index and columns of each part, given their sizes; all dwells with the same parts share the result."""
     ends = itertools.accumulate(size for _, size in sizes)
     return {
         name: (number, slice(end - size, end))
@@ -100,41 +100,44 @@ def _places(sizes: tuple[tuple[str, int], ...]) -> Mapping[str, tuple[int, slice
 
 
 def prior_parts(
-    response: FloatArray, prior: PriorKnowledge, shown: FloatArray, windows: int
+    response: FloatArray, prior: PriorKnowledge, parameter_mask: FloatArray, windows: int
 ) -> dict[str, ErrorPart]:
-    """Errors by prior knowledge.
+    """Errors due to prior knowledge.
 
     Parameters
     ----------
     response : ndarray, shape (3, p)
         Error of the biases for one standard deviation of each independent part of the prior knowledge.
-    shown : ndarray, shape (p,)
-        1 for each parameter that is estimated, 0 for those that count as zero.
+    parameter_mask : ndarray, shape (p,)
+        1 for each parameter that is estimated, 0 for those that are taken as zero.
     windows : int
         Number of windows.
     """
     matrix = np.arange(parameters.GYRO_MATRIX.start, parameters.GYRO_MATRIX.stop)
     scale_factors = matrix[:: 3 + 1]
-    own = parameters.COMMON + parameters.PER_WINDOW * np.arange(windows)
+    window_starts = parameters.COMMON_COUNT + parameters.PER_WINDOW * np.arange(windows)
     per_window = np.arange(parameters.PER_WINDOW)
-    settling = parameters.transients(windows)
-    places: dict[str, tuple[slice | IntArray, float]] = {
+    transient_indices = parameters.transients(windows)
+    indices: dict[str, tuple[slice | IntArray, float]] = {
         "accelerometer_bias": (parameters.ACCELEROMETER_BIAS, prior.accelerometer_bias),
         "accelerometer_drift": (parameters.ACCELEROMETER_DRIFT, prior.accelerometer_drift),
         "accelerometer_slope": (parameters.ACCELEROMETER_SLOPE, prior.accelerometer_slope),
         "gyro_scale_factor": (scale_factors, prior.gyro_scale_factor),
         "gyro_misalignment": (np.setdiff1d(matrix, scale_factors), prior.gyro_misalignment),
-        "tilt_step": (np.add.outer(own[1:], per_window[parameters.ATTITUDE]).ravel(), prior.tilt_step),
+        "tilt_step": (
+            np.add.outer(window_starts[1:], per_window[parameters.ATTITUDE]).ravel(),
+            prior.tilt_step,
+        ),
         "latitude": (parameters.NAVIGATION_RATE, prior.latitude),
         "bias_slope": (parameters.GYRO_SLOPE, prior.bias_slope),
     }
-    if len(settling) and shown[settling].any():
-        places["accelerometer_settling"] = settling, prior.accelerometer_transient
-    named = np.zeros(response.shape[1], dtype=bool)
-    for place, _ in places.values():
-        named[place] = True
-    parts = {name: ErrorPart(response[:, place], sigma) for name, (place, sigma) in places.items()}
-    others = response[:, ~named]
+    if len(transient_indices) and parameter_mask[transient_indices].any():
+        indices["accelerometer_settling"] = transient_indices, prior.accelerometer_transient
+    is_named = np.zeros(response.shape[1], dtype=bool)
+    for index, _ in indices.values():
+        is_named[index] = True
+    parts = {name: ErrorPart(response[:, index], sigma) for name, (index, sigma) in indices.items()}
+    others = response[:, ~is_named]
     return parts | {"initial_state": ErrorPart(_root(others @ others.T), math.nan)}
 
 
@@ -146,12 +149,12 @@ def noise_parts(
     site: Site,
     noise: NoiseModel,
 ) -> dict[str, ErrorPart]:
-    """Errors by the noise of gyros, accelerometers and outputs.
+    """Errors due to the noise of gyros, accelerometers and outputs.
 
     Parameters
     ----------
     windows, changes : sequences of WindowFilter and WindowChange
-        All windows of the dwell, and from each to the next.
+        All windows of the dwell, and the change from each to the next.
     expansions : sequence of ndarray, shape (c, p)
         Each column of a window for a unit of each parameter.
     gain : ndarray, shape (p, 3)
@@ -159,17 +162,17 @@ def noise_parts(
     """
     walks, outputs, costate = np.zeros((2, 3, 3)), np.zeros((3, 3, 3)), np.zeros((STATES, 3))
     for number in reversed(range(len(windows))):
-        epochs = windows[number].epochs_filtered
+        epochs = windows[number].filtered_epochs
         durations = np.diff(epochs.time_s, prepend=epochs.time_s[0])
-        by_walk = unit_walks(site, durations)
-        # What the white innovations count in the biases.
+        walk_covariance = unit_walks(site, durations)
+        # Weights of the white innovations in the biases.
         weights = epochs.rows[:, :, :DATA] @ (expansions[number] @ gain[: expansions[number].shape[1]])
         _backward(
-            weights, epochs.gains, epochs.scales, epochs.transition, by_walk,
+            weights, epochs.gains, epochs.scales, epochs.transition, walk_covariance,
             costate, walks, outputs,
         )  # fmt: skip
         if number:
-            walks += costate.T @ changes[number - 1].by_walk @ costate
+            walks += costate.T @ changes[number - 1].walk_covariance @ costate
             costate = np.ascontiguousarray(changes[number - 1].transition.T @ costate)
     variances = windows[0].output_variances
     covariances = {
@@ -192,17 +195,17 @@ def _root(covariance: FloatArray) -> FloatArray:
 
 @compiled
 def _backward(
-    weights: FloatArray, gains: FloatArray, scales: FloatArray, transitions: FloatArray, by_walk: FloatArray,
-    costate: FloatArray, walks: FloatArray, outputs: FloatArray,
+    weights: FloatArray, gains: FloatArray, scales: FloatArray, transitions: FloatArray,
+    walk_covariance: FloatArray, costate: FloatArray, walks: FloatArray, outputs: FloatArray,
 ) -> None:  # fmt: skip
-    """Carry the weights of a window's innovations back to the noise; changes the last three in place.
+    """Propagate the weights of a window's innovations back to the noise; changes the last three in place.
 
     Parameters
     ----------
     weights, gains, scales, transitions : ndarray, shape (n, 3, 3), (n, 3, 6), (n, 3), (n, 6, 6)
-        See :class:`gyrobench.bench.bias.window_filter.EpochsFiltered`.
-    by_walk : ndarray, shape (2, n, 6, 6)
-        Covariance that unit angle and velocity random walk add in the interval that leads to each epoch.
+        See :class:`gyrobench.bench.bias.window_filter.FilteredEpochs`.
+    walk_covariance : ndarray, shape (2, n, 6, 6)
+        Covariance that unit angle and velocity random walk add in the interval that ends at each epoch.
     costate : ndarray, shape (6, 3)
         Error of the biases for a unit error of the state.
     walks, outputs : ndarray, shape (2, 3, 3), (3, 3, 3)
@@ -226,7 +229,7 @@ def _backward(
                 for b in range(3):
                     carried[i, b] = 0.0
                     for j in range(STATES):
-                        carried[i, b] += by_walk[s, k, i, j] * costate[j, b]
+                        carried[i, b] += walk_covariance[s, k, i, j] * costate[j, b]
             for b in range(3):
                 for c in range(3):
                     for i in range(STATES):
@@ -248,39 +251,40 @@ _COMMON = [name for name, source in SOURCES.items() if source.is_common or name 
 class SplitError:
     """Error of the biases of the three gyros in a dwell, or of a mean of dwells."""
 
-    own: FloatArray  #: Shape (3,). Variance by what is independent from dwell to dwell, (deg/h)^2.
-    #: Shape (3, s). By one standard uncertainty of each of the sources that act in all dwells, deg/h.
+    #: Shape (3,). Variance due to sources independent from dwell to dwell, (deg/h)^2.
+    own_variance: FloatArray
+    #: Shape (3, s). Error for one standard uncertainty of each source that acts in all dwells, deg/h.
     common: FloatArray
 
     @classmethod
     def independent(cls, sigma_dph: Sequence[float]) -> SplitError:
-        """Error without a part in common."""
+        """Error without a common part."""
         return cls(np.array(sigma_dph) ** 2, np.zeros((3, 0)))
 
 
-#: By number of the dwell.
+#: Errors by number of the dwell.
 SplitErrors = Mapping[int, SplitError]
 
 
 def split_errors(dwells: Mapping[int, Mapping[str, ErrorPart]]) -> dict[int, SplitError]:
-    """Errors of dwells from their parts."""
+    """Errors of dwells from their parts, both by number of the dwell."""
     common = shared_errors(dwells, _COMMON)
-    own = shared_errors(dwells, [name for name in SOURCES if name not in _COMMON])
-    return {number: SplitError((own[number] ** 2).sum(axis=1), common[number]) for number in dwells}
+    independent = shared_errors(dwells, [name for name in SOURCES if name not in _COMMON])
+    return {number: SplitError((independent[number] ** 2).sum(axis=1), common[number]) for number in dwells}
 
 
 def mean_error(errors: Sequence[SplitError], weights: FloatArray) -> SplitError:
-    """Error of a mean with weights (m, 3) for each dwell and gyro, which add up to 1."""
-    own = sum(weight**2 * each.own for weight, each in zip(weights, errors, strict=True))
+    """Error of a mean of m dwells with weights (m, 3) for each dwell and gyro, which add up to 1."""
+    variance = sum(weight**2 * each.own_variance for weight, each in zip(weights, errors, strict=True))
     common = sum(weight[:, None] * each.common for weight, each in zip(weights, errors, strict=True))
-    return SplitError(np.asarray(own), np.asarray(common))
+    return SplitError(np.asarray(variance), np.asarray(common))
 
 
 def scatter_variances(errors: Sequence[SplitError]) -> FloatArray:
     """Variances (c, 3) that errors add to the scatter of power cycles about their mean, (deg/h)^2.
 
-    Of the errors in common it is what differs between the power cycles, two or more.
+    Common errors add only as far as they differ between the power cycles, two or more.
     """
     common = np.array([each.common for each in errors])
     differing = ((common - common.mean(axis=0)) ** 2).sum(axis=2) * len(errors) / (len(errors) - 1)
-    return np.asarray(np.array([each.own for each in errors]) + differing)
+    return np.asarray(np.array([each.own_variance for each in errors]) + differing)

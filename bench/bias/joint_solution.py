@@ -1,13 +1,12 @@
-"""All dwells of one plateau solved together.
+"""Solves all dwells of one plateau together.
 
-What the positions share is one set of parameters: accelerometer biases and misalignments, gyro error
-matrix, error of the latitude. The gyro biases of each dwell stay its own; that they may differ is
-what the bench is for, and nothing here draws them to one another.
+The dwells share one set of parameters: accelerometer biases and misalignments, gyro error matrix, error of
+the latitude. Each dwell keeps its own gyro biases: the bench is there to measure how these differ, so nothing
+here pulls them together.
 
-There are three solutions: each dwell by itself; all together, with the latitude as well known as
-declared; and all together with any rate North, in which a rate Up stays in the biases of the
-vertical gyros. From the last one that rate can be taken away: see
-:mod:`gyrobench.bench.bias.vertical_pairs`.
+There are three solutions: each dwell by itself; all together, with the declared uncertainty of the latitude;
+and all together with a free rate North, in which a rate Up remains in the biases of the vertical gyros. That
+rate can be subtracted from the last one: see :mod:`gyrobench.bench.bias.vertical_pairs`.
 """
 
 from __future__ import annotations
@@ -27,31 +26,30 @@ from gyrobench.bench.foundations.arrays import STANDARD_GRAVITY, FloatArray, Int
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import POSITIONS, Position
 
-#: Shared parameters: accelerometer biases, accelerometer error matrix by rows (its diagonal, the
-#: scale factors, acts on Up alone and is not seen), rate North and Up fixed in the navigation
-#: frame, gyro error matrix by rows. The gyro biases of each dwell follow.
+#: Indices of the shared parameters: accelerometer biases; accelerometer error matrix by rows (its diagonal,
+#: the scale factors, acts only on Up and is not observable); rate North and Up fixed in the navigation frame;
+#: gyro error matrix by rows. The gyro biases of each dwell follow.
 SHARED_ACCELEROMETER_BIAS, SHARED_ACCELEROMETER_MATRIX = slice(0, 3), slice(3, 12)
 SHARED_NAVIGATION_RATE, SHARED_GYRO_MATRIX = slice(12, 14), slice(14, 23)
-SHARED = 23
+SHARED_COUNT = 23
 
-# A rate of which nothing is known beforehand, rad/s.
+# Prior of a rate without prior knowledge, rad/s.
 _ANY_RATE = 0.01
-# What data say less of than this, in units of prior knowledge, is noise; 1 would equal it.
+# Rows with less information than this, relative to the prior knowledge, are left out.
 _MIN_INFORMATION = 0.3
 
-# What a dwell shows of its parameters beyond its own: its gyro biases, the accelerometer biases as
-# they seem in its position, rates and gyro error matrix.
-_SHOWN = np.r_[
+# Parameters of a dwell that enter the joint problem: its gyro biases, the apparent accelerometer biases in
+# its position, rates and gyro error matrix.
+_JOINT_COLUMNS = np.r_[
     parameters.GYRO_BIAS, parameters.ACCELEROMETER_BIAS, parameters.NAVIGATION_RATE, parameters.GYRO_MATRIX
 ]
 _BIAS, _ACCELERATION, _RATE, _MATRIX = slice(0, 3), slice(3, 6), slice(6, 8), slice(8, 17)
 
 _NORTH = SHARED_NAVIGATION_RATE.start
-#: Sizes, SI, of accelerometer biases and of elements of the matrices that are large for a unit whose INS
-#: compensates them.
+#: Large values, SI, of accelerometer biases and of elements of the matrices, for a unit with compensation.
 _LARGE_BIAS, _LARGE_ELEMENT = 0.1, 1e-3
 _LOWER, _OFF_DIAGONAL = np.tril(np.ones((3, 3))).ravel(), ~np.eye(3, dtype=bool).ravel()
-#: Dwells agree no more where chance alone makes them differ as much less often than this.
+#: Dwells disagree if their test has a smaller p-value.
 _MIN_P_VALUE = 1e-3
 
 
@@ -59,50 +57,58 @@ _MIN_P_VALUE = 1e-3
 class JointInformation:
     """Information of one dwell on the joint problem."""
 
-    #: rows, data: Shape (n, 17), (n,). White rows for biases at mean temperatures, accelerometer biases as
-    #: they seem in this position, rates North and Up, and gyro error matrix.
+    #: rows, data: Shape (n, 17), (n,). White rows for biases at mean temperatures, apparent accelerometer
+    #: biases in this position, rates North and Up, and gyro error matrix.
     rows: FloatArray
     data: FloatArray
-    position: Position  #: Which body axis was vertical.
+    position: Position
     earth_rate: FloatArray  #: Shape (3,). ENU, rad/s.
 
     @classmethod
     def of(cls, information: DwellInformation, position: Position, prior: PriorKnowledge) -> JointInformation:
-        """Eliminate what no other dwell shares: slopes, initial errors, headings, steps in the turns."""
+        """Eliminate parameters of a single dwell: slopes, initial errors, headings, steps in the turns."""
         rows = information.rows.copy()
-        # Biases at the mean temperatures become parameters; the slopes turn about those temperatures.
+        # The biases at the mean temperatures become parameters; slopes then act about these temperatures.
         for bias, slope, at_mean in (
             (parameters.GYRO_BIAS, parameters.GYRO_SLOPE, information.bias_at_mean),
             (parameters.ACCELEROMETER_BIAS, parameters.ACCELEROMETER_SLOPE, information.acceleration_at_mean),
         ):
             rows[:, slope] -= rows[:, bias] @ at_mean[:, slope]
-        own = np.r_[
+        eliminated = np.r_[
             parameters.GYRO_SLOPE,
             parameters.ACCELEROMETER_DRIFT,
             parameters.ACCELEROMETER_SLOPE,
-            parameters.COMMON : rows.shape[1],
+            parameters.COMMON_COUNT : rows.shape[1],
         ]
         root = parameters.prior_root(prior, information.windows, information.earth_rate)
         stacked = np.block(
             [
-                [rows[:, own] @ root[np.ix_(own, own)], rows[:, _SHOWN], information.data[:, np.newaxis]],
-                [np.eye(len(own)), np.zeros((len(own), len(_SHOWN) + 1))],
+                [
+                    rows[:, eliminated] @ root[np.ix_(eliminated, eliminated)],
+                    rows[:, _JOINT_COLUMNS],
+                    information.data[:, np.newaxis],
+                ],
+                [np.eye(len(eliminated)), np.zeros((len(eliminated), len(_JOINT_COLUMNS) + 1))],
             ]
         )
-        rest = compress(stacked)[len(own) :, len(own) :]
-        sizes = np.diagonal(root)[_SHOWN].copy()
+        reduced = compress(stacked)[len(eliminated) :, len(eliminated) :]
+        sizes = np.diagonal(root)[_JOINT_COLUMNS].copy()
         sizes[_BIAS] = sizes[_RATE] = _ANY_RATE
-        return cls(*_informative(rest[:, :-1], rest[:, -1], sizes), position, information.earth_rate)
+        return cls(
+            *_informative_rows(reduced[:, :-1], reduced[:, -1], sizes), position, information.earth_rate
+        )
 
-    def for_joint_parameters(self, number: int, dwells: int) -> FloatArray:
-        """Rows (n, 23 + 3 m) of dwell ``number`` out of m."""
-        vertical = self.position.up_sign * STANDARD_GRAVITY * np.eye(3)[self.position.up_axis]
-        result = np.zeros((len(self.rows), SHARED + 3 * dwells))
+    def joint_rows(self, index: int, dwells: int) -> FloatArray:
+        """Rows (n, 23 + 3 m) for the joint parameters, of the dwell with this index out of m dwells."""
+        vertical_force = self.position.up_sign * STANDARD_GRAVITY * np.eye(3)[self.position.up_axis]
+        result = np.zeros((len(self.rows), SHARED_COUNT + 3 * dwells))
         result[:, SHARED_ACCELEROMETER_BIAS] = self.rows[:, _ACCELERATION]
-        result[:, SHARED_ACCELEROMETER_MATRIX] = self.rows[:, _ACCELERATION] @ np.kron(np.eye(3), vertical)
+        result[:, SHARED_ACCELEROMETER_MATRIX] = self.rows[:, _ACCELERATION] @ np.kron(
+            np.eye(3), vertical_force
+        )
         result[:, SHARED_NAVIGATION_RATE] = self.rows[:, _RATE]
         result[:, SHARED_GYRO_MATRIX] = self.rows[:, _MATRIX]
-        result[:, SHARED + 3 * number :][:, :3] = self.rows[:, _BIAS]
+        result[:, SHARED_COUNT + 3 * index :][:, :3] = self.rows[:, _BIAS]
         return result
 
 
@@ -114,36 +120,37 @@ class JointFit:
     #: of the m dwells.
     values: FloatArray
     covariance: FloatArray
-    #: Test that the dwells agree on what they share, with any accelerometer biases and misalignments: a unit
-    #: with larger ones than declared contradicts the declaration, not its dwells.
+    #: Test that the dwells agree on the shared parameters, with free accelerometer biases and misalignments:
+    #: if these are larger than declared, the dwells do not contradict one another.
     p_value: float
 
     @property
     def shared(self) -> SharedParameters:
-        """What the dwells share."""
-        sigmas = np.sqrt(np.diagonal(self.covariance)[:SHARED])
-        return SharedParameters(self.values[:SHARED].copy(), sigmas, self.p_value)
+        """The shared parameters."""
+        sigmas = np.sqrt(np.diagonal(self.covariance)[:SHARED_COUNT])
+        return SharedParameters(self.values[:SHARED_COUNT].copy(), sigmas, self.p_value)
 
     @property
     def biases(self) -> JointBiases:
         """The biases of each dwell."""
         return JointBiases(
-            self.values[SHARED:].reshape(-1, 3).copy(), self.covariance[SHARED:, SHARED:].copy()
+            self.values[SHARED_COUNT:].reshape(-1, 3).copy(),
+            self.covariance[SHARED_COUNT:, SHARED_COUNT:].copy(),
         )
 
 
 @dataclass(frozen=True, eq=False)
 class SharedParameters:
-    """What the dwells of a plateau share, as a joint problem gives it."""
+    """Parameters shared by the dwells of a plateau, as estimated."""
 
     #: values, sigmas: Shape (23,). With standard uncertainties, SI.
     values: FloatArray
     sigmas: FloatArray
-    p_value: float  #: Test that the dwells agree on it; see :class:`JointFit`.
+    p_value: float  #: Test that the dwells agree on them; see :class:`JointFit`.
 
 
 def declared_root(prior: PriorKnowledge, earth_rate: FloatArray) -> FloatArray:
-    """Prior root (23, 23) of what is shared, with the latitude as well known as declared."""
+    """Prior root (23, 23) of the shared parameters, with the declared uncertainty of the latitude."""
     single = parameters.prior_root(prior, 0, earth_rate)
     matrix = prior.accelerometer_misalignment * (1.0 - np.eye(3))
     parts = (parameters.ACCELEROMETER_BIAS, None, parameters.NAVIGATION_RATE, parameters.GYRO_MATRIX)
@@ -153,16 +160,16 @@ def declared_root(prior: PriorKnowledge, earth_rate: FloatArray) -> FloatArray:
 
 
 def _north_free_root(prior: PriorKnowledge, earth_rate: FloatArray) -> FloatArray:
-    """The same with any rate North; a rate Up stays in the biases of the vertical gyros."""
+    """Prior root (23, 23) with a free rate North; a rate Up remains in the biases of the vertical gyros."""
     root = declared_root(prior, earth_rate)
     root[SHARED_NAVIGATION_RATE, SHARED_NAVIGATION_RATE] = np.diag([_ANY_RATE, 0.0])
     return root
 
 
 def free_root(root: FloatArray, gyro_scale_factors: bool = True) -> FloatArray:
-    """The prior root (23, 23) with any accelerometer biases and matrices, body frame of the accelerometers.
+    """Prior root (23, 23) with free accelerometer biases and matrices, in the accelerometers' body frame.
 
-    ``gyro_scale_factors``: theirs too; a common one acts as an error of the latitude.
+    ``gyro_scale_factors``: whether these are free too; a common one acts as an error of the latitude.
     """
     free = root.copy()
     sizes = np.diagonal(root).copy()
@@ -178,14 +185,14 @@ def free_root(root: FloatArray, gyro_scale_factors: bool = True) -> FloatArray:
     return free
 
 
-def _solve_alone(dwell: JointInformation, shared_root: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _solve_single(dwell: JointInformation, shared_root: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Solve one dwell by itself; its biases (3,) and their covariance (3, 3)."""
     values, covariance = solve(*_system([dwell], shared_root))
-    return values[SHARED:], covariance[SHARED:, SHARED:]
+    return values[SHARED_COUNT:], covariance[SHARED_COUNT:, SHARED_COUNT:]
 
 
 def solve_together(dwells: Sequence[JointInformation], shared_root: FloatArray) -> JointFit:
-    """Solve for what the dwells share and for the biases of each."""
+    """Solve for the shared parameters and the biases of each dwell."""
     rows, data, prior_root = _system(dwells, shared_root)
     values, covariance = solve(rows, data, prior_root)
     free, free_covariance = solve(*_system(dwells, free_root(shared_root, gyro_scale_factors=False)))
@@ -197,34 +204,34 @@ def _system(
     dwells: Sequence[JointInformation], shared_root: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Rows, data and prior root of the joint problem."""
-    rows = np.vstack([each.for_joint_parameters(number, len(dwells)) for number, each in enumerate(dwells)])
+    rows = np.vstack([each.joint_rows(index, len(dwells)) for index, each in enumerate(dwells)])
     data = np.concatenate([each.data for each in dwells])
     return rows, data, block_diagonal(shared_root, _ANY_RATE * np.eye(3 * len(dwells)))
 
 
-def _informative(rows: FloatArray, data: FloatArray, sizes: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Rotate rows and drop those without information on parameters of these sizes: they dilute a test."""
+def _informative_rows(rows: FloatArray, data: FloatArray, sizes: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Rotate rows and drop those without information on parameters of these sizes, which dilute a test."""
     directions, information, _ = np.linalg.svd(rows * sizes, full_matrices=False)
-    turned = directions[:, information > _MIN_INFORMATION].T
-    return turned @ rows, turned @ data
+    rotated = directions[:, information > _MIN_INFORMATION].T
+    return rotated @ rows, rotated @ data
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class JointDwell:
     """One dwell for a joint solution."""
 
-    number: int  #: Of the dwell; no two dwells of a run have the same.
+    number: int  #: Number of the dwell, unique in the run.
     position_name: str  #: Key of :data:`gyrobench.bench.navigation.positions.POSITIONS`.
-    information: JointInformation  #: Of the same prior knowledge as the solution.
+    information: JointInformation  #: Made with the same prior knowledge as the solution.
     cycle: int = 1  #: Cycle of the temperature profile.
-    chamber_set_c: float = math.nan  #: Set point of the chamber; NaN where there is none.
-    #: Mean temperature of each gyro; NaN where not measured.
+    chamber_set_c: float = math.nan  #: Set point of the chamber; NaN if there is none.
+    #: Mean temperature of each gyro; NaN if not measured.
     gyro_c: tuple[float, float, float] = (math.nan, math.nan, math.nan)
     run: str = ""  #: Power cycle of the INS.
 
     @property
     def position(self) -> Position:
-        """The position that the name stands for."""
+        """The position by its name."""
         return POSITIONS[self.position_name]
 
 
@@ -249,21 +256,21 @@ class JointSolution:
     """
 
     dwells: tuple[JointDwell, ...]  #: The m dwells.
-    #: single, together, north_free: Each dwell by itself; with the latitude as declared; with any rate North,
-    #: where uncertainties of vertical gyros leave a rate Up out.
+    #: single, together, north_free: Each dwell by itself; together with the declared latitude; together with
+    #: a free rate North, with uncertainties of vertical gyros that do not include a rate Up.
     single: JointBiases
     together: JointBiases
     north_free: JointBiases
-    #: fit, north_free_fit: Of the last two. If the dwells agree (``p_value``) in the second alone, the
-    #: latitude is wrong by more than declared; if in neither, they do not share what they are meant to.
+    #: fit, north_free_fit: Of the last two. If the dwells agree (``p_value``) only in the second, the
+    #: latitude is wrong by more than declared; if in neither, their parameters are not the same.
     fit: SharedParameters
     north_free_fit: SharedParameters
     pairs: VerticalPairs  #: Half-differences of the vertical gyros.
-    up_rate: UpRate  #: The rate Up by these dwells alone.
+    up_rate: UpRate  #: Rate Up from these dwells only.
 
     @property
     def agrees(self) -> bool:
-        """Whether the dwells share what they are meant to, be it with another latitude than declared."""
+        """Whether the dwells agree on the shared parameters, with the declared or another latitude."""
         return not (self.fit.p_value < _MIN_P_VALUE and self.north_free_fit.p_value < _MIN_P_VALUE)
 
     @property
@@ -273,30 +280,30 @@ class JointSolution:
 
     @property
     def north_rate(self) -> tuple[float, float]:
-        """Rate North fixed in the navigation frame, free of prior knowledge, and its uncertainty, rad/s."""
+        """Rate North fixed in the navigation frame, without prior knowledge, and its uncertainty, rad/s."""
         return float(self.north_free_fit.values[_NORTH]), float(self.north_free_fit.sigmas[_NORTH])
 
     def corrected(self, rate: UpRate | None = None) -> JointBiases:
-        """Biases with a rate Up, if there is one, taken away from the vertical gyros.
+        """Biases with a rate Up, if there is one, subtracted from those of the vertical gyros.
 
-        Meant for a rate that ``applies``. One of several temperatures is much the safer: three biases
-        that differ up and down by little more than the noise often pass for a rate.
+        Meant for a rate that ``applies``. A rate from several temperatures is much more reliable: three
+        biases that differ up and down by little more than the noise often look like a rate.
 
-        ``rate``: of several temperatures together, these dwells among them; otherwise that of these dwells.
+        ``rate``: of several temperatures together, including these dwells; default: that of these dwells.
         """
         rate = rate or self.up_rate
         if not rate.weights:
             return self.north_free
-        biases, vertical = self.north_free, _vertical(self.dwells)
+        biases, indices = self.north_free, _vertical_indices(self.dwells)
         response, weights = np.zeros((2, 3 * len(self.dwells)))
-        response[vertical] = [dwell.position.up_sign for dwell in self.dwells]
-        weights[vertical] = [rate.weights.get(dwell.number, 0.0) for dwell in self.dwells]
+        response[indices] = [dwell.position.up_sign for dwell in self.dwells]
+        weights[indices] = [rate.weights.get(dwell.number, 0.0) for dwell in self.dwells]
         removal = np.eye(len(response)) - np.outer(response, weights)
-        # What the rate's variance holds beyond these biases: other dwells, and temperatures up and down.
-        beyond = max(0.0, rate.sigma**2 - float(weights @ biases.covariance @ weights))
+        # Variance of the rate that is not due to these biases: other dwells, and temperatures up and down.
+        extra_variance = max(0.0, rate.sigma**2 - float(weights @ biases.covariance @ weights))
         return JointBiases(
             biases.bias_radps - rate.rate * response.reshape(-1, 3),
-            removal @ biases.covariance @ removal.T + beyond * np.outer(response, response),
+            removal @ biases.covariance @ removal.T + extra_variance * np.outer(response, response),
         )
 
     def _shared(self, part: slice) -> tuple[FloatArray, FloatArray]:
@@ -306,8 +313,8 @@ class JointSolution:
 def solve_jointly(dwells: Sequence[JointDwell], prior: PriorKnowledge) -> JointSolution:
     """Solve the dwells of one plateau together.
 
-    ``dwells``: of one plateau, in any positions. ``prior``: what is known beforehand, as for each dwell by
-    itself. Raises MeasurementError if there is no dwell.
+    ``dwells``: of one plateau, in any positions. ``prior``: prior knowledge, as for each dwell by itself.
+    Raises MeasurementError if there is no dwell.
     """
     if not dwells:
         raise MeasurementError("there is no dwell to solve; a joint solution needs at least one")
@@ -315,10 +322,10 @@ def solve_jointly(dwells: Sequence[JointDwell], prior: PriorKnowledge) -> JointS
     information = [dwell.information for dwell in dwells]
     root, north_free_root = declared_root(prior, earth_rate), _north_free_root(prior, earth_rate)
     fit, north_free_fit = solve_together(information, root), solve_together(information, north_free_root)
-    pairs = _pairs(dwells, north_free_fit, prior.bias_slope)
+    pairs = _vertical_pairs(dwells, north_free_fit, prior.bias_slope)
     return JointSolution(
         dwells=tuple(dwells),
-        single=_side_by_side([_solve_alone(each, root) for each in information]),
+        single=_stack_biases([_solve_single(each, root) for each in information]),
         together=fit.biases,
         north_free=north_free_fit.biases,
         fit=fit.shared,
@@ -329,9 +336,9 @@ def solve_jointly(dwells: Sequence[JointDwell], prior: PriorKnowledge) -> JointS
 
 
 def pooled_up_rate(solutions: Sequence[JointSolution], prior: PriorKnowledge) -> UpRate | None:
-    """Rate Up from several temperatures together; the latitude is the same at all of them.
+    """Rate Up from several temperatures together, since the latitude error is common to them.
 
-    Plateaus whose dwells disagree at any latitude are left out; None if there are no others.
+    Plateaus whose dwells disagree at any latitude are left out; None if none remain.
     """
     agreeing = [each for each in solutions if each.agrees]
     if not agreeing:
@@ -340,17 +347,17 @@ def pooled_up_rate(solutions: Sequence[JointSolution], prior: PriorKnowledge) ->
     return up_rate([each.pairs for each in agreeing], earth_rate, prior.latitude)
 
 
-def _side_by_side(singles: Sequence[tuple[FloatArray, FloatArray]]) -> JointBiases:
+def _stack_biases(singles: Sequence[tuple[FloatArray, FloatArray]]) -> JointBiases:
     biases, covariances = zip(*singles, strict=True)
     return JointBiases(np.vstack(biases), block_diagonal(*covariances))
 
 
-def _vertical(dwells: Sequence[JointDwell]) -> IntArray:
+def _vertical_indices(dwells: Sequence[JointDwell]) -> IntArray:
     """Index of each dwell's vertical gyro among all biases."""
     return np.array([3 * index + dwell.position.up_axis for index, dwell in enumerate(dwells)])
 
 
-def _pairs(dwells: Sequence[JointDwell], fit: JointFit, bias_slope: float) -> VerticalPairs:
+def _vertical_pairs(dwells: Sequence[JointDwell], fit: JointFit, bias_slope: float) -> VerticalPairs:
     halves = {axis: half for axis in range(3) if (half := _half_difference(dwells, axis))}
     numbers = {dwell.number: index for index, dwell in enumerate(dwells)}
     weights = np.zeros((len(halves), len(dwells)))
@@ -359,22 +366,22 @@ def _pairs(dwells: Sequence[JointDwell], fit: JointFit, bias_slope: float) -> Ve
         for number, weight in half.items():
             weights[row, numbers[number]] = weight
             shift_c[row] += weight * dwells[numbers[number]].gyro_c[axis]
-    taken = SHARED + _vertical(dwells)
-    covariance = weights @ fit.covariance[np.ix_(taken, taken)] @ weights.T
+    bias_columns = SHARED_COUNT + _vertical_indices(dwells)
+    covariance = weights @ fit.covariance[np.ix_(bias_columns, bias_columns)] @ weights.T
     return VerticalPairs(
         gyros=tuple(halves),
-        half_difference=weights @ fit.values[taken],
+        half_difference=weights @ fit.values[bias_columns],
         covariance=covariance + np.diag(np.nan_to_num(bias_slope * shift_c) ** 2),
         weights=tuple(halves.values()),
         north_rate=float(fit.values[_NORTH]),
         north_variance=float(fit.covariance[_NORTH, _NORTH]),
-        north_covariance=weights @ fit.covariance[taken, _NORTH],
+        north_covariance=weights @ fit.covariance[bias_columns, _NORTH],
     )
 
 
 def _half_difference(dwells: Sequence[JointDwell], axis: int) -> dict[int, float]:
-    """Weight of each dwell in half the difference up less down of one gyro; empty without both."""
-    ways = [
+    """Weight of each dwell in half the difference of a gyro's bias, up minus down; empty without both."""
+    both = [
         [
             dwell.number
             for dwell in dwells
@@ -382,7 +389,7 @@ def _half_difference(dwells: Sequence[JointDwell], axis: int) -> dict[int, float
         ]
         for sign in (1, -1)
     ]
-    up, down = ways
+    up, down = both
     if not (up and down):
         return {}
     return {number: 0.5 / len(up) for number in up} | {number: -0.5 / len(down) for number in down}

@@ -1,20 +1,20 @@
-"""Noise of the INS, estimated from what it puts out at rest in navigation.
+"""Estimates the noise of the INS from its navigation output at rest.
 
-The attitude of an INS at rest moves with the integrated noise of its gyros, so the Allan variance
-of its rotation vector, resolved in body axes, gives each gyro's angle random walk. The horizontal
-velocities move with the integrated noise of the accelerometers, and with gravity times the tilt
-that the level gyros' noise has built up: at short averaging times the rounding of the output shows
-(slope -1), then the velocity random walk (slope -1/2), at long ones the tilt (slope +1/2), as a
-random walk of the acceleration of ``g`` times the angle random walk.
+The attitude of an INS at rest changes by the integrated noise of its gyros, so the Allan variance of its
+rotation vector, resolved in body axes, gives the angle random walk of each gyro. The horizontal velocities
+change by the integrated noise of the accelerometers, and by gravity times the tilt accumulated from the noise
+of the level gyros. At short averaging times the rounding of the output dominates (slope -1), then the
+velocity random walk (slope -1/2), and at long ones the tilt (slope +1/2): a random walk of the acceleration
+of ``g`` times the angle random walk.
 
-Biases and Earth-rate coupling only make slow trends: over the averaging times used, at most a sixth
-of a window, nearly all of them is a ramp of the rate, which the Allan variance here leaves out. The
-Schuler loop's feedback into the velocities is known from the velocities, and is taken out.
+Biases and Earth-rate coupling cause only slow trends: over the averaging times used, at most a sixth of a
+window, they are nearly a ramp of the rate, to which the Allan variance here does not respond. The Schuler
+feedback is computed from the velocities and subtracted.
 
-Rounding errors are independent only from samples between which the output moves by about half a step
-or more, that is where the second differences have an rms of a step or more (rounding alone gives 0.7).
-Where the output is coarser, only samples so far apart are used; where none are left, the resolution
-hides the noise, and only an upper limit is reported.
+Rounding errors are independent only between samples from one to the next of which the output changes by about
+half a step or more, that is if the second differences have an rms of at least a step (rounding alone gives
+0.7). If the output is coarser, only samples that far apart are used; if too few remain, the resolution hides
+the noise, and only an upper limit is reported.
 """
 
 from __future__ import annotations
@@ -52,16 +52,16 @@ from gyrobench.bench.navigation.positions import AXES
 #: One-sided 95 % point of the normal distribution.
 _LIMIT_SIGMAS = 1.645
 #: A term below this number of sigmas is reported as an upper limit.
-_FOUND_SIGMAS = 2.0
-#: A declared value further away than this is not consistent.
+_SIGNIFICANT_SIGMAS = 2.0
+#: A declared value that differs by more than this number of sigmas is not consistent.
 _CONSISTENT_SIGMAS = 3.0
-#: One that the data exceed by this number of sigmas is replaced: dwells are many.
+#: A declared value that the data exceed by this number of sigmas is replaced; higher, since dwells are many.
 _EXCEEDING_SIGMAS = 4.0
-#: Intervals between epochs that count as equal, relative.
-_SAME_INTERVAL = 0.01
-#: Share of the changes that may be smaller than the resolution: wraps, corrections.
-_FREAKS = 0.05
-#: Smaller changes are rounding of the arithmetic: m/s and rad.
+#: Largest relative difference of intervals between epochs that count as equal.
+_INTERVAL_TOLERANCE = 0.01
+#: Share of the changes that may be smaller than the resolution, as by wraps or corrections.
+_OUTLIER_SHARE = 0.05
+#: Changes up to this are rounding of the arithmetic, m/s and rad.
 _ARITHMETIC = 1e-11
 #: An aid that holds the heading shows at longer periods than this, s; the longest count by themselves.
 _AID_PERIOD_S, _SLOW_MODES = 10.0, 10
@@ -72,13 +72,12 @@ _MIN_GAIN, _MAX_SHARE = 20.0, 0.04
 
 @dataclass(frozen=True)
 class NoiseParameter:
-    """A noise parameter, as the square in which it is estimated."""
+    """A noise parameter, estimated by its square."""
 
-    square: float | None  #: The parameter's square; None where the resolution hides it.
-    #: Standard uncertainty of the square, which scatters evenly about the truth; a small one may come out
-    #: below zero.
+    square: float | None  #: Square of the parameter; None if the resolution hides it.
+    #: Standard uncertainty of the square. The estimate of the square is unbiased, so it may be below zero.
     square_sigma: float = 0.0
-    #: The parameter is below this with a confidence of 95 %; None where nothing is known.
+    #: The parameter is below this with a confidence of 95 %; None if nothing is known.
     limit: float | None = None
 
     @classmethod
@@ -88,34 +87,36 @@ class NoiseParameter:
 
     @property
     def value(self) -> float | None:
-        """Best estimate, or None where it is hidden."""
+        """Best estimate; None if it is hidden."""
         return None if self.square is None else float(np.sqrt(max(self.square, 0.0)))
 
     @property
-    def is_found(self) -> bool:
-        """Whether the value differs from zero significantly."""
-        return self.square is not None and self.square > _FOUND_SIGMAS * self.square_sigma
+    def is_significant(self) -> bool:
+        """Whether the value is significantly above zero."""
+        return self.square is not None and self.square > _SIGNIFICANT_SIGMAS * self.square_sigma
 
     @property
     def sigma(self) -> float | None:
-        """Standard uncertainty of the value, where it is found."""
+        """Standard uncertainty of the value; None if it is not significant."""
         return (
-            self.square_sigma / (2.0 * float(np.sqrt(self.square))) if self.is_found and self.square else None
+            self.square_sigma / (2.0 * float(np.sqrt(self.square)))
+            if self.is_significant and self.square
+            else None
         )
 
     def dof(self, value: float | None) -> float:
-        """Degrees of freedom of a value taken from this (JCGM 100, G.4.2); infinite where not measured."""
+        """Degrees of freedom of a value from this estimate (JCGM 100, G.4.2); infinite if not measured."""
         return 2.0 * (value**2 / self.square_sigma) ** 2 if value and self.square_sigma > 0.0 else math.inf
 
     @property
-    def cautious(self) -> float:
-        """A value that the true one seldom exceeds: a sigma more in the square; the limit where hidden."""
+    def conservative_value(self) -> float:
+        """Value that the true one rarely exceeds: one sigma above in the square; the limit if hidden."""
         if self.square is None:
             return self.limit or 0.0
         return float(np.sqrt(max(self.square, 0.0) + self.square_sigma))
 
     def text(self, unit: str, unit_si: float) -> str:
-        """Write the value with its uncertainty, or the limit, in a unit of the given size in SI."""
+        """Text with the value and its uncertainty, or the limit, in a unit of the given size in SI."""
         if self.value is not None and self.sigma is not None:
             value, sigma = self.value / unit_si, self.sigma / unit_si
             decimals = max(0, 1 - int(np.floor(np.log10(sigma))))
@@ -128,32 +129,32 @@ class NoiseParameter:
 
 @dataclass(frozen=True, eq=False)
 class ChannelNoise:
-    """Allan variance of one rate, and what was fitted to it."""
+    """Allan variance of one rate, and the noise terms fitted to it."""
 
     #: Of the rate (rad/s) or acceleration (m/s^2), from samples with independent rounding errors; from all
-    #: where the resolution hides the noise.
+    #: samples if the resolution hides the noise.
     allan: AllanVariance
-    step: float  #: Resolution of the output, as it shows in the data, rad or m/s; 0 if it never changes.
-    fit: RateNoise | None  #: None where the resolution hides the noise.
+    step: float  #: Resolution of the output, estimated from the data, rad or m/s; 0 if it never changes.
+    fit: RateNoise | None  #: None if the resolution hides the noise.
 
     @property
-    def is_seen(self) -> BoolArray:
-        """Averaging times (k,) at which the output moves at all."""
+    def has_motion(self) -> BoolArray:
+        """Mask (k,) of the averaging times at which the output changes at all."""
         return np.asarray(self.allan.deviation * self.allan.tau_s > _ARITHMETIC)
 
     @property
     def hiding_step(self) -> float:
-        """The resolution where it hides the noise at all averaging times, otherwise 0."""
+        """Resolution if it hides the noise at all averaging times; otherwise 0."""
         longest = float(np.sqrt(2.0 * self.allan.variance[-1]) * self.allan.tau_s[-1])
         return self.step if self.fit is None and longest < self.step else 0.0
 
     def parameter(self, term: int) -> NoiseParameter:
-        """One of the terms of :mod:`gyrobench.bench.bias.allan`."""
+        """Estimate of one of the terms of :mod:`gyrobench.bench.bias.allan`."""
         if self.fit is not None:
             return NoiseParameter.measured(float(self.fit.unbounded[term]), float(self.fit.sigmas[term]))
         if term != RANDOM_WALK or self.step == 0.0:
             return NoiseParameter(None)
-        # More would have shown: 2 N^2 tau is the mean square of a second difference.
+        # A larger one would be observable: 2 N^2 tau is the mean square of a second difference.
         return NoiseParameter(None, limit=self.step / float(np.sqrt(2.0 * self.allan.tau_s[-1])))
 
 
@@ -198,56 +199,56 @@ class NoiseEstimate:
 
     @property
     def heading_white(self) -> NoiseParameter:
-        """Noise of each heading output, rad; that of level angles may differ, and matters to no estimate."""
+        """Noise of each heading output, rad; that of level angles may differ, but is not needed."""
         return self.heading.parameter(WHITE_ANGLE)
 
-    def exceeding(self, declared: NoiseModel) -> NoiseModel:
-        """The declared noise, with what is significantly larger here in the place of what it declares."""
+    def raised_model(self, declared: NoiseModel) -> NoiseModel:
+        """Declared noise, with the estimates here in place of values that they significantly exceed."""
 
         def larger(value: float, *measured: NoiseParameter) -> tuple[float, float]:
-            found = [
+            exceeding = [
                 (each.value, each.dof(each.value))
                 for each in measured
                 if each.square is not None
                 and each.value is not None
                 and each.square - value**2 > _EXCEEDING_SIGMAS * each.square_sigma
             ]
-            return max([(value, math.inf), *found])
+            return max([(value, math.inf), *exceeding])
 
         values, dof = zip(
             larger(declared.angle_random_walk, self.angle_random_walk, *self.angle_random_walks),
             larger(declared.velocity_random_walk, self.velocity_random_walk),
             larger(declared.velocity_white, self.velocity_white),
-            # Pulses that hide the noise at all averaging times are worth at least as much.
+            # If pulses hide the noise at all averaging times, the noise is at least their size.
             max(larger(declared.heading_white, self.heading_white), (self.heading.hiding_step, math.inf)),
             strict=True,
         )
         return NoiseModel(*values, dof)
 
     def noise_model(self) -> NoiseModel:
-        """Make the model that this amounts to.
+        """Make the noise model from these estimates.
 
-        The velocity random walk is a cautious one: a dwell determines it coarsely, and good dwells would fail
-        the test of fit where it came out small. White noise that is hidden is zero: add the resolution.
-        Raises MeasurementError if the angle random walk was not found.
+        The velocity random walk is a conservative value: a single dwell determines it only coarsely, and with
+        too small a value good dwells would fail the goodness-of-fit test. Hidden white noise is zero: add the
+        resolution. Raises MeasurementError if the angle random walk is not significant.
         """
         arw = self.angle_random_walk
-        if not arw.is_found or arw.value is None:
+        if not arw.is_significant or arw.value is None:
             raise MeasurementError(
                 "the angle random walk is not observable in these windows: the INS's output is too coarse "
                 "or too noisy, or they are too short. Declare the noise of the data sheet"
             )
         measured = (arw, self.velocity_random_walk, self.velocity_white, self.heading_white)
-        values = arw.value, measured[1].cautious, measured[2].value or 0.0, measured[3].value or 0.0
+        values = arw.value, measured[1].conservative_value, measured[2].value or 0.0, measured[3].value or 0.0
         w, x, y, z = (each.dof(value) for each, value in zip(measured, values, strict=True))
         return NoiseModel(*values, (w, x, y, z))
 
 
 @dataclass(frozen=True)
 class NoiseComparison:
-    """A measured noise parameter beside the declared one."""
+    """Comparison of a measured noise parameter with the declared one."""
 
-    #: name, unit: For people.
+    #: name, unit: For reports.
     name: str
     unit: str
     measured: NoiseParameter  #: In SI.
@@ -256,11 +257,11 @@ class NoiseComparison:
 
     @property
     def is_consistent(self) -> bool | None:
-        """Whether the declared value can be true; None where nothing is known."""
+        """Whether the measurement is consistent with the declared value; None if nothing is known."""
         if self.measured.square is None:
             return None if self.measured.limit is None else self.declared <= self.measured.limit
-        away = abs(self.declared**2 - max(self.measured.square, 0.0))
-        return away <= _CONSISTENT_SIGMAS * self.measured.square_sigma
+        difference = abs(self.declared**2 - max(self.measured.square, 0.0))
+        return difference <= _CONSISTENT_SIGMAS * self.measured.square_sigma
 
     @property
     def sentence(self) -> str:
@@ -281,7 +282,7 @@ class NoiseComparison:
 
 
 def compare_noise(estimate: NoiseEstimate, declared: NoiseModel) -> list[NoiseComparison]:
-    """Set measured noise beside the declared one: gyro by gyro, then the other parameters."""
+    """Compare measured noise with the declared one: gyro by gyro, then the other parameters."""
     arw = ("deg/sqrt(h)", DEG_PER_SQRT_H_TO_SI)
     rows = [
         (f"angle random walk of the {axis} gyro", *arw, walk, declared.angle_random_walk)
@@ -312,17 +313,17 @@ def compare_noise(estimate: NoiseEstimate, declared: NoiseModel) -> list[NoiseCo
 
 @dataclass(frozen=True, eq=False)
 class RestMotion:
-    """What an INS at rest puts out in one window, as far as the noise estimate needs it."""
+    """Output of an INS at rest in one window, reduced to the input of the noise estimate."""
 
     time_s: FloatArray  #: Shape (n,). On the clock of the INS.
     velocity_mps: FloatArray  #: Shape (n, 2). East and North.
     rotation_enu: FloatArray  #: Shape (n, 3). Rotation vector since the first epoch, rad.
-    turned_rad: FloatArray  #: Shape (n - 1,). Angle between neighbouring epochs.
+    rotation_steps_rad: FloatArray  #: Shape (n - 1,). Angle between neighbouring epochs.
     C_nb: FloatArray  #: Shape (3, 3). Attitude at the first epoch.
 
     @classmethod
     def of(cls, window: NavigationWindow) -> RestMotion:
-        """Reduce a window to half its size."""
+        """Reduce a window to the input of the noise estimate, half its size."""
         C_nb, first = window.C_nb, window.C_nb[0].copy()
         steps = rotation_vector_enu(C_nb[1:] @ np.swapaxes(C_nb[:-1], 1, 2), np.eye(3))
         return cls(
@@ -337,9 +338,8 @@ class RestMotion:
 def estimate_noise(windows: Sequence[NavigationWindow | RestMotion], gravity: float) -> NoiseEstimate:
     """Estimate the noise of an INS from its output at rest.
 
-    ``windows``: of one or more dwells, of any attitude; missing epochs are allowed for. ``gravity``
-    is that at the bench, m/s^2. Raises MeasurementError if there are no windows or too few data, or the epoch
-    intervals differ.
+    ``windows``: of one or more dwells, of any attitude; epochs may be missing. ``gravity``: at the bench,
+    m/s^2. Raises MeasurementError if there are no windows or too few data, or the epoch intervals differ.
     """
     if not windows:
         raise MeasurementError("no window to estimate noise from. Let the INS navigate at rest")
@@ -347,11 +347,11 @@ def estimate_noise(windows: Sequence[NavigationWindow | RestMotion], gravity: fl
     on_grids = [on_grid(motion.time_s, _angles_and_velocities(motion, gravity)) for motion in motions]
     interval = _common_interval([interval for interval, _ in on_grids])
     values = [grid for _, grid in on_grids]
-    attitude_step = _smallest([motion.turned_rad for motion in motions])
-    velocity_step = _smallest([np.diff(motion.velocity_mps, axis=0) for motion in motions])
+    attitude_step = _resolution([motion.rotation_steps_rad for motion in motions])
+    velocity_step = _resolution([np.diff(motion.velocity_mps, axis=0) for motion in motions])
 
     def channel(columns: Sequence[int], step: float) -> ChannelNoise:
-        return _channel([grid[:, column] for column in columns for grid in values], interval, step)
+        return _channel_noise([grid[:, column] for column in columns for grid in values], interval, step)
 
     return NoiseEstimate(
         gyros=(channel([0], attitude_step), channel([1], attitude_step), channel([2], attitude_step)),
@@ -364,13 +364,13 @@ def estimate_noise(windows: Sequence[NavigationWindow | RestMotion], gravity: fl
 
 
 def _angles_and_velocities(motion: RestMotion, gravity: float) -> FloatArray:
-    """Columns (n, 6): turned since the first epoch about x, y, z and Up; velocity E, N without feedback."""
+    """Columns (n, 6): rotation since the first epoch about x, y, z and Up; velocity E, N without feedback."""
     rotation, velocity, time_s = motion.rotation_enu, motion.velocity_mps, motion.time_s
     feedback = integral(integral(velocity, time_s), time_s) * gravity / MEAN_RADIUS
     return np.hstack([rotation @ motion.C_nb, rotation[:, 2:], velocity + feedback])
 
 
-def _channel(segments: list[FloatArray], interval: float, step: float) -> ChannelNoise:
+def _channel_noise(segments: list[FloatArray], interval: float, step: float) -> ChannelNoise:
     allan = allan_variance(segments, interval)
     is_coarse = np.sqrt(2.0 * allan.variance) * allan.tau_s < step
     if step == 0.0 or is_coarse[-1]:
@@ -386,7 +386,7 @@ def _channel(segments: list[FloatArray], interval: float, step: float) -> Channe
 
 
 def _common_interval(intervals: Sequence[float]) -> float:
-    if max(intervals) > min(intervals) * (1.0 + _SAME_INTERVAL):
+    if max(intervals) > min(intervals) * (1.0 + _INTERVAL_TOLERANCE):
         raise MeasurementError(
             f"the windows have epochs every {min(intervals):.4g} s and every {max(intervals):.4g} s. "
             "Estimate the noise from windows of one output rate"
@@ -394,11 +394,11 @@ def _common_interval(intervals: Sequence[float]) -> float:
     return float(np.mean(intervals))
 
 
-def _smallest(changes: Sequence[FloatArray]) -> float:
-    """Smallest change that is not zero, but for a few freaks; 0 if there is none."""
+def _resolution(changes: Sequence[FloatArray]) -> float:
+    """Smallest change that is not zero, except a few outliers; 0 if there is none."""
     sizes = np.abs(np.concatenate([each.ravel() for each in changes]))
     sizes = sizes[sizes > _ARITHMETIC]
-    return float(np.quantile(sizes, _FREAKS)) if len(sizes) else 0.0
+    return float(np.quantile(sizes, _OUTLIER_SHARE)) if len(sizes) else 0.0
 
 
 def held_heading_s(windows: Sequence[RestMotion], step_rad: float) -> float | None:

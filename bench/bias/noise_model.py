@@ -1,13 +1,13 @@
-"""How the noise of the sensors reaches estimates that are linear in velocity and heading.
+"""Noise model of the INS, and variances of estimates that are linear in velocity and heading.
 
-The noise of an INS at rest is integrated before it is seen: angle random walk makes the attitude
-walk, the tilt makes the velocity run away, and the Earth's curvature feeds velocity back into
-tilt with the Schuler frequency. Neighbouring epochs are therefore strongly correlated, and the
-textbook formula for the scatter of a fitted slope is far too small. Here the variance of
-``sum_k w_k y(t_k)`` is summed over the noise of every interval between epochs: a unit step of
-gyro angle at s moves the velocity at t by ``g sin(W (t - s)) / W``, a unit step of velocity moves
-it by ``cos(W (t - s))``, with ``W = sqrt(g / R)``. Earth-rate coupling changes a standard
-deviation by 3 % over two windows of 10 min and is left out, and so is the noise of the alignment.
+The noise of the sensors is integrated in the output of an INS at rest: angle random walk makes the attitude
+drift, the tilt accelerates the velocity, and the Earth's curvature feeds the velocity back into the tilt with
+the Schuler frequency. Neighbouring epochs are therefore strongly correlated, and the textbook formula for the
+scatter of a fitted slope is far too small. Here the variance of ``sum_k w_k y(t_k)`` is summed over the noise
+of every interval between epochs: a unit step of gyro angle at s changes the velocity at t by
+``g sin(W (t - s)) / W``, a unit step of velocity changes it by ``cos(W (t - s))``, with ``W = sqrt(g / R)``.
+Earth-rate coupling, which changes a standard deviation by 3 % over two windows of 10 min, and the noise of
+the alignment are neglected.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, UG_PER_SQRT
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.earth import MEAN_RADIUS
 
-#: Share of the epochs with one value that have one rounding error. While the true value moves through a
-#: step, its rounding error changes its sign: in simulated dwells with 2 to 300 equal epochs this share keeps
-#: the errors of all biases within 1.3 standard uncertainties, rms.
-_SAME_ERROR = 1.0 / 4.0
+#: Share of the epochs with equal values whose rounding errors are equal. While the true value moves through
+#: a step, its rounding error changes sign. With this share, the errors of all biases in simulated dwells
+#: with 2 to 300 equal epochs are within 1.3 standard uncertainties, rms.
+_EQUAL_ERROR_SHARE = 1.0 / 4.0
 
 
 def rounding_sigma(step: float, repeats: float) -> float:
-    """Standard uncertainty of an epoch's value by rounding to steps of this size.
+    """Standard uncertainty of an epoch's value due to rounding to steps of this size.
 
-    ``repeats`` is how many epochs have the same value, on average: their rounding errors are alike, so
-    that each counts for less.
+    ``repeats``: mean number of neighbouring epochs with the same value. Their rounding errors are alike,
+    which raises the uncertainty of each.
     """
-    return step / math.sqrt(12.0) * math.sqrt(max(1.0, repeats * _SAME_ERROR))
+    return step / math.sqrt(12.0) * math.sqrt(max(1.0, repeats * _EQUAL_ERROR_SHARE))
 
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Noise of the INS, the same for all axes; declared, or estimated from its output.
+    """Noise of the INS, equal for all axes; declared, or estimated from its output.
 
     Raises DocumentError if a value is out of range.
     """
@@ -48,7 +48,7 @@ class NoiseModel:
     velocity_random_walk: float = 0.0  #: White noise of the accelerations, m/s/sqrt(s).
     velocity_white: float = 0.0  #: Noise of each velocity output, independent from epoch to epoch, m/s.
     heading_white: float = 0.0  #: The same of the attitude outputs, rad.
-    #: Degrees of freedom of the four: infinite where declared.
+    #: Degrees of freedom of these four values; infinite if declared.
     dof: tuple[float, float, float, float] = (math.inf,) * 4
 
     def __post_init__(self) -> None:
@@ -69,10 +69,11 @@ class NoiseModel:
         velocity_output_mps: float = 0.0,
         heading_output_rad: float = 0.0,
     ) -> NoiseModel:
-        """Noise in the units of data sheets; noise of the output adds to that of its resolution (LSB^2/12).
+        """Make the model from values in the units of data sheets.
 
-        Rounding is white only where the output moves by more than one LSB from epoch to epoch or
-        carries noise of that size; with a coarser resolution the variance is a lower bound.
+        The noise of an output is added to that of its resolution (LSB^2/12). Rounding is white only if the
+        output changes by more than one LSB from epoch to epoch, or has noise of that size; with a coarser
+        resolution the variance is a lower bound.
         """
         return cls(
             arw_deg_per_sqrt_h * DEG_PER_SQRT_H_TO_SI,
@@ -82,7 +83,7 @@ class NoiseModel:
         )
 
     def at_least(self, velocity_white: float, heading_white: float) -> NoiseModel:
-        """The same with noise of the outputs not below these values, m/s and rad, which count as declared."""
+        """Model with noise of the outputs at least these values, m/s and rad, which count as declared."""
         if self.velocity_white >= velocity_white and self.heading_white >= heading_white:
             return self
         arw_dof, vrw_dof, velocity_dof, heading_dof = self.dof
@@ -105,7 +106,7 @@ class NoiseModel:
         Parameters
         ----------
         time : ndarray, shape (n,)
-            Epochs, s; may leap over a turn. Noise before the first one is not counted: the
+            Epochs, s; there may be a gap during a turn. Noise before the first epoch is not included, so the
             weights of the first window must not respond to a constant and a slope.
         weights : ndarray, shape (n,) or (n, m)
             Weight of each epoch, for m sums.
@@ -131,12 +132,12 @@ class NoiseModel:
 
 
 def _middles(time: FloatArray) -> FloatArray:
-    """Where the noise of each interval is taken to act, (n - 1,)."""
+    """Middle of each interval (n - 1,), at which its noise is assumed to act."""
     return 0.5 * (time[:-1] + time[1:])
 
 
 def _tails(time: FloatArray, weights: FloatArray, rate: float) -> NDArray[np.complex128]:
-    """``sum over t_k > s of w_k exp(i rate (t_k - s))`` for the middle s of each interval."""
+    """Compute ``sum over t_k > s of w_k exp(i rate (t_k - s))`` for the middle s of each interval."""
     column = (slice(None),) + (None,) * (weights.ndim - 1)
     weighted = weights * np.exp(1j * rate * (time - time[0]))[column]
     tails = np.cumsum(weighted[:0:-1], axis=0)[::-1]

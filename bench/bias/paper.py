@@ -1,12 +1,12 @@
-"""Gyro bias from a turn of 180 deg: the paper's method, as one rule for all six positions.
+"""Estimates the gyro bias from a turn of 180 deg by the paper's method, as one rule for all six positions.
 
-A level gyro's bias makes the velocity error grow with the square of time; turned by 180 deg it
-acts the other way, while what belongs to the navigation frame does not. The vertical gyro's bias
-turns the heading. The equations (10) and (12) to (16) of the paper are this rule, resolved in
-the body axes of each position.
+A level gyro's bias makes the velocity error grow with the square of time. After a turn of 180 deg it acts in
+the opposite direction, while errors fixed in the navigation frame do not. The vertical gyro's bias turns the
+heading. The equations (10) and (12) to (16) of the paper are this rule, resolved in the body axes of each
+position.
 
-The method neglects the Earth-rate and Schuler coupling of the errors. Over windows of 10 min it
-reads a level gyro 8 to 17 % wrong and leaks up to 20 % of one axis into another.
+The method neglects the Earth-rate and Schuler coupling of the errors. Over windows of 10 min the bias of a
+level gyro is wrong by 8 to 17 %, and up to 20 % of the bias of one axis leaks into another.
 
 References
 ----------
@@ -26,12 +26,12 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import UP, angle_between, rotation_matrix, rotation_vector_enu
 
-#: How far from half a turn about the vertical the turn may be, rad.
+#: Largest deviation of the turn from half a turn about the vertical, rad.
 TURN_TOLERANCE = np.deg2rad(1.0)
 
 
 class PolynomialTrend:
-    """Highest derivative of a least-squares polynomial in time: the sum of values times ``weights`` (n,)."""
+    """Highest derivative of a least-squares polynomial in time, as ``weights`` (n,) of the values."""
 
     def __init__(self, time: FloatArray, degree: int) -> None:
         middle, half = 0.5 * (time[0] + time[-1]), 0.5 * (time[-1] - time[0])
@@ -40,7 +40,7 @@ class PolynomialTrend:
 
 
 class _WindowSlopes:
-    """Slopes of one window."""
+    """Slope of the heading and second derivative of the velocity in one window."""
 
     def __init__(self, window: NavigationWindow) -> None:
         time = window.time_s - window.time_s[0]
@@ -64,7 +64,7 @@ def estimate_paper(dwell: Dwell, gravity: float, noise: NoiseModel) -> BiasEstim
     gravity : float
         Gravity at the bench, m/s^2.
     noise : NoiseModel
-        Noise of the INS; sets the covariance, not the bias. Leaks of the method are not in it.
+        Noise of the INS; affects only the covariance, which does not include the leaks of the method.
     """
     _check_half_turn(dwell)
     before, after = (_WindowSlopes(window) for window in dwell.windows)
@@ -95,9 +95,9 @@ def _check_half_turn(dwell: Dwell) -> None:
             "two, one on each side of a turn by 180 deg"
         )
     half_turned = rotation_matrix(UP, np.pi) @ dwell.C_nb_table[0]
-    away = angle_between(dwell.C_nb_table[1], half_turned)
-    if away > TURN_TOLERANCE:
+    deviation = angle_between(dwell.C_nb_table[1], half_turned)
+    if deviation > TURN_TOLERANCE:
         raise MeasurementError(
             f"{dwell.position_name}: the paper's method needs a turn of 180 deg about the vertical; this one "
-            f"is {np.rad2deg(away):.1f} deg away from it. Turn by 180 or -180 deg"
+            f"is {np.rad2deg(deviation):.1f} deg away from it. Turn by 180 or -180 deg"
         )

@@ -4,10 +4,10 @@ The dwells of a plateau share the power cycle, the cycle of the temperature prof
 of the chamber and the temperature of the gyros. They follow one another: a set point that the same cycle
 visits again is another plateau, since the unit has another thermal history there.
 
-The set point alone does not make a plateau, for a procedure may measure while the chamber still ramps to
-it. Dwells on a ramp are therefore grouped by the measured temperature of the gyros, and so are dwells
-without a known set point: a dwell opens the next plateau where the mean temperature of its gyros is more
-than 5 K from the mean of the plateau so far. After a soak, gyros drift by less.
+The set point alone does not define a plateau, since a procedure may measure while the chamber still ramps to
+it. Therefore dwells are also grouped by the measured temperature of the gyros: a dwell begins the next
+plateau if the mean temperature of its gyros differs by more than 5 K from the mean of the plateau so far.
+After a soak, gyros drift by less.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from gyrobench.bench.bias.dwell_table import DwellRow
 
 #: Largest difference of a dwell's gyro temperature from the mean of its plateau, K.
 MAX_FROM_MEAN_K = 5.0
-#: The same for planned dwells, whose temperatures are estimates: those that belong together for certain.
+#: The same for planned dwells; smaller, since their temperatures are estimates.
 MAX_PLANNED_FROM_MEAN_K = 3.0
 
 
 class AtSetPoint(Protocol):
-    """A dwell and what the bench commanded; NaN or None where not known."""
+    """Power cycle, cycle and commanded set point of a dwell; NaN or None if not known."""
 
     @property
     def run(self) -> str:
@@ -43,7 +43,7 @@ class AtSetPoint(Protocol):
 
 
 class PlateauMember(AtSetPoint, Protocol):
-    """What decides on which plateau a dwell is; NaN where not known."""
+    """Properties of a dwell that determine its plateau; NaN if not known."""
 
     @property
     def gyro_c(self) -> tuple[float, float, float]:
@@ -61,22 +61,22 @@ class PlannedDwell:
     dwell: int
     cycle: int
     position: str
-    chamber_set_c: float  #: Set point of the chamber; NaN where nothing sets it.
-    gyro_c: tuple[float, float, float]  #: Expected temperatures of the gyros; NaN where not known.
+    chamber_set_c: float  #: Set point of the chamber; NaN if there is none.
+    gyro_c: tuple[float, float, float]  #: Expected temperatures of the gyros; NaN if not known.
     run: str = ""
 
 
 def group_plateaus(
     dwells: Iterable[_Member], max_from_mean_k: float = MAX_FROM_MEAN_K
 ) -> list[list[_Member]]:
-    """Group dwells, in the order of time, by plateau. Temperatures that are not known divide nothing."""
+    """Group dwells, in the order of time, by plateau; unknown temperatures do not begin a plateau."""
     plateaus: list[list[_Member]] = []
     for _, group in itertools.groupby(dwells, plateau_key):
         means_c: list[float] = []
-        for number, dwell in enumerate(group):
-            known = [each for each in means_c if math.isfinite(each)]
+        for index, dwell in enumerate(group):
+            known_c = [each for each in means_c if math.isfinite(each)]
             mean = _mean_c(dwell)
-            if not number or (known and abs(mean - sum(known) / len(known)) > max_from_mean_k):
+            if not index or (known_c and abs(mean - sum(known_c) / len(known_c)) > max_from_mean_k):
                 plateaus.append([])
                 means_c = []
             plateaus[-1].append(dwell)
@@ -85,17 +85,17 @@ def group_plateaus(
 
 
 def passes_of_plateaus(plateaus: Iterable[Sequence[DwellRow]], axis: int) -> list[list[Sequence[DwellRow]]]:
-    """Group plateaus of several cycles that have set point, temperature and some position in common."""
+    """Group plateaus of several cycles with equal set point and temperature and a position in common."""
     groups: list[list[Sequence[DwellRow]]] = []
     for plateau in plateaus:
-        together = [plateau]
-        apart = []
+        merged = [plateau]
+        separate = []
         for group in groups:
-            if any(_is_same(plateau, other, axis) for other in group):
-                together = group + together
+            if any(_are_passes_of_one(plateau, each, axis) for each in group):
+                merged = group + merged
             else:
-                apart.append(group)
-        groups = [*apart, together]
+                separate.append(group)
+        groups = [*separate, merged]
     return groups
 
 
@@ -105,24 +105,24 @@ def mean_c(plateau: Sequence[DwellRow], axis: int) -> float:
 
 
 def plateau_key(dwell: AtSetPoint) -> tuple[str, int, float | None]:
-    """What all dwells of a plateau share: power cycle, cycle and set point."""
+    """Key of the plateau of a dwell: power cycle, cycle and set point."""
     return dwell.run, dwell.cycle, set_point_c(dwell.chamber_set_c)
 
 
 def set_point_c(set_c: float | None) -> float | None:
-    """Commanded set point to 1 mK, degC: means of one may differ by their rounding. None where not known."""
+    """Commanded set point rounded to 1 mK, degC, since means may differ by rounding; None if not known."""
     return None if set_c is None or math.isnan(set_c) else round(set_c, 3) + 0.0
 
 
 def _mean_c(dwell: PlateauMember) -> float:
-    """Mean temperature of the gyros that have one; NaN without any."""
-    known = [each for each in dwell.gyro_c if math.isfinite(each)]
-    return sum(known) / len(known) if known else math.nan
+    """Mean of the known gyro temperatures; NaN without any."""
+    known_c = [each for each in dwell.gyro_c if math.isfinite(each)]
+    return sum(known_c) / len(known_c) if known_c else math.nan
 
 
-def _is_same(one: Sequence[DwellRow], other: Sequence[DwellRow], axis: int) -> bool:
+def _are_passes_of_one(first: Sequence[DwellRow], second: Sequence[DwellRow], axis: int) -> bool:
     return (
-        set_point_c(one[0].chamber_set_c) == set_point_c(other[0].chamber_set_c)
-        and abs(mean_c(one, axis) - mean_c(other, axis)) <= MAX_FROM_MEAN_K
-        and not {row.position for row in one}.isdisjoint(row.position for row in other)
+        set_point_c(first[0].chamber_set_c) == set_point_c(second[0].chamber_set_c)
+        and abs(mean_c(first, axis) - mean_c(second, axis)) <= MAX_FROM_MEAN_K
+        and not {row.position for row in first}.isdisjoint(row.position for row in second)
     )

@@ -1,14 +1,14 @@
 """Differences of a gyro's bias between the positions of a plateau, at one temperature.
 
-The dwells of a plateau come one after the other, while the gyros still drift by a kelvin or more, so a bias
-that depends on temperature would look like one that depends on position. Each dwell is therefore reduced to
-the mean temperature of its plateau with the gyro's own curve: a cubic through the means of all plateaus,
-common to all positions, with a constant for each power-on. Its uncertainty, larger where the plateaus
-scatter about it by more than their noise, goes into that of the differences.
+The dwells of a plateau are measured one after the other, while the gyros still drift by a kelvin or more, so
+a bias that depends on temperature would look like one that depends on position. Each dwell is therefore
+reduced to the mean temperature of its plateau by the curve of its gyro: a cubic through the means of all
+plateaus, common to all positions, with a constant for each power-on. The uncertainty of the curve, larger if
+the plateaus scatter about it by more than their noise, contributes to that of the differences.
 
-Passes of the same plateau, in several cycles, give their differences together where they agree. Their
-uncertainty is the larger one of two: with the errors of all dwells independent, and with those of common
-sources, as accelerometers that follow the temperature, the same in each pass.
+Passes of the same plateau, in several cycles, are averaged if they agree. The uncertainty of their mean is
+the larger one of two: with independent errors of all dwells, and with the errors of common sources, as
+accelerometers that follow the temperature, the same in each pass.
 
 References
 ----------
@@ -33,7 +33,7 @@ from gyrobench.bench.navigation.positions import POSITIONS
 
 _Plateau = Sequence[DwellRow]
 
-#: Slope that a gyro's bias may have where the run does not determine it, standard deviation, (deg/h)/K.
+#: Prior standard deviation of the slope of a gyro's bias, (deg/h)/K, if the run does not determine it.
 SLOPE_SIGMA_DPH_PER_C = 0.002
 #: Scale of temperatures in the cubic, K: of the order of the range of a campaign.
 _SCALE_C = 50.0
@@ -42,7 +42,7 @@ _POWERS = np.arange(1, 4)
 
 @dataclass(frozen=True, eq=False)
 class CubicBiasCurve:
-    """Bias of a gyro over its temperature, without its constant."""
+    """Bias of a gyro as a function of its temperature, up to a constant."""
 
     reference_c: float  #: Temperature at which it is zero.
     #: coefficients, covariance: Shape (3,) and (3, 3). Of the powers 1 to 3 of the temperature above the
@@ -58,7 +58,7 @@ class CubicBiasCurve:
 
 @dataclass(frozen=True)
 class Difference:
-    """Bias of a gyro in one position less that in another, deg/h, and its standard uncertainty."""
+    """Bias of a gyro in position ``high`` minus that in position ``low``, and its standard uncertainty."""
 
     high: str
     low: str
@@ -72,15 +72,15 @@ class PositionDifferences:
     """Differences between all positions of one plateau, over one or more passes."""
 
     temperature_c: float  #: Mean of the gyro.
-    differences: tuple[Difference, ...]  #: Of every pair that met in one pass, in both orders.
+    differences: tuple[Difference, ...]  #: Of every pair measured in one pass, in both orders.
     p_value: float  #: Probability of passes that disagree at least as much by chance; NaN for a single one.
 
 
 def fit_bias_curve(plateaus: Sequence[_Plateau], axis: int) -> CubicBiasCurve:
     """Fit the curve of one gyro to the means of plateaus.
 
-    ``plateaus``: with a result for this gyro in each dwell. ``axis``: 0, 1 or 2. Result: from the whole run.
-    Without plateaus, or with those of one temperature, its slope is zero to 0.002 (deg/h)/K.
+    ``plateaus``: of the whole run, with a result for this gyro in each dwell. ``axis``: 0, 1 or 2. Without
+    plateaus, or with one temperature only, the slope is zero with an uncertainty of 0.002 (deg/h)/K.
     """
     prior = np.full(len(_POWERS), (SLOPE_SIGMA_DPH_PER_C * _SCALE_C) ** -2.0)
     temperature_c = np.array([mean_c(plateau, axis) for plateau in plateaus])
@@ -102,17 +102,17 @@ def fit_bias_curve(plateaus: Sequence[_Plateau], axis: int) -> CubicBiasCurve:
     dof = len(plateaus) - float(np.trace(rows @ covariance @ rows.T))
     scatter = float(np.sum((data - rows @ parameters) ** 2)) / dof if dof > 0.5 else 1.0
     first = len(runs)
-    of_curve = max(1.0, scatter) * covariance[first:, first:]
-    return CubicBiasCurve(curve.reference_c, parameters[first:], of_curve)
+    curve_covariance = max(1.0, scatter) * covariance[first:, first:]
+    return CubicBiasCurve(curve.reference_c, parameters[first:], curve_covariance)
 
 
 def position_differences(
     passes: Sequence[_Plateau], axis: int, curve: CubicBiasCurve, shared: SharedErrors = NONE_SHARED
 ) -> PositionDifferences:
-    """Differences between positions over the passes of one plateau, each with a separate constant.
+    """Differences between positions over the passes of one plateau, with a constant for each pass.
 
     ``passes``: with a result for this gyro in each dwell, linked by common positions; two positions or more.
-    ``shared``: parts of the dwells' uncertainties that are the same error in all of them.
+    ``shared``: errors that are the same in all dwells, as parts of their uncertainties.
     """
     rows = [row for each in passes for row in each]
     index = [number for number, each in enumerate(passes) for _ in each]
@@ -136,18 +136,18 @@ def position_differences(
     dof = len(rows) - len(parameters)
     chi2 = float(np.sum((data - design @ parameters) ** 2))
     common = np.array([shared[row.dwell][axis] if shared else [] for row in rows])
-    own = np.diag(np.maximum(variances - (common**2).sum(axis=1), 0.0))
+    independent = np.diag(np.maximum(variances - (common**2).sum(axis=1), 0.0))
     by_rows = gain @ white
     by_common = by_rows @ common @ common.T @ by_rows.T
-    together = by_rows @ (own + by_curve) @ by_rows.T + by_common
+    with_common = by_rows @ (independent + by_curve) @ by_rows.T + by_common
     first = len(passes)
     differences = _differences(
-        positions, parameters[first:], [each[first:, first:] for each in (covariance, together, by_common)]
+        positions, parameters[first:], [each[first:, first:] for each in (covariance, with_common, by_common)]
     )
-    met = {(a.position, b.position) for each in passes for a, b in permutations(each, 2)}
+    measured_pairs = {(a.position, b.position) for each in passes for a, b in permutations(each, 2)}
     return PositionDifferences(
         temperature_c=float(plateau_c.mean()),
-        differences=tuple(each for each in differences if (each.high, each.low) in met),
+        differences=tuple(each for each in differences if (each.high, each.low) in measured_pairs),
         p_value=chi2_p_value(dof, chi2) if len(passes) > 1 and dof else math.nan,
     )
 
@@ -155,9 +155,10 @@ def position_differences(
 def _differences(
     positions: Sequence[str], values: FloatArray, covariances: Sequence[FloatArray]
 ) -> tuple[Difference, ...]:
-    """Differences of all pairs from those to the first position, with the largest of their variances.
+    """Differences of all pairs, each with the largest of its variances.
 
-    The last one of the covariances is that of the errors that are the same in each pass.
+    ``values``: differences from the first position. The last one of ``covariances`` is that of the errors
+    that are the same in each pass.
     """
     value = [0.0, *values.tolist()]
     padded = np.zeros((len(covariances), len(value), len(value)))

@@ -1,12 +1,12 @@
-"""Gyro bias and Earth rate from raw angular rates at rest, for a unit that does not navigate.
+"""Estimates gyro bias and Earth rate from raw angular rates at rest, for a unit that does not navigate.
 
-At rest a gyro measures its bias and its part of the Earth's rotation; upside down it measures the same bias
-and the opposite part. So two opposite attitudes give both.
+At rest a gyro measures its bias plus a component of the Earth's rotation; upside down it measures the same
+bias and the opposite component. So two opposite attitudes determine both.
 
-The rate of a recording is not its plain mean. The angle of a dithered ring laser gyro has noise that does not
-grow with time (quantisation, remains of the dither), and the mean, the angle between the first and the last
-sample, has all of it of two samples. The generalised least-squares slope of the angle weighs it against the
-random walk, both as estimated from the recording's own Allan variance.
+The rate of a recording is not estimated by the mean. The angle of a dithered ring laser gyro has noise that
+does not grow with time (quantisation, residual dither), and the mean contains the full noise of the first and
+the last sample. The generalised least-squares slope of the angle weights this noise against the random walk,
+both estimated from the Allan variance of the recording.
 
 References
 ----------
@@ -32,14 +32,14 @@ _MIN_DURATION_S = 55.0
 _MIN_SAMPLES = 100
 #: Longest time between two samples, as a multiple of the usual one.
 _MAX_GAP_SAMPLES = 1.5
-#: Angles and forces averaged over this time, s, are compared to see motion.
+#: Angles and forces are averaged over this time, s, to detect motion.
 _MOTION_BLOCK_S = 1.0
 #: Second differences of these averages are motion above this number of robust standard deviations,
 #: and above 5 arcsec and 0.5 mm/s^2: at most 0.03 deg/h over 300 s.
 _MOTION_SIGMAS = 8.0
 _MOTION_RAD = np.deg2rad(5.0 / 3600.0)
 _MOTION_MPS2 = 5e-4
-#: Largest angle between a body axis and the vertical that it should be on, rad.
+#: Largest angle between a body axis and the vertical along which it should point, rad.
 _MAX_TILT = np.deg2rad(5.0)
 
 _MIN_IN_BLOCK = 5
@@ -55,8 +55,8 @@ class RateRecording:
     """
 
     time_s: FloatArray  #: Shape (n,). Increasing.
-    #: Shape (n, 3). Mean angular rate since the sample before. A coarse output must carry over what it rounds
-    #: off, as counted pulses do, or its noise must exceed the rounding.
+    #: Shape (n, 3). Mean angular rate since the sample before. A coarse output must carry over its rounding
+    #: errors, as counted pulses do, or its noise must exceed the rounding.
     rate_radps: FloatArray
     specific_force_mps2: FloatArray | None = None  #: Shape (n, 3), optional. For the vertical.
 
@@ -93,30 +93,30 @@ class RateRecording:
 
     def _check_shapes(self) -> None:
         count = len(self.time_s)
-        named = {"rate": self.rate_radps, "specific force": self.specific_force_mps2}
-        for name, values in named.items():
+        channels = {"rate": self.rate_radps, "specific force": self.specific_force_mps2}
+        for name, values in channels.items():
             if values is None:
                 continue
             if values.shape != (count, 3):
                 raise MeasurementError(
                     f"{count} times with a {name} of shape {values.shape}; give three a time"
                 )
-            bad = ~np.isfinite(values).all(axis=1)
-            if bad.any():
+            is_nan = ~np.isfinite(values).all(axis=1)
+            if is_nan.any():
                 raise MeasurementError(
-                    f"{name} is not a number in {bad.sum()} samples, first at {self.time_s[bad][0]:.3f} s. "
-                    f"{_CHECK}"
+                    f"{name} is not a number in {is_nan.sum()} samples, first at "
+                    f"{self.time_s[is_nan][0]:.3f} s. {_CHECK}"
                 )
         if count < _MIN_SAMPLES:
             raise MeasurementError(f"only {count} samples; a recording needs {_MIN_SAMPLES}. Record longer")
 
-    def _check_rest(self, name: str, values: FloatArray, least: float) -> None:
+    def _check_rest(self, name: str, values: FloatArray, min_limit: float) -> None:
         block = max(_MIN_IN_BLOCK, round(_MOTION_BLOCK_S / self.interval_s))
-        whole = len(values) // block * block
-        bends = np.diff(values[:whole].reshape(-1, block, 3).mean(axis=1), 2, axis=0)
-        low, high = np.quantile(bends, [0.25, 0.75], axis=0)
-        limit = np.maximum(_MOTION_SIGMAS * _IQR_TO_SIGMA * (high - low), least)
-        moved = (np.abs(bends) > limit).any(axis=1)
+        used = len(values) // block * block
+        second_differences = np.diff(values[:used].reshape(-1, block, 3).mean(axis=1), 2, axis=0)
+        low, high = np.quantile(second_differences, [0.25, 0.75], axis=0)
+        limit = np.maximum(_MOTION_SIGMAS * _IQR_TO_SIGMA * (high - low), min_limit)
+        moved = (np.abs(second_differences) > limit).any(axis=1)
         if moved.any():
             about_s = self.time_s[(int(np.argmax(moved)) + 1) * block]
             raise MeasurementError(
@@ -146,7 +146,7 @@ class UpDownEstimate:
     earth_sigma_radps: float
 
     def sigmas_from(self, latitude_rad: float) -> float:
-        """How many standard uncertainties the Earth rate lies above that of a latitude."""
+        """Difference of the Earth rate from that at a latitude, in standard uncertainties."""
         return (self.earth_radps - EARTH_RATE * float(np.sin(latitude_rad))) / self.earth_sigma_radps
 
     def latitude_rad(self) -> tuple[float, float]:
@@ -180,8 +180,8 @@ def estimate_rate(recording: RateRecording) -> RateEstimate:
 def up_down_pair(up: RateRecording, down: RateRecording, axis: str) -> UpDownEstimate:
     """Separate bias and Earth rate by two recordings with one body axis up and down.
 
-    Where specific forces are recorded, the rates are projected on the vertical that they give;
-    otherwise the axis is taken to be on it, and a tilt reads the horizontal Earth rate.
+    If specific forces are recorded, the rates are projected on the vertical determined by them. Otherwise the
+    axis is assumed to be vertical, and a tilt adds a part of the horizontal Earth rate.
 
     Raises MeasurementError for no such axis, an axis far from the vertical, too short recordings.
 
@@ -194,10 +194,10 @@ def up_down_pair(up: RateRecording, down: RateRecording, axis: str) -> UpDownEst
     """
     if axis not in AXES:
         raise MeasurementError(f"there is no body axis '{axis}'; the axes are {', '.join(AXES)}")
-    turned_up, variance_up = _vertical_rate(up, axis, 1.0)
-    turned_down, variance_down = _vertical_rate(down, axis, -1.0)
+    rate_up, variance_up = _vertical_rate(up, axis, 1.0)
+    rate_down, variance_down = _vertical_rate(down, axis, -1.0)
     sigma = 0.5 * float(np.sqrt(variance_up + variance_down))
-    return UpDownEstimate(0.5 * (turned_up - turned_down), sigma, 0.5 * (turned_up + turned_down), sigma)
+    return UpDownEstimate(0.5 * (rate_up - rate_down), sigma, 0.5 * (rate_up + rate_down), sigma)
 
 
 _CHECK = "Check the recording"

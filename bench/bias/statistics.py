@@ -1,15 +1,16 @@
-"""Least squares, weighted means, excess scatter and tests: the statistics that the estimates share.
+"""Least squares, weighted means, excess scatter and statistical tests for all estimates.
 
 * :func:`solve` solves white rows with prior knowledge of the parameters; :func:`chi2_test` tests the
   residuals, :func:`chi2_p_value` any sum of squares.
 * :func:`weighted_mean` averages independent values and tests whether their uncertainties explain the scatter.
-* :func:`excess_variance` finds by how much values scatter beyond their uncertainties: values are of
-  ``y = X b + c + e``, with noise e of known size in each value and c of one normal distribution for all. Its
-  variance is that of restricted maximum likelihood, which allows for the degrees of freedom that b takes.
+* :func:`excess_variance` estimates the scatter of values beyond their uncertainties: values are modelled as
+  ``y = X b + c + e``, with noise e of known variance in each value and c of one normal distribution for all.
+  The variance of c is estimated by restricted maximum likelihood, which allows for the degrees of freedom of
+  b.
 * :func:`holm` corrects p-values for multiple comparisons; :func:`uniformity_p_value` tests whether
   p-values are uniform (Kolmogorov-Smirnov).
 
-What every run needs is made without scipy, whose modules take 0.3 s and 50 MB to import.
+Functions that every run needs do without scipy, whose modules take 0.3 s and 50 MB to import.
 """
 
 from __future__ import annotations
@@ -22,12 +23,12 @@ import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray
 
-#: A polynomial gets one degree more where chance gives its residuals less often than this.
+#: A polynomial gets one more degree if the p-value of its residuals is smaller.
 _MIN_P_VALUE = 0.01
 
-#: Enough for some ten thousand degrees of freedom.
+#: Terms of the continued fraction: enough for some ten thousand degrees of freedom.
 _BETA_TERMS = 100
-#: Combinations of data whose variance the estimate leaves less of than this test nothing.
+#: Combinations of residuals with a smaller share of the variance of the data are left out of a test.
 _MIN_VARIANCE = 1e-3
 
 
@@ -41,21 +42,21 @@ def solve(rows: FloatArray, data: FloatArray, prior_root: FloatArray) -> tuple[F
     data : ndarray, shape (n,)
         The data, in standard deviations.
     prior_root : ndarray, shape (p, k)
-        Root ``L`` of the prior covariance ``L @ L.T``; its k independent parts are solved for, so
-        parameters may be tied to one another or known exactly.
+        Root ``L`` of the prior covariance ``L @ L.T``. The problem is solved for its k independent
+        components, so parameters may depend on one another or be known exactly.
     """
-    count, root = prior_root.shape[1], _solved_root(rows, data, prior_root)
+    count, root = prior_root.shape[1], _triangular_root(rows, data, prior_root)
     spread = prior_root @ np.linalg.inv(root[:count, :count])
     return spread @ root[:count, count], spread @ spread.T
 
 
 def least_chi2(rows: FloatArray, data: FloatArray, prior_root: FloatArray) -> float:
-    """Sum of squares that :func:`solve` leaves, of residuals and of parameters about their prior."""
+    """Sum of squares of residuals and of parameters about their prior, at the solution of :func:`solve`."""
     count = prior_root.shape[1]
-    return float((_solved_root(rows, data, prior_root)[count:, count] ** 2).sum())
+    return float((_triangular_root(rows, data, prior_root)[count:, count] ** 2).sum())
 
 
-def _solved_root(rows: FloatArray, data: FloatArray, prior_root: FloatArray) -> FloatArray:
+def _triangular_root(rows: FloatArray, data: FloatArray, prior_root: FloatArray) -> FloatArray:
     count = prior_root.shape[1]
     return compress(
         np.block([[rows @ prior_root, data[:, np.newaxis]], [np.eye(count), np.zeros((count, 1))]])
@@ -77,7 +78,7 @@ class Chi2Test:
 
     @property
     def ratio(self) -> float:
-        """Size of the residuals over the expected one."""
+        """Root mean square of the residuals, relative to the expected one."""
         return math.sqrt(self.chi2 / self.dof) if self.dof else math.nan
 
 
@@ -87,11 +88,11 @@ def chi2_test(residuals: FloatArray, rows: FloatArray, covariance: FloatArray) -
     Parameters
     ----------
     residuals : ndarray, shape (n,)
-        Data less the estimate's prediction.
+        Data minus the prediction of the estimate.
     rows : ndarray, shape (n, p)
         Response of the data to the parameters.
     covariance : ndarray, shape (p, p)
-        Of the estimate, made from these data, or from data that these are sums of.
+        Of the estimate, from these data or from the data of which these are sums.
     """
     variances, directions = np.linalg.eigh(np.eye(len(residuals)) - rows @ covariance @ rows.T)
     free = variances > _MIN_VARIANCE
@@ -136,15 +137,12 @@ def _incomplete_beta(x: float, y: float, a: float, b: float) -> float:
 
 
 def lowest_polynomial(
-    at: FloatArray, values: FloatArray, sigmas: FloatArray, max_degree: int
+    x: FloatArray, values: FloatArray, sigmas: FloatArray, max_degree: int
 ) -> np.polynomial.Polynomial:
-    """Polynomial of the lowest degree, up to ``max_degree``, that the uncertainties allow.
-
-    One degree more where chance gives the residuals (n,) less often than once in a hundred.
-    """
+    """Polynomial of the lowest degree, up to ``max_degree``, whose residuals have a p-value above 1 %."""
     for degree in range(max_degree + 1):
-        fitted = np.polynomial.Polynomial.fit(at, values, degree, w=1.0 / sigmas)
-        chi2 = float(np.sum(((values - fitted(at)) / sigmas) ** 2))
+        fitted = np.polynomial.Polynomial.fit(x, values, degree, w=1.0 / sigmas)
+        chi2 = float(np.sum(((values - fitted(x)) / sigmas) ** 2))
         if degree == max_degree or chi2_p_value(len(values) - degree - 1, chi2) >= _MIN_P_VALUE:
             break
     return fitted
@@ -163,12 +161,12 @@ class WeightedMean:
 
     @property
     def chi2_reduced(self) -> float:
-        """Near 1 where the uncertainties explain the scatter; NaN for a single value."""
+        """Reduced chi-square: near 1 if the uncertainties explain the scatter; NaN for a single value."""
         return self.chi2 / self.dof if self.dof else math.nan
 
     @property
     def p_value(self) -> float:
-        """Probability of at least this scatter from the uncertainties alone; NaN for a single value."""
+        """Probability of at least this scatter if due only to the uncertainties; NaN for a single value."""
         return chi2_p_value(self.dof, self.chi2) if self.dof else math.nan
 
 
@@ -181,10 +179,10 @@ def weighted_mean(values: Sequence[float], sigmas: Sequence[float]) -> WeightedM
     )
 
 
-#: Twice the likelihood that a 95 % interval of one number leaves on either side.
-_DROP = 3.841
-#: Variances are searched up to this multiple of the values' own.
-_MAX_SHARE = 1e3
+#: Rise of the deviance at the ends of a 95 % interval of one number.
+_DEVIANCE_95 = 3.841
+#: Variances are searched up to this multiple of those of the values.
+_MAX_VARIANCE_RATIO = 1e3
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +190,7 @@ class WeightedFit:
     """Least squares with weights."""
 
     values: FloatArray  #: Shape (k,). The parameters.
-    covariance: FloatArray  #: Shape (k, k). Theirs, if the variances are right.
+    covariance: FloatArray  #: Shape (k, k). Covariance of the parameters, if the variances are correct.
     #: chi2, dof: Weighted sum of squared residuals, and its degrees of freedom.
     chi2: float
     dof: int
@@ -218,77 +216,79 @@ def weighted_fit(values: FloatArray, variances: FloatArray, design: FloatArray) 
 
 
 def excess_variance(values: FloatArray, variances: FloatArray, design: FloatArray) -> float:
-    """Variance by which values scatter beyond their own; zero where their own explain them.
+    """Variance of the scatter of values beyond their own variances; zero if these explain the scatter.
 
     ``values``, ``variances`` (n,): values and the known parts of their variances, above zero. ``design`` (n,
-    k): columns of what is fitted beside, of full rank.
+    k): columns of the parameters b, of full rank.
     """
     from scipy.optimize import minimize_scalar
 
     if len(values) <= design.shape[1]:
         return 0.0
-    criterion = _criterion(values, variances, design)
-    largest = _largest(values, variances, design)
-    # Over the logarithm: the likelihood is as wide there for small variances as for large ones.
-    found = minimize_scalar(
-        lambda log: criterion(np.exp(log)),
-        bounds=(np.log(1e-4 * variances.min()), np.log(largest)),
+    deviance = _deviance_function(values, variances, design)
+    max_variance = _max_variance(values, variances, design)
+    # Over the logarithm, in which the likelihood is equally wide for small and large variances.
+    minimum = minimize_scalar(
+        lambda log: deviance(np.exp(log)),
+        bounds=(np.log(1e-4 * variances.min()), np.log(max_variance)),
         method="bounded",
         options={"xatol": 1e-2},
     )
-    best = float(np.exp(found.x))
-    return best if criterion(best) < criterion(0.0) else 0.0
+    best = float(np.exp(minimum.x))
+    return best if deviance(best) < deviance(0.0) else 0.0
 
 
 def excess_sigma(values: FloatArray, variances: FloatArray, design: FloatArray) -> ExcessSigma:
-    """Give :func:`excess_variance` as a standard deviation, with the interval of its likelihood.
+    """Estimate :func:`excess_variance` as a standard deviation, with the interval of its likelihood.
 
-    The interval holds the truth in about 95 % of cases; with few values it reaches far up.
+    The interval contains the true value in about 95 % of cases; with few values its upper end is high.
     """
     from scipy.optimize import brentq
 
     best = excess_variance(values, variances, design)
     if len(values) <= design.shape[1]:
         return ExcessSigma(0.0, 0.0, float("inf"))
-    criterion = _criterion(values, variances, design)
-    limit = criterion(best) + _DROP
-    largest = _largest(values, variances, design)
+    deviance = _deviance_function(values, variances, design)
+    limit = deviance(best) + _DEVIANCE_95
+    max_variance = _max_variance(values, variances, design)
 
-    def beyond(variance: float) -> float:
-        return criterion(variance) - limit
+    def above_limit(variance: float) -> float:
+        return deviance(variance) - limit
 
-    low = 0.0 if beyond(0.0) <= 0.0 else float(brentq(beyond, 0.0, best))
-    high = float(brentq(beyond, best, largest)) if beyond(largest) > 0.0 else float("inf")
+    low = 0.0 if above_limit(0.0) <= 0.0 else float(brentq(above_limit, 0.0, best))
+    high = float(brentq(above_limit, best, max_variance)) if above_limit(max_variance) > 0.0 else float("inf")
     return ExcessSigma(best**0.5, low**0.5, high**0.5)
 
 
 def excess_information(variances: FloatArray, design: FloatArray) -> float:
-    """Fisher information on a variance that all values share, given their whole variances."""
+    """Fisher information on a variance that all values have in common, given their total variances."""
     weights = 1.0 / variances
-    once, twice, thrice = (design.T @ (design * weights[:, np.newaxis] ** power) for power in (1, 2, 3))
-    covariance = np.linalg.inv(once)
-    mixed = covariance @ twice
-    return 0.5 * float(np.sum(weights**2) - 2.0 * np.trace(covariance @ thrice) + np.trace(mixed @ mixed))
+    order_1, order_2, order_3 = (design.T @ (design * weights[:, np.newaxis] ** power) for power in (1, 2, 3))
+    covariance = np.linalg.inv(order_1)
+    mixed = covariance @ order_2
+    return 0.5 * float(np.sum(weights**2) - 2.0 * np.trace(covariance @ order_3) + np.trace(mixed @ mixed))
 
 
 def restricted_deviance(values: FloatArray, variances: FloatArray, design: FloatArray) -> float:
-    """Minus twice the restricted log-likelihood of known variances, but for a constant.
+    """Minus twice the restricted log-likelihood of known variances, up to a constant.
 
-    Differences between variances for the same values and design compare these.
+    Its differences compare variances for the same values and design.
     """
     fit = weighted_fit(values, variances, design)
     _, log_determinant = np.linalg.slogdet(fit.covariance)
     return float(np.sum(np.log(variances)) - log_determinant + fit.chi2)
 
 
-def _criterion(values: FloatArray, variances: FloatArray, design: FloatArray) -> Callable[[float], float]:
-    """Deviance as a function of a variance added to all."""
+def _deviance_function(
+    values: FloatArray, variances: FloatArray, design: FloatArray
+) -> Callable[[float], float]:
+    """Deviance as a function of a variance that is added to all variances."""
     return lambda added: restricted_deviance(values, variances + added, design)
 
 
-def _largest(values: FloatArray, variances: FloatArray, design: FloatArray) -> float:
+def _max_variance(values: FloatArray, variances: FloatArray, design: FloatArray) -> float:
     residuals = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
-    return _MAX_SHARE * float(np.mean(residuals**2) + variances.max())
+    return _MAX_VARIANCE_RATIO * float(np.mean(residuals**2) + variances.max())
 
 
 def holm(p_values: Sequence[float]) -> FloatArray:
@@ -297,8 +297,8 @@ def holm(p_values: Sequence[float]) -> FloatArray:
     It holds whether or not the comparisons depend on one another. NaN stays and is not counted.
     """
     given = np.asarray(p_values, dtype=np.float64)
-    known = np.flatnonzero(~np.isnan(given))
-    order = known[np.argsort(given[known], kind="stable")]
+    finite = np.flatnonzero(~np.isnan(given))
+    order = finite[np.argsort(given[finite], kind="stable")]
     counts = np.arange(len(order), 0, -1)
     adjusted = np.full(len(given), np.nan)
     adjusted[order] = np.minimum(np.maximum.accumulate(counts * given[order]), 1.0)
@@ -306,9 +306,9 @@ def holm(p_values: Sequence[float]) -> FloatArray:
 
 
 def uniformity_p_value(p_values: Sequence[float]) -> float:
-    """Probability of a distribution at least as far from uniform, of at least one value in 0 to 1.
+    """Probability that uniform p-values, at least one, deviate at least as much from a uniform distribution.
 
-    Twice the exact one-sided probability: exact where it is small, too large elsewhere.
+    Twice the exact one-sided probability, which is accurate if it is small, and else an upper limit.
     """
     count, ordered = len(p_values), np.sort(p_values)
     steps = np.arange(count + 1) / count
@@ -317,7 +317,7 @@ def uniformity_p_value(p_values: Sequence[float]) -> float:
 
 
 def uniformity_band(count: int, probability: float = 0.95) -> float:
-    """How far the distribution of ``count`` p-values strays from uniform, with this probability at most."""
+    """Largest deviation of the distribution of ``count`` p-values from uniform, with this probability."""
     low, high = 0.0, 1.0
     while (middle := 0.5 * (low + high)) not in (low, high):
         if _smirnov(count, middle) > 0.5 * (1.0 - probability):
@@ -328,12 +328,12 @@ def uniformity_band(count: int, probability: float = 0.95) -> float:
 
 
 def _smirnov(count: int, distance: float) -> float:
-    """Probability that ``count`` uniform values lead by a distance in 0 to 1 (Birnbaum and Tingey, 1951)."""
+    """Probability of a one-sided Smirnov distance of ``count`` values (Birnbaum and Tingey, 1951)."""
     if not 0.0 < distance < 1.0:
         return float(distance <= 0.0)
-    above = np.arange(math.floor(count * (1.0 - distance)) + 1)
-    share = distance + above / count
-    left = np.maximum(1.0 - share, np.finfo(float).tiny)
-    chosen = np.concatenate([[0.0], np.cumsum(np.log((count - above[:-1]) / above[1:]))])
-    logs = chosen + (above - 1) * np.log(share) + (count - above) * np.log(left)
+    counts_above = np.arange(math.floor(count * (1.0 - distance)) + 1)
+    share = distance + counts_above / count
+    complement = np.maximum(1.0 - share, np.finfo(float).tiny)
+    log_binomials = np.concatenate([[0.0], np.cumsum(np.log((count - counts_above[:-1]) / counts_above[1:]))])
+    logs = log_binomials + (counts_above - 1) * np.log(share) + (count - counts_above) * np.log(complement)
     return distance * float(np.exp(logs).sum())

@@ -13,13 +13,13 @@ from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.files import parse_json
 
-#: What a limit is on; a vertical difference is one between a gyro's axis up and down, with a separate limit.
+#: Quantity of a limit; a vertical difference is one between a gyro's axis up and down, with its own limit.
 JudgedQuantity = Literal["position difference", "vertical difference", "bias"]
-#: Of a gyro in one bin.
+#: Verdict on a gyro in one bin.
 Verdict = Literal["pass", "marginal", "fail"]
-#: Of a whole gyro.
+#: Verdict on a gyro in all bins.
 GyroVerdict = Literal["pass", "marginal", "fail", "not measured"]
-#: Of a run.
+#: Verdict on a run.
 RunVerdict = Literal["accepted", "marginal", "rejected", "not judged"]
 
 
@@ -53,50 +53,54 @@ class AcceptanceLimits(StrictModel):
 
     def of(self, quantity: JudgedQuantity) -> float:
         """Limit of a quantity, deg/h."""
-        own = {"vertical difference": self.vertical_difference_dph, "bias": self.bias_dph}.get(quantity)
-        return self.position_difference_dph if own is None else own
+        special = {"vertical difference": self.vertical_difference_dph, "bias": self.bias_dph}.get(quantity)
+        return self.position_difference_dph if special is None else special
 
 
 class Judgement(StrictModel):
-    """One gyro on the plateaus of one bin against one limit; the mean temperature decides the bin."""
+    """Judgement of one gyro on the plateaus of one bin against one limit.
+
+    The mean temperature of a plateau determines its bin.
+    """
 
     gyro: str = Field(pattern="^[xyz]$")
     quantity: JudgedQuantity
     bin_low_c: float
     bin_high_c: float
-    positions: list[str]  #: Those compared.
-    #: The two that differ most, the higher bias first; for a bias, its position.
+    positions: list[str]  #: Positions compared.
+    #: The two positions that differ most, the higher bias first; for a bias, its position.
     worst: list[str] = Field(min_length=1, max_length=2)
-    #: value_dph, sigma_dph: Their difference, or that bias without its sign, and its standard uncertainty.
+    #: value_dph, sigma_dph: Largest difference, or absolute value of the largest bias, and its standard
+    #: uncertainty.
     value_dph: float
     sigma_dph: float
-    #: at_least_dph, at_most_dph: Limits of the largest true one, each with the probability ``confidence``
-    #: that the limits of acceptance state: the lower one for all judgements of the run together.
+    #: at_least_dph, at_most_dph: Confidence limits of the largest true value, each with the probability
+    #: ``confidence`` of the limits of acceptance; the lower one for all judgements of the run together.
     at_least_dph: float
     at_most_dph: float
     limit_dph: float
     verdict: Verdict
-    #: Whether these plateaus had the same differences in each pass; else each pass was judged alone.
+    #: Whether these plateaus had the same differences in each pass; else each pass was judged separately.
     passes_agree: bool = True
     passes: int = 1  #: Number of passes of the plateau of which the value is the mean.
     common_sigma_dph: float = 0.0  #: Part of sigma_dph that is the same in each pass.
 
     @property
     def cycles_to_decide(self) -> float:
-        """Cycles of one run that decide, if the value stays as measured; infinite where no number does.
+        """Cycles of one run needed for a decision, if the value stays as measured; infinite if none suffice.
 
-        The distance of both confidence limits from a mean of passes follows its standard uncertainty, of
-        which the part that is the same in each pass stays.
+        The distance of both confidence limits from a mean of passes is proportional to its standard
+        uncertainty, of which the part that is the same in each pass does not average out.
         """
         if self.quantity == "bias" or not self.passes_agree:
             return math.inf
-        left = self._variance_to_decide - self.common_sigma_dph**2
-        own = self.sigma_dph**2 - self.common_sigma_dph**2
-        return math.ceil(self.passes * own / left) if left > 0.0 else math.inf
+        remaining = self._variance_to_decide - self.common_sigma_dph**2
+        independent = self.sigma_dph**2 - self.common_sigma_dph**2
+        return math.ceil(self.passes * independent / remaining) if remaining > 0.0 else math.inf
 
     @property
     def is_limited_by_common_errors(self) -> bool:
-        """Whether errors that are the same in each pass keep any number of cycles from a decision."""
+        """Whether errors that are the same in each pass prevent a decision by any number of cycles."""
         is_mean = self.quantity != "bias" and self.passes_agree
         return is_mean and 0.0 < self._variance_to_decide <= self.common_sigma_dph**2
 
@@ -110,7 +114,7 @@ class Judgement(StrictModel):
 
 
 class NotMeasured(StrictModel):
-    """A planned dwell of which a gyro's bias was not compared with the others of its plateau."""
+    """A planned dwell in which a gyro's bias was not compared with the other dwells of its plateau."""
 
     gyro: str = Field(pattern="^[xyz]$")
     cycle: int
@@ -119,10 +123,10 @@ class NotMeasured(StrictModel):
 
 
 class Acceptance(StrictModel):
-    """Verdict on the unit of a run, and what it stands on."""
+    """Verdict on the unit of a run, and the judgements behind it."""
 
     verdict: RunVerdict = "not judged"
-    limits: AcceptanceLimits | None = None  #: None where the procedure states none: then nothing is judged.
+    limits: AcceptanceLimits | None = None  #: None if the procedure states none; then nothing is judged.
     gyros: dict[str, GyroVerdict] = Field(default_factory=dict)  #: Verdict on each gyro.
     #: Number of plateaus on which positions were compared; ``stops`` in the file.
     plateaus: int = Field(
@@ -134,12 +138,12 @@ class Acceptance(StrictModel):
     unconnected: list[list[str]] = Field(default_factory=list)
 
     def deciding(self, gyro: str) -> Judgement | None:
-        """Return what decides on a gyro: nearest to a fail, or farthest beyond it; None without any.
+        """Return the judgement that decides on a gyro, which is the most severe; None without any.
 
-        Of judgements with the same verdict one on a difference comes before one on a bias.
+        Among equal verdicts a judgement of a difference takes precedence over one of a bias.
         """
-        own = [each for each in self.judgements if each.gyro == gyro]
-        return max(own, key=_severity, default=None)
+        of_gyro = [each for each in self.judgements if each.gyro == gyro]
+        return max(of_gyro, key=_severity, default=None)
 
 
 def _severity(judged: Judgement) -> tuple[int, bool, float]:
@@ -148,12 +152,12 @@ def _severity(judged: Judgement) -> tuple[int, bool, float]:
 
 
 def write_acceptance(path: Path, acceptance: Acceptance) -> None:
-    """Write a verdict and all that it stands on. Raises RunFolderError if the file can't be written."""
+    """Write a verdict and its judgements. Raises RunFolderError if the file can't be written."""
     write_text(path, acceptance.model_dump_json(indent=2, by_alias=True) + "\n")
 
 
 def read_acceptance(path: Path) -> Acceptance:
-    """Read a verdict. Raises DocumentError if the file can't be read or holds something else."""
+    """Read a verdict. Raises DocumentError if the file can't be read or is not a verdict."""
     text = read_text(path)
     try:
         return Acceptance.model_validate(parse_json(text))

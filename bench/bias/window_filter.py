@@ -1,9 +1,9 @@
-"""One window of navigation at rest, whitened epoch by epoch by a Kalman filter.
+"""Whitens one window of navigation at rest, epoch by epoch, with a Kalman filter.
 
-What the sensors' noise does to velocity and heading is strongly correlated from epoch to epoch. A filter that
-knows only the noise turns data into innovations that are white with unit variance. The response to each
-parameter, sent through the same filter, becomes a column of an ordinary least-squares problem. That is
-generalised least squares without its large matrix.
+The effect of the sensors' noise on velocity and heading is strongly correlated from epoch to epoch. A filter
+whose model contains only the noise turns the data into innovations that are white with unit variance. The
+response to each parameter, passed through the same filter, becomes a column of an ordinary least-squares
+problem. This is generalised least squares without the large covariance matrix.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gyrobench.bench.bias.dwell import slots
+from gyrobench.bench.bias.dwell import interval_indices
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.statistics import compress
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray
@@ -22,15 +22,15 @@ from gyrobench.bench.foundations.kernels import compiled
 from gyrobench.bench.navigation.attitude import rotation_vector_enu
 from gyrobench.bench.navigation.error_model import INPUTS, STATES, Site, integrate
 
-#: Velocity and heading hold all that happened before, so epochs closer than this, s, would only
-#: average noise of the output.
+#: Interval of the epochs used, s. Velocity and heading are integrals, so more epochs would only average the
+#: noise of the output.
 EPOCH_S = 1.0
-#: Time, s, over which innovations are summed for the test of fit.
+#: Time, s, over which innovations are summed for the goodness-of-fit test.
 _MINUTE_S = 60.0
 #: Time constant, s, with which accelerometers settle after a turn.
 TRANSIENT_S = 120.0
 
-# Noise of an output without any, m/s and rad: far below what an INS resolves.
+# Smallest noise of velocity East and North, m/s, and heading, rad: far below the resolution of an INS.
 _MIN_WHITE = np.array([1e-7, 1e-7, 1e-10])
 
 
@@ -41,46 +41,46 @@ class _Minute:
 
 
 @dataclass(frozen=True, eq=False)
-class EpochsFiltered:
-    """What the filter did at each of the n epochs of a window."""
+class FilteredEpochs:
+    """Rows, gains and transitions of the filter at the n epochs of a window."""
 
     time_s: FloatArray  #: Shape (n,).
     #: rows, gains, scales: Shapes (n, 3, c), (n, 3, 6), (n, 3). White rows with unit variance for columns in
-    #: SI; gain of each component of the state for a datum in m/s or rad; inverse standard deviation of each
-    #: innovation, s/m or 1/rad. See :func:`whiten`.
+    #: SI; gain of the state for each datum in m/s or rad; inverse standard deviation of each innovation, s/m
+    #: or 1/rad. See :func:`whiten`.
     rows: FloatArray
     gains: FloatArray
     scales: FloatArray
-    #: transition, response: Shapes (n, 6, 6), (n, 6, 5). The interval that leads to each epoch, SI.
+    #: transition, response: Shapes (n, 6, 6), (n, 6, 5). Over the interval that ends at each epoch, SI.
     transition: FloatArray
     response: FloatArray
 
 
 class WindowFilter:
-    """Innovations of one window and of the responses to what may act in it.
+    """Filters one window: the data, and the responses to the inputs that may act in it.
 
     Parameters
     ----------
     site, noise
-        Where the bench stands, and the noise of the INS.
+        Location of the bench, and the noise of the INS.
     time_s : float
         First epoch on the clock of the INS.
     C_nb : ndarray, shape (3, 3)
         Attitude that the INS computes then.
-    known : ndarray, shape (6,)
-        Minus what the filter knows of the state from earlier windows.
+    negated_state : ndarray, shape (6,)
+        Estimate of the state from earlier windows, with opposite sign.
     covariance : ndarray, shape (6, 6)
-        Covariance of that from the noise alone; changed as epochs are added.
+        Covariance of that estimate due to the noise; changed as epochs are added.
 
     Attributes
     ----------
     columns : ndarray, shape (6, c)
-        What the filter does not know of the state at the last epoch, for the columns of
+        Part of the state at the last epoch that the filter does not estimate, for the columns of
         :mod:`gyrobench.bench.bias.window_filter`.
     root : ndarray, shape (k, c)
-        Rows with the same normal equations as the white ones of all epochs.
+        Rows with the same normal equations as the white rows of all epochs.
     first_s, last_s : float
-        Time of the first epoch, and of the last one used, which is NaN before there is one.
+        Time of the first epoch, and of the last one used; NaN if there is none.
     output_variances : ndarray, shape (3,)
         Of the noise of velocity East and North and of the heading.
     temperature_sum, epochs : ndarray of shape (4,), int
@@ -93,7 +93,7 @@ class WindowFilter:
         noise: NoiseModel,
         time_s: float,
         C_nb: FloatArray,
-        known: FloatArray,
+        negated_state: FloatArray,
         covariance: FloatArray,
     ) -> None:
         self._site, self._noise = site, noise
@@ -105,7 +105,7 @@ class WindowFilter:
         self.covariance = covariance
         self.columns = np.zeros((STATES, COLUMN_COUNT))
         self.columns[:, :INPUT] = np.eye(STATES)
-        self.columns[:, DATA] = known
+        self.columns[:, DATA] = negated_state
         self.root = np.zeros((0, COLUMN_COUNT))
         self.last_s = math.nan
         self.temperature_sum = np.zeros(4)
@@ -113,19 +113,23 @@ class WindowFilter:
         self._last_velocity = np.zeros(2)
         self._filtered: list[tuple[FloatArray, ...]] = []
 
-    def choose(self, time_s: FloatArray) -> IntArray:
-        """Choose the first epoch of each second that has none yet; indices."""
-        numbers = slots(time_s, self.first_s, EPOCH_S)
-        last = -1 if math.isnan(self.last_s) else slots(np.array([self.last_s]), self.first_s, EPOCH_S)[0]
-        return np.flatnonzero(numbers > np.maximum.accumulate(np.append(last, numbers[:-1])))
+    def new_epochs(self, time_s: FloatArray) -> IntArray:
+        """Indices of the epochs to use: the first one of each second that has none yet."""
+        indices = interval_indices(time_s, self.first_s, EPOCH_S)
+        last = (
+            -1
+            if math.isnan(self.last_s)
+            else interval_indices(np.array([self.last_s]), self.first_s, EPOCH_S)[0]
+        )
+        return np.flatnonzero(indices > np.maximum.accumulate(np.append(last, indices[:-1])))
 
     def add(
         self, time_s: FloatArray, velocity_en_mps: FloatArray, C_nb: FloatArray, temperatures: FloatArray
     ) -> None:
         """Filter the next epochs (n,).
 
-        ``temperatures`` (n, 4): of the gyros and of the accelerometers, counted from where the bias slopes
-        do, K.
+        ``temperatures`` (n, 4): of the gyros and of the accelerometers, relative to the reference
+        temperatures of the bias slopes, K.
         """
         steps = integrate(
             self._site,
@@ -134,12 +138,14 @@ class WindowFilter:
             self._noise.velocity_random_walk,
         )
         heading = -rotation_vector_enu(C_nb, self.C_nb)[:, 2]
-        driven = np.zeros((len(time_s), INPUTS, DATA - SLOPE))
-        driven[:, :3, :3] = self.C_nb * temperatures[:, np.newaxis, :3]
-        driven[:, 3:, 3:5] = np.multiply.outer(temperatures[:, 3], np.eye(2))
-        driven[:, 3:, 5:7] = np.multiply.outer(np.exp((self.first_s - time_s) / TRANSIENT_S), np.eye(2))
-        # Of the epoch before, whose noise the innovation does not hold.
-        driven[:, 3:, 7] = -np.vstack([self._last_velocity, velocity_en_mps[:-1]])
+        varying_inputs = np.zeros((len(time_s), INPUTS, DATA - SLOPE))
+        varying_inputs[:, :3, :3] = self.C_nb * temperatures[:, np.newaxis, :3]
+        varying_inputs[:, 3:, 3:5] = np.multiply.outer(temperatures[:, 3], np.eye(2))
+        varying_inputs[:, 3:, 5:7] = np.multiply.outer(
+            np.exp((self.first_s - time_s) / TRANSIENT_S), np.eye(2)
+        )
+        # Velocity of the epoch before: its noise is not in this innovation.
+        varying_inputs[:, 3:, 7] = -np.vstack([self._last_velocity, velocity_en_mps[:-1]])
         rows, gains, scales = whiten(
             self.columns,
             self.covariance,
@@ -148,36 +154,36 @@ class WindowFilter:
             steps.transition,
             steps.response,
             steps.covariance,
-            driven,
+            varying_inputs,
         )
         self.root = compress(np.vstack([self.root, rows.reshape(-1, COLUMN_COUNT)]))
         self._filtered.append((time_s, rows, gains, scales, steps.transition, steps.response))
-        self._sum_up(time_s, rows)
+        self._add_to_minutes(time_s, rows)
         self.last_s, self._last_velocity = float(time_s[-1]), velocity_en_mps[-1]
         self.temperature_sum += temperatures.sum(axis=0)
         self.epochs += len(time_s)
 
     @property
-    def epochs_filtered(self) -> EpochsFiltered:
-        """What the filter did at each epoch."""
-        return EpochsFiltered(*(np.concatenate(each) for each in zip(*self._filtered, strict=True)))
+    def filtered_epochs(self) -> FilteredEpochs:
+        """Rows, gains and transitions of the filter at all epochs."""
+        return FilteredEpochs(*(np.concatenate(each) for each in zip(*self._filtered, strict=True)))
 
-    def minutes(self) -> Iterator[FloatArray]:
+    def minute_sums(self) -> Iterator[FloatArray]:
         """Sum of the rows (3, c) of each minute, with unit variance."""
         for minute in self._minutes.values():
             yield minute.total / math.sqrt(minute.count)
 
-    def _sum_up(self, time_s: FloatArray, rows: FloatArray) -> None:
-        numbers = slots(time_s, self.first_s, _MINUTE_S)
-        for number in np.unique(numbers).tolist():
-            minute = self._minutes.setdefault(number, _Minute())
-            minute.total += rows[numbers == number].sum(axis=0)
-            minute.count += int(np.sum(numbers == number))
+    def _add_to_minutes(self, time_s: FloatArray, rows: FloatArray) -> None:
+        indices = interval_indices(time_s, self.first_s, _MINUTE_S)
+        for index in np.unique(indices).tolist():
+            minute = self._minutes.setdefault(index, _Minute())
+            minute.total += rows[indices == index].sum(axis=0)
+            minute.count += int(np.sum(indices == index))
 
 
-#: Columns of a window: state at its start, constant inputs, a constant of the heading, inputs that
-#: follow the temperature of each gyro, accelerations East and North that follow that of the
-#: accelerometers, others that decay, damping of the velocity, the data.
+#: First columns of a window's blocks: state at its start; constant inputs; constant of the heading; inputs
+#: proportional to the temperature of each gyro; accelerations East and North proportional to the temperature
+#: of the accelerometers; decaying accelerations East and North; damping of the velocity; the data.
 STATE, INPUT, HEADING, SLOPE, ACCELEROMETER_SLOPE, TRANSIENT, DAMPING, DATA = 0, 6, 11, 12, 15, 17, 19, 20
 COLUMN_COUNT = 21
 
@@ -195,52 +201,52 @@ def whiten(
     transitions: FloatArray,
     responses: FloatArray,
     covariances: FloatArray,
-    driven: FloatArray,
+    varying_inputs: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Filter the next epochs of one window; ``columns`` and ``covariance`` are changed in place.
 
     Parameters
     ----------
     columns : ndarray, shape (6, c)
-        The part of the state that the filter does not know, for each column.
+        The part of the state that the filter does not estimate, for each column.
     covariance : ndarray, shape (6, 6)
-        Of the filter's estimate, from the noise alone.
+        Of the filter's estimate, due to the noise.
     measured : ndarray, shape (n, 3)
         Velocity error East and North, attitude error about Up.
     variances : ndarray, shape (3,)
         Of the noise of each of them.
     transitions, responses, covariances : ndarray, shape (n, 6, 6), (n, 6, 5), (n, 6, 6)
-        The interval that leads to each epoch; :class:`gyrobench.bench.navigation.error_model.Intervals`.
-    driven : ndarray, shape (n, 5, 8)
-        Input in the interval that leads to each epoch, for each column from the slopes on.
+        The interval that ends at each epoch; :class:`gyrobench.bench.navigation.error_model.Intervals`.
+    varying_inputs : ndarray, shape (n, 5, 8)
+        Input in the interval that ends at each epoch, for each column from the slopes on.
 
     Returns
     -------
     rows : ndarray, shape (n, 3, c)
         White rows with unit variance.
     gains, scales : ndarray, shape (n, 3, 6), (n, 3)
-        Gain of the filter at each datum, and what makes its innovation one of unit variance.
+        Gain of the filter for each datum, and inverse standard deviation of its innovation.
     """
     rows = np.empty((measured.shape[0], 3, COLUMN_COUNT))
     gains, scales = np.empty((measured.shape[0], 3, 6)), np.empty((measured.shape[0], 3))
-    moved, before = np.empty((6, COLUMN_COUNT)), np.empty((6, 6))
+    propagated, before = np.empty((6, COLUMN_COUNT)), np.empty((6, 6))
     for k in range(measured.shape[0]):
         transition, response = transitions[k], responses[k]
         for i in range(6):
             for c in range(COLUMN_COUNT):
-                moved[i, c] = 0.0
+                propagated[i, c] = 0.0
             for j in range(6):
                 factor = transition[i, j]
                 for c in range(COLUMN_COUNT):
-                    moved[i, c] += factor * columns[j, c]
+                    propagated[i, c] += factor * columns[j, c]
             for j in range(INPUTS):
-                moved[i, INPUT + j] += response[i, j]
+                propagated[i, INPUT + j] += response[i, j]
                 for c in range(DATA - SLOPE):
-                    moved[i, SLOPE + c] += response[i, j] * driven[k, j, c]
+                    propagated[i, SLOPE + c] += response[i, j] * varying_inputs[k, j, c]
         # Numba takes seconds to compile the assignment of a whole array.
         for i in range(6):
             for c in range(COLUMN_COUNT):
-                columns[i, c] = moved[i, c]
+                columns[i, c] = propagated[i, c]
         # Numba's matrix product would import scipy.linalg.
         for i in range(6):
             for j in range(6):

@@ -2,11 +2,11 @@
 
 A triad measures ``m + b + M m``, where m is the true rate or specific force in the body frame, b the biases
 and M the matrix of scale factor errors (diagonal) and misalignments: the paper's (1) and (2). ``M[i, j]`` is
-how much sensor i senses of axis j. These are 24 coefficients in a body frame given from outside, as by a
-case or a table. Increments alone know no such frame: here body x is the input axis of the x accelerometer,
-and that of the y accelerometer lies in the plane of x and y. Then the accelerometers' matrix is lower
-triangular, and 21 coefficients are independent. Gyros may fix the body frame in the same way instead; any
-other frame, as of a case, follows by :meth:`SensorErrors.turned`.
+the sensitivity of sensor i to axis j. These are 24 coefficients in a body frame given externally, as by a
+case or a table. Increments do not determine such a frame. Here, body x is the input axis of the x
+accelerometer, and that of the y accelerometer lies in the plane of x and y. Then the accelerometers' matrix
+is lower triangular, and 21 coefficients are independent. The gyros may define the body frame in the same way;
+:meth:`SensorErrors.rotated` converts to any other frame, as of a case.
 
 References
 ----------
@@ -40,14 +40,14 @@ LOWER = np.tril_indices(3)
 
 @dataclass(frozen=True)
 class SensorCoefficient:
-    """One coefficient."""
+    """One coefficient of the error model, or an optional parameter."""
 
     sensor: str  #: "gyro" or "accelerometer".
-    kind: str  #: "bias", "scale_factor" or "misalignment"; or what is estimated beside them.
-    axis: str  #: "x"; of a misalignment the sensor and the axis that it senses: "xy".
+    kind: str  #: "bias", "scale_factor" or "misalignment"; or the kind of an optional parameter.
+    axis: str  #: "x"; for a misalignment, the sensor and the axis to which it is sensitive: "xy".
     unit: str  #: Unit in tables.
     per_si: float  #: Value in that unit for a value of 1 in SI (rad/s, m/s^2, 1, rad).
-    size: float  #: Size of a large error, SI; an estimate that rests on it is not observed.
+    size: float  #: A large error, SI, as prior; an estimate that depends on it is not observed.
 
     @property
     def name(self) -> str:
@@ -76,22 +76,22 @@ def _coefficients(
 ) -> tuple[SensorCoefficient, ...]:
     return (
         *(_bias("gyro", axis) for axis in AXES),
-        *(_element("gyro", *place) for place in gyro),
+        *(_element("gyro", *indices) for indices in gyro),
         *(_bias("accelerometer", axis) for axis in AXES),
-        *(_element("accelerometer", *place) for place in force),
+        *(_element("accelerometer", *indices) for indices in force),
     )
 
 
 #: The 21 independent coefficients in the body frame of the accelerometers, in the order of vectors.
 COEFFICIENTS = _coefficients(_ALL, _LOWER)
-#: The same in the body frame of the gyros.
+#: The 21 independent coefficients in the body frame of the gyros.
 _GYRO_FRAME_COEFFICIENTS = _coefficients(_LOWER, _ALL)
 _DPH_PER_G = RADPS_TO_DPH * STANDARD_GRAVITY
-#: What may be estimated beside them: places of the accelerometers in the unit, their delay against the gyros,
-#: and their quadratic terms, ``K2 f^2``; biases of the gyros that follow the specific force, ``G f``, by
-#: acceleration or by heat that rises to another side in another attitude; asymmetries of their scale factors,
-#: those in positive direction less those in negative.
-BESIDE = (
+#: Parameters that may be estimated in addition: positions of the accelerometers in the unit (lever arms),
+#: their delay relative to the gyros, and their quadratic terms, ``K2 f^2``; sensitivities of the gyro biases
+#: to specific force, ``G f``, by acceleration or by convection that depends on attitude; asymmetries of the
+#: gyro scale factors, positive minus negative direction.
+OPTIONAL_PARAMETERS = (
     *(
         SensorCoefficient("accelerometer", "lever_arm", AXES[i] + AXES[j], "mm", 1e3, 0.2)
         for i in range(3)
@@ -114,11 +114,11 @@ _GYRO_BIAS, _GYRO_MATRIX = slice(0, 3), slice(3, 12)
 _FORCE_BIAS, _FORCE_MATRIX = slice(12, 15), slice(15, 21)
 
 
-def _nothing() -> FloatArray:
+def _zero_vector() -> FloatArray:
     return np.zeros(3)
 
 
-def _no_matrix() -> FloatArray:
+def _zero_matrix() -> FloatArray:
     return np.zeros((3, 3))
 
 
@@ -126,11 +126,11 @@ def _no_matrix() -> FloatArray:
 class SensorErrors:
     """Errors of three gyros and three accelerometers, SI."""
 
-    gyro_bias: FloatArray = field(default_factory=_nothing)  #: Shape (3,), rad/s.
+    gyro_bias: FloatArray = field(default_factory=_zero_vector)  #: Shape (3,), rad/s.
     #: Shape (3, 3). Scale factors and misalignments.
-    gyro_matrix: FloatArray = field(default_factory=_no_matrix)
-    force_bias: FloatArray = field(default_factory=_nothing)  #: Shape (3,), m/s^2, of the accelerometers.
-    force_matrix: FloatArray = field(default_factory=_no_matrix)  #: Shape (3, 3), of the accelerometers.
+    gyro_matrix: FloatArray = field(default_factory=_zero_matrix)
+    force_bias: FloatArray = field(default_factory=_zero_vector)  #: Shape (3,), m/s^2, of the accelerometers.
+    force_matrix: FloatArray = field(default_factory=_zero_matrix)  #: Shape (3, 3), of the accelerometers.
 
     @classmethod
     def from_vector(cls, values: FloatArray) -> Self:
@@ -141,47 +141,52 @@ class SensorErrors:
 
     def vector(self) -> FloatArray:
         """Values (21,) of :data:`COEFFICIENTS`, SI, after a change to the accelerometers' body frame."""
-        here, _ = self.in_accelerometer_frame()
+        converted, _ = self.in_accelerometer_frame()
         return np.concatenate(
-            [here.gyro_bias, here.gyro_matrix.ravel(), here.force_bias, here.force_matrix[LOWER]]
+            [
+                converted.gyro_bias,
+                converted.gyro_matrix.ravel(),
+                converted.force_bias,
+                converted.force_matrix[LOWER],
+            ]
         )
 
     def in_accelerometer_frame(self) -> tuple[SensorErrors, FloatArray]:
-        """The same sensors in the body frame fixed to the accelerometers, and the rotation (3, 3) to it."""
+        """Errors of the same sensors in the accelerometers' body frame, and the rotation (3, 3) to it."""
         rotation = _rotation_to_lower(self.force_matrix)
-        return self.turned(rotation), rotation
+        return self.rotated(rotation), rotation
 
     def in_gyro_frame(self) -> tuple[SensorErrors, FloatArray]:
-        """The same sensors in the body frame fixed to the gyros, and the rotation (3, 3) to it."""
+        """Errors of the same sensors in the gyros' body frame, and the rotation (3, 3) to it."""
         rotation = _rotation_to_lower(self.gyro_matrix)
-        return self.turned(rotation), rotation
+        return self.rotated(rotation), rotation
 
-    def turned(self, rotation: FloatArray) -> SensorErrors:
-        """The same sensors in another body frame, to which ``rotation`` (3, 3) turns vectors of this one."""
+    def rotated(self, rotation: FloatArray) -> SensorErrors:
+        """Errors of the same sensors in another body frame; ``rotation`` (3, 3) converts vectors to it."""
         gyro, force = (
             (np.eye(3) + matrix) @ rotation.T - np.eye(3) for matrix in (self.gyro_matrix, self.force_matrix)
         )
         return SensorErrors(self.gyro_bias, gyro, self.force_bias, force)
 
-    def removal(self, interval_s: float) -> FloatArray:
-        """Matrices (2, 3, 4) that give true increments of angle and velocity from measured ones and 1."""
+    def correction(self, interval_s: float) -> FloatArray:
+        """Matrices (2, 3, 4) that convert measured increments (x, y, z, 1) to true angles and velocities."""
         inverses = np.linalg.inv(np.eye(3) + np.array([self.gyro_matrix, self.force_matrix]))
         biases = np.array([self.gyro_bias, self.force_bias])[:, :, np.newaxis]
         return np.concatenate([inverses, -interval_s * inverses @ biases], axis=2)
 
-    def removed(
+    def corrected(
         self, angle: FloatArray, velocity: FloatArray, interval_s: float
     ) -> tuple[FloatArray, FloatArray]:
-        """True increments (n, 3) of angle (rad) and velocity (m/s) from measured ones."""
-        gyro, force = self.removal(interval_s)
+        """Increments (n, 3) of angle (rad) and velocity (m/s) corrected for these errors."""
+        gyro, force = self.correction(interval_s)
         return angle @ gyro[:, :3].T + gyro[:, 3], velocity @ force[:, :3].T + force[:, 3]
 
 
 def _rotation_to_lower(matrix: FloatArray) -> FloatArray:
     """Rotation (3, 3) to the body frame in which a triad's matrix is lower triangular.
 
-    With ``I + M = L Q``, L lower triangular, the triad measures ``L (Q v)``: Q turns vectors of the given
-    frame into the triad's.
+    With ``I + M = L Q``, L lower triangular, the triad measures ``L (Q v)``: Q converts vectors of the given
+    frame to the triad's.
     """
     upper = np.linalg.qr((np.eye(3) + matrix).T)
     return np.asarray((upper.Q * np.sign(np.diag(upper.R))).T)
@@ -191,13 +196,13 @@ def _rotation_to_lower(matrix: FloatArray) -> FloatArray:
 class CoefficientEstimate:
     """Coefficients of one unit with their uncertainties."""
 
-    #: values, covariance, is_observed: Shapes (n,), (n, n), (n,). Of the ``coefficients``, SI; without
-    #: meaning where not observed.
+    #: values, covariance, is_observed: Shapes (n,), (n, n), (n,). Of the ``coefficients``, SI; meaningless if
+    #: not observed.
     values: FloatArray
     covariance: FloatArray
     is_observed: BoolArray
     coefficients: tuple[SensorCoefficient, ...] = field(default=COEFFICIENTS, kw_only=True)
-    #: Shapes (n, n). Covariances by source, which add up to the covariance; empty where it is not split.
+    #: Shapes (n, n). Covariances by source, which add up to the covariance; empty if it is not split.
     parts: Mapping[str, FloatArray] = field(default_factory=dict, kw_only=True)
 
     @property
@@ -212,17 +217,17 @@ class CoefficientEstimate:
 
     @property
     def frame(self) -> str:
-        """Sensors that the body frame is fixed to: "accelerometers" or "gyros"."""
+        """Sensors that define the body frame: "accelerometers" or "gyros"."""
         return "gyros" if self.coefficients[:COUNT] == _GYRO_FRAME_COEFFICIENTS else "accelerometers"
 
     def in_gyro_frame(self) -> Self:
-        """The estimate, from the accelerometers' body frame, in that of the gyros.
+        """Convert an estimate in the accelerometers' body frame to that of the gyros.
 
-        A coefficient is observed there if all those are that it depends on.
+        A converted coefficient is observed if all coefficients on which it depends are.
         """
         is_observed = self.is_observed[:COUNT]
         values = np.where(is_observed, self.values[:COUNT], 0.0)
-        steps = _STEP * np.array([each.size for each in COEFFICIENTS])
+        steps = _DERIVATIVE_STEP * np.array([each.size for each in COEFFICIENTS])
         jacobian = np.eye(len(self.values))
         jacobian[:COUNT, :COUNT] = np.column_stack(
             [
@@ -230,23 +235,31 @@ class CoefficientEstimate:
                 for step in np.diag(steps)
             ]
         )
-        rests_on_unseen = (np.abs(jacobian[:COUNT, :COUNT]) > _MIN_SHARE)[:, ~is_observed].any(axis=1)
+        depends_on_unobserved = (np.abs(jacobian[:COUNT, :COUNT]) > _MIN_DERIVATIVE)[:, ~is_observed].any(
+            axis=1
+        )
         return replace(
             self,
             values=np.concatenate([_gyro_frame_vector(values), self.values[COUNT:]]),
             covariance=jacobian @ self.covariance @ jacobian.T,
-            is_observed=np.concatenate([~rests_on_unseen, self.is_observed[COUNT:]]),
+            is_observed=np.concatenate([~depends_on_unobserved, self.is_observed[COUNT:]]),
             coefficients=(*_GYRO_FRAME_COEFFICIENTS, *self.coefficients[COUNT:]),
             parts={name: jacobian @ part @ jacobian.T for name, part in self.parts.items()},
         )
 
 
-#: Step of a numerical derivative, in sizes of the coefficients; smaller derivatives are of second order.
-_STEP, _MIN_SHARE = 1e-3, 0.1
+#: Step of a numerical derivative, relative to the sizes of the coefficients; and the smallest derivative that
+#: counts as a dependence, since smaller ones are of second order.
+_DERIVATIVE_STEP, _MIN_DERIVATIVE = 1e-3, 0.1
 
 
 def _gyro_frame_vector(values: FloatArray) -> FloatArray:
-    there, _ = SensorErrors.from_vector(values).in_gyro_frame()
+    converted, _ = SensorErrors.from_vector(values).in_gyro_frame()
     return np.concatenate(
-        [there.gyro_bias, there.gyro_matrix[LOWER], there.force_bias, there.force_matrix.ravel()]
+        [
+            converted.gyro_bias,
+            converted.gyro_matrix[LOWER],
+            converted.force_bias,
+            converted.force_matrix.ravel(),
+        ]
     )

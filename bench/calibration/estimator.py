@@ -1,11 +1,11 @@
 """Systematic calibration: all coefficients from navigation errors over a list of rotations with rests.
 
-The unit rests at one place between rotations. Integrated from an attitude found by gravity and the Earth's
-rate, the velocity at rest has to be zero, and whole turns have to lead back to the attitude before. What is
-left is explained by the coefficients, by the attitude at the start and, as an option, by the places of the
-accelerometers in the unit and their delay: generalised least squares, linearised at the solution (Gauss and
-Newton). Recordings in separate attitudes, as of a tumble test, and rotations on a table are one problem:
-coefficients are common, the attitude at the start is each recording's.
+The unit rests at one place between rotations. Integrated from an initial attitude determined by gravity and
+the Earth's rate, the velocity at rest must be zero, and whole turns must lead back to the attitude before.
+The deviations are explained by the coefficients, by errors of the initial attitude and, as an option, by the
+positions of the accelerometers in the unit and their delay: generalised least squares, linearised at the
+solution (Gauss and Newton). Recordings in separate attitudes, as of a tumble test, and rotations on a table
+form one problem: coefficients are common, and each recording has its own initial attitude.
 
 References
 ----------
@@ -25,9 +25,9 @@ import numpy as np
 
 from gyrobench.bench.bias.statistics import Chi2Test, solve
 from gyrobench.bench.calibration.coefficients import (
-    BESIDE,
     COEFFICIENTS,
     COUNT,
+    OPTIONAL_PARAMETERS,
     CoefficientEstimate,
     SensorErrors,
 )
@@ -42,8 +42,8 @@ from gyrobench.bench.calibration.information import (
     IS_FORCE_SCALE,
     CalibrationOptions,
     Information,
-    integrated_sections,
-    spun_both_ways,
+    gyros_spun_both_ways,
+    integrate_sections,
 )
 from gyrobench.bench.calibration.problem import (
     GYRO_SCALES,
@@ -58,13 +58,13 @@ from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.earth import EARTH_RATE
 from gyrobench.bench.navigation.error_model import Site
 
-#: Scale factor errors and misalignments beyond this are wrong units, signs or axes.
+#: Largest scale factor error or misalignment; larger ones are due to wrong units, signs or axes.
 _MAX_ELEMENT = 0.25
-#: Sample rates of recordings that count as one.
+#: Largest ratio of the sample rates of recordings that count as equal.
 _MAX_RATE_RATIO = 1.01
 #: Largest factor on the uncertainties.
 _MAX_WIDENING = 10.0
-#: Smallest tilt, rad, at which the angles of the gyros are compared with it, and their least share of it.
+#: Smallest tilt, rad, that is compared with the angles of the gyros, and their smallest share of it.
 _MIN_TILT, _MIN_ANGLE_SHARE = 0.2, 0.5
 #: Relative step of the variances whose contributions are derived, and those of the noise.
 _VARIANCE_STEP = 1e-3
@@ -73,31 +73,31 @@ _NOISE = ("angle_random_walk", "velocity_random_walk", "white_angle", "white_vel
 
 @dataclass(frozen=True, eq=False)
 class Calibration(CoefficientEstimate):
-    """Coefficients of one unit from its recordings, and what they rest on."""
+    """Coefficients of one unit, with the recordings and assumptions from which they were estimated."""
 
     noise: SensorNoise  #: As measured at rest or declared.
     recordings: tuple[IncrementRecording, ...]
     rotations: tuple[tuple[RecordedRotation, ...], ...]  #: Of each recording.
     gravity_and_sigma: tuple[float, float]  #: Assumed gravity and its standard uncertainty, m/s^2.
-    #: Test that the noise explains what the coefficients leave of the velocity. Where it does not, the
-    #: uncertainties are larger by the root of chi2 over its degrees of freedom.
+    #: Test that the noise explains the residuals of the velocity. If it does not, the uncertainties are
+    #: multiplied by the root of chi2 over its degrees of freedom.
     fit: Chi2Test
     sections: tuple[IncrementSection, ...]  #: Of each recording, between rests.
     starts: tuple[FloatArray, ...]  #: Attitude ``C_nb`` (3, 3) at the start of each.
     common: FloatArray  #: Shape (46,). Parameters common to all recordings, SI, observed or not.
     trajectories: tuple[Trajectory, ...]  #: Of the sections, at values close to these.
-    #: Shapes (n, n). Parts of the covariance by the uncertainty of gravity, latitude and time.
-    by_site: Mapping[str, FloatArray]
-    options: CalibrationOptions  #: As given, and g-sensitivities where they were found.
-    #: What the data contradict: the noise, or whole turns and rotations each other; empty for nothing.
+    #: Shapes (n, n). Parts of the covariance due to the uncertainty of gravity, latitude and time.
+    site_covariances: Mapping[str, FloatArray]
+    options: CalibrationOptions  #: As given, with g-sensitivities if they are significant.
+    #: Contradictions: of the residuals to the noise, or of whole turns to rotations; empty for none.
     findings: tuple[str, ...]
-    notes: tuple[str, ...]  #: What is estimated beside the coefficients because the data show it.
+    notes: tuple[str, ...]  #: Parameters estimated in addition because they are significant.
 
 
 def calibrate(
     recordings: Sequence[IncrementRecording], site: Site, options: CalibrationOptions | None = None
 ) -> Calibration:
-    """Estimate all coefficients.
+    """Estimate all coefficients of a unit from its recordings.
 
     ``recordings``: of one unit, at one sample rate. Raises MeasurementError if the unit does not rest long
     enough, sample rates differ, or no coefficients explain the increments.
@@ -120,41 +120,41 @@ def calibrate(
     _check_angle(recordings)
     rotations, problem = _problem(recordings, noise, site, options)
     options = problem.options
-    found, note = problem.solve(), ""
-    if options.g_sensitivity is None and found.fit.p_value < UNEXPLAINED_P_VALUE:
-        problem, found, note = problem.with_g_sensitivity(found)
+    estimates, note = problem.solve(), ""
+    if options.g_sensitivity is None and estimates.fit.p_value < UNEXPLAINED_P_VALUE:
+        problem, estimates, note = problem.with_g_sensitivity(estimates)
         options = problem.options
-    is_observed = found.is_observed
+    is_observed = estimates.is_observed
     if all(turn.kind == "disturbance" for turns in rotations for turn in turns):
         is_observed[:COUNT] &= [each.sensor != "gyro" or each.kind == "bias" for each in COEFFICIENTS]
     if not any(recording.has_vertical for recording in recordings):
         is_observed[:COUNT] &= ~np.array(IS_FORCE_SCALE)
-    _check_size(found.values, is_observed)
-    spun = sorted({turn.axis for turns in rotations for turn in turns if turn.is_spin})
+    _check_size(estimates.values, is_observed)
+    spun_axes = sorted({turn.axis for turns in rotations for turn in turns if turn.is_spin})
     offset, contradiction = np.zeros(3), ""
-    if options.whole_turns is not None and spun:
-        problem, found, offset, contradiction = problem.with_turns_checked(found, spun)
-    widening, misfit = _widening(problem, found, is_observed)
-    covariance = found.covariance * widening**2
+    if options.whole_turns is not None and spun_axes:
+        problem, estimates, offset, contradiction = problem.check_turns(estimates, spun_axes)
+    widening, misfit = _widening(problem, estimates, is_observed)
+    covariance = estimates.covariance * widening**2
     covariance[GYRO_SCALES, GYRO_SCALES] += offset**2
-    coefficients = tuple((*COEFFICIENTS, *BESIDE)[each] for each in options.columns)
+    coefficients = tuple((*COEFFICIENTS, *OPTIONAL_PARAMETERS)[each] for each in options.columns)
     count = len(coefficients)
-    by_site = found.information.site_parts(site, options)
+    site_covariances = estimates.information.site_parts(site, options)
     return Calibration(
-        values=found.values[:count],
-        covariance=covariance[:count, :count] + sum(by_site.values()),
+        values=estimates.values[:count],
+        covariance=covariance[:count, :count] + sum(site_covariances.values()),
         is_observed=is_observed[:count],
         coefficients=coefficients,
         noise=noise,
         recordings=tuple(recordings),
         rotations=tuple(map(tuple, rotations)),
         gravity_and_sigma=(gravity, options.gravity_sigma),
-        fit=found.fit,
+        fit=estimates.fit,
         sections=tuple(problem.sections),
-        starts=tuple(found.starts),
-        common=found.common,
-        trajectories=tuple(found.trajectories),
-        by_site=by_site,
+        starts=tuple(estimates.starts),
+        common=estimates.common,
+        trajectories=tuple(estimates.trajectories),
+        site_covariances=site_covariances,
         findings=tuple(filter(None, (contradiction, misfit))),
         options=options,
         notes=(note,) if note else (),
@@ -165,7 +165,7 @@ def _problem(
     recordings: Sequence[IncrementRecording], noise: SensorNoise, site: Site, options: CalibrationOptions
 ) -> tuple[list[list[RecordedRotation]], CalibrationProblem]:
     """Rotations found in each recording, and the least-squares problem with them."""
-    bias = _first_bias(recordings)
+    bias = _initial_bias(recordings)
 
     def problem(options: CalibrationOptions) -> CalibrationProblem:
         sections = [IncrementSection.between_rests(*each) for each in zip(recordings, rotations, strict=True)]
@@ -175,57 +175,57 @@ def _problem(
     if options.whole_turns is not None and any(
         turn.is_long and not turn.is_spin for turns in rotations for turn in turns
     ):
-        # Scale factors may be so wrong that whole turns seem to end elsewhere.
-        first = problem(replace(options, whole_turns=None)).solve()
-        errors = SensorErrors.from_vector(first.common[:COUNT])
+        # Uncorrected scale factors may be so wrong that whole turns do not seem to return to their start.
+        without_turns = problem(replace(options, whole_turns=None)).solve()
+        errors = SensorErrors.from_vector(without_turns.common[:COUNT])
         rotations = [
-            find_rotations(each, errors.removed(each.angle, each.velocity, each.interval_s)[0])
+            find_rotations(each, errors.corrected(each.angle, each.velocity, each.interval_s)[0])
             for each in recordings
         ]
     if options.asymmetries is None:
-        spun = [(turn.axis, turn.path) for turns in rotations for turn in turns if turn.is_spin]
-        options = replace(options, asymmetries=spun_both_ways(spun))
+        spun_axes = [(turn.axis, turn.path) for turns in rotations for turn in turns if turn.is_spin]
+        options = replace(options, asymmetries=gyros_spun_both_ways(spun_axes))
     return rotations, problem(options)
 
 
-def _widening(problem: CalibrationProblem, found: Estimates, is_observed: BoolArray) -> tuple[float, str]:
-    """Factor on the uncertainties with which the noise explains the residuals, and that as text.
+def _widening(problem: CalibrationProblem, estimates: Estimates, is_observed: BoolArray) -> tuple[float, str]:
+    """Factor on the uncertainties with which the noise explains the residuals, and a finding about it.
 
     Raises MeasurementError if it is too large, or as :meth:`CalibrationProblem.check_alternatives`.
     """
-    if found.fit.p_value >= UNEXPLAINED_P_VALUE:
+    if estimates.fit.p_value >= UNEXPLAINED_P_VALUE:
         return 1.0, ""
-    problem.check_alternatives(found)
-    factor = float(np.sqrt(found.fit.chi2 / found.fit.dof))
+    problem.check_alternatives(estimates)
+    factor = float(np.sqrt(estimates.fit.chi2 / estimates.fit.dof))
     if factor > _MAX_WIDENING and is_observed[:COUNT].any():
         raise MeasurementError(
             f"the residuals are {factor:.3g} times the noise, at most {_MAX_WIDENING:g} times is "
-            f"accepted. {problem.explanation(found)}"
+            f"accepted. {problem.explanation(estimates)}"
         )
     return factor, (
-        f"noise does not explain the velocity at rest (p = {found.fit.p_value:.1g}); uncertainties are "
-        f"multiplied by {factor:.2f}. {problem.explanation(found)}"
+        f"noise does not explain the velocity at rest (p = {estimates.fit.p_value:.1g}); uncertainties are "
+        f"multiplied by {factor:.2f}. {problem.explanation(estimates)}"
     )
 
 
 def covariances_by_source(calibration: Calibration, site: Site) -> Mapping[str, FloatArray]:
     """Covariances (21, 21) of the coefficients by source of error; their sum is the calibration's.
 
-    At the gains of least covariance a small change of a source's variance changes the covariance as it does
-    at fixed gains, for the gains are at a minimum. So what a source contributes is the derivative of the
-    covariance with respect to the logarithm of its variance.
+    The gains minimise the covariance, so a small change of a source's variance changes the covariance as if
+    the gains were fixed. The contribution of a source is therefore the derivative of the covariance with
+    respect to the logarithm of its variance.
     """
     larger, options = float(np.sqrt(1.0 + _VARIANCE_STEP)), calibration.options
 
-    known = calibration.sections, calibration.trajectories, calibration.common
+    fixed = calibration.sections, calibration.trajectories, calibration.common
 
     def information(noise: str = "", whole_turns: float | None = options.whole_turns) -> Information:
         changed = {noise: getattr(calibration.noise, noise) * larger} if noise else {}
         assumed = replace(calibration.noise, **changed), site, replace(options, whole_turns=whole_turns)
-        return Information.of(*known, *assumed)
+        return Information.of(*fixed, *assumed)
 
-    def covariance(found: Information) -> FloatArray:
-        return np.asarray(found.solve()[1][:COUNT, :COUNT])
+    def covariance(estimates: Information) -> FloatArray:
+        return np.asarray(estimates.solve()[1][:COUNT, :COUNT])
 
     unchanged = information()  # with the same rounding as the others
     base = covariance(unchanged)
@@ -233,45 +233,45 @@ def covariances_by_source(calibration: Calibration, site: Site) -> Mapping[str, 
     if options.whole_turns is not None:
         parts["table_return"] = covariance(information(whole_turns=options.whole_turns * larger))
     is_drift = np.arange(len(unchanged.sizes)) >= len(unchanged.sizes) - unchanged.drifts
-    for name, chosen in (("assumed_size", ~is_drift), ("bias_drift", is_drift)):
-        if chosen.any():
-            sizes = np.where(chosen, larger, 1.0) * unchanged.sizes
+    for name, is_scaled in (("assumed_size", ~is_drift), ("bias_drift", is_drift)):
+        if is_scaled.any():
+            sizes = np.where(is_scaled, larger, 1.0) * unchanged.sizes
             parts[name] = covariance(replace(unchanged, sizes=sizes))
     parts = {name: (part - base) / _VARIANCE_STEP for name, part in parts.items()}
-    # The step leaves a thousandth.
+    # The finite step leaves an error of a thousandth.
     factors = np.sqrt(np.diag(base) / np.sum([np.diag(part) for part in parts.values()], axis=0))
     parts = {name: part * np.outer(factors, factors) for name, part in parts.items()}
-    by_site = {name: part[:COUNT, :COUNT] for name, part in calibration.by_site.items()}
-    beyond = calibration.covariance[:COUNT, :COUNT] - base - sum(by_site.values())
-    # Where nothing is contradicted what is left is rounding.
-    return parts | by_site | {"misfit": beyond if calibration.findings else np.zeros_like(base)}
+    site_covariances = {name: part[:COUNT, :COUNT] for name, part in calibration.site_covariances.items()}
+    remainder = calibration.covariance[:COUNT, :COUNT] - base - sum(site_covariances.values())
+    # Without findings the remainder is rounding.
+    return parts | site_covariances | {"misfit": remainder if calibration.findings else np.zeros_like(base)}
 
 
 def bias_per_asymmetry(calibration: Calibration, site: Site) -> FloatArray:
-    """Change (3, k) of the gyro biases, rad/s, for an asymmetry of 1 in each gyro whose own is not estimated.
+    """Change (3, k) of the gyro biases, rad/s, for an asymmetry of 1 in each gyro without an estimate of it.
 
-    As far as rotations both ways are not distinguished from a bias.
+    An asymmetry looks like a bias if rotations in both directions do not separate the two.
     """
     options = replace(calibration.options, asymmetries=(0, 1, 2))
-    known = calibration.sections, calibration.starts, calibration.common
-    trajectories = integrated_sections(*known, site, options)
-    found = Information.of(
+    fixed = calibration.sections, calibration.starts, calibration.common
+    trajectories = integrate_sections(*fixed, site, options)
+    estimates = Information.of(
         calibration.sections, trajectories, calibration.common, calibration.noise, site, options
     )
-    left_out = [
+    omitted_columns = [
         options.columns.index(ASYMMETRIES.start + axis)
         for axis in range(3)
         if axis not in (calibration.options.asymmetries or ())
     ]
-    kept = np.delete(np.arange(len(found.sizes)), left_out)
-    rows, sizes = found.root[:, kept], np.diag(found.sizes[kept])
-    shifts = [solve(rows, found.root[:, each], sizes)[0][:3] for each in left_out]
+    kept_columns = np.delete(np.arange(len(estimates.sizes)), omitted_columns)
+    rows, sizes = estimates.root[:, kept_columns], np.diag(estimates.sizes[kept_columns])
+    shifts = [solve(rows, estimates.root[:, each], sizes)[0][:3] for each in omitted_columns]
     return np.array(shifts).reshape(-1, 3).T
 
 
 def _check_force(recordings: Sequence[IncrementRecording], gravity: float) -> None:
-    """Raise MeasurementError if the accelerometers are not in the unit that the map states."""
-    force = np.median(np.linalg.norm(np.concatenate([each.at_rest()[1] for each in recordings]), axis=1))
+    """Raise MeasurementError if the specific force does not have the unit stated in the map."""
+    force = np.median(np.linalg.norm(np.concatenate([each.rest_means()[1] for each in recordings]), axis=1))
     if abs(force / gravity - 1.0) > _MAX_ELEMENT:
         raise MeasurementError(
             f"the specific force at rest is {force:.4g} m/s^2, gravity {gravity:.4g} m/s^2. Check "
@@ -280,19 +280,19 @@ def _check_force(recordings: Sequence[IncrementRecording], gravity: float) -> No
 
 
 def _check_angle(recordings: Sequence[IncrementRecording]) -> None:
-    """Raise MeasurementError if the gyros turn by far less than the specific force from rest to rest."""
+    """Raise MeasurementError if the gyros measure far smaller rotations than the specific force."""
     by_force, by_gyros = [], []
     for recording in recordings:
-        _, forces = recording.at_rest()
+        _, forces = recording.rest_means()
         ups = forces / np.linalg.norm(forces, axis=1, keepdims=True)
         by_force += np.arccos(np.clip((ups[1:] * ups[:-1]).sum(axis=1), -1.0, 1.0)).tolist()
         for before, after in pairwise(recording.rests):
             by_gyros.append(np.linalg.norm(recording.angle[before.end : after.begin], axis=1).sum())
-    # Disturbances between rests turn by little; about the vertical only the gyros turn.
-    turned = np.array(by_force) > _MIN_TILT
-    if not turned.any():
+    # Disturbances between rests are small, and the specific force does not show turns about the vertical.
+    is_tilted = np.array(by_force) > _MIN_TILT
+    if not is_tilted.any():
         return
-    force, gyros = np.median(np.degrees([by_force, by_gyros])[:, turned], axis=1)
+    force, gyros = np.median(np.degrees([by_force, by_gyros])[:, is_tilted], axis=1)
     if gyros < _MIN_ANGLE_SHARE * force:
         raise MeasurementError(
             f"from rest to rest the specific force turns by {force:.3g} deg and the gyros by {gyros:.2g} "
@@ -301,7 +301,7 @@ def _check_angle(recordings: Sequence[IncrementRecording]) -> None:
 
 
 def _check_size(values: FloatArray, is_observed: BoolArray) -> None:
-    """Raise MeasurementError at elements of the matrices that no sensor has."""
+    """Raise MeasurementError if an element of the matrices is impossibly large."""
     for each, value, observed in zip(COEFFICIENTS, values[:COUNT], is_observed[:COUNT], strict=True):
         if observed and each.kind != "bias" and abs(value) > _MAX_ELEMENT:
             columns = "gyro" if each.sensor == "gyro" else "calibration.accelerometers"
@@ -312,7 +312,7 @@ def _check_size(values: FloatArray, is_observed: BoolArray) -> None:
             )
 
 
-def _first_bias(recordings: Sequence[IncrementRecording]) -> FloatArray:
-    """Gyro biases that exceed the Earth's rate by far; zero otherwise."""
-    mean = np.concatenate([each.at_rest()[0] for each in recordings]).mean(axis=0)
+def _initial_bias(recordings: Sequence[IncrementRecording]) -> FloatArray:
+    """Mean gyro rates as initial biases if they exceed the Earth's rate by far; otherwise zero."""
+    mean = np.concatenate([each.rest_means()[0] for each in recordings]).mean(axis=0)
     return np.asarray(mean if np.linalg.norm(mean) > 3.0 * EARTH_RATE else np.zeros(3))

@@ -1,4 +1,4 @@
-"""What recordings show of the coefficients: white rows of a least-squares problem at assumed values."""
+"""Information of recordings on the coefficients: white rows of the least-squares problem, linearised."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from gyrobench.bench.bias.statistics import compress, solve
-from gyrobench.bench.calibration.coefficients import BESIDE, COEFFICIENTS, COUNT
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, OPTIONAL_PARAMETERS
 from gyrobench.bench.calibration.increment_recording import SensorNoise
 from gyrobench.bench.calibration.section import IncrementSection
 from gyrobench.bench.calibration.strapdown import (
@@ -33,35 +33,36 @@ BIAS_DRIFT = 0.1 * DPH_TO_RADPS / 3600.0
 ATTITUDE_ERROR = 0.5
 #: Large error of the latitude, rad.
 _LATITUDE_ERROR = 0.1
-#: A parameter is observed if sizes ten times as large let its uncertainty grow by less than this.
+#: A parameter is observed if its uncertainty grows by less than this factor when the sizes are ten times as
+#: large.
 _MAX_GROWTH = 1.1
-#: The same for a direction of several parameters: by how much one size of it changes the residuals.
+#: The same condition for a direction of several parameters, as a singular value of rows scaled by the sizes.
 MIN_SINGULAR_VALUE = float((_MAX_GROWTH**2 - 1.0) ** -0.5)
-#: Size of the accelerometers' scale factor errors where gravity stands in place of the vertical specific
-#: force: their mean is not observed, and affects the other coefficients in second order.
+#: Size of the accelerometers' scale factor errors if gravity replaces the vertical specific force: their mean
+#: is not observed, and affects the other coefficients only in second order.
 FORCE_SCALE = 1e-4
-#: Which coefficients are scale factors of accelerometers, and of gyros.
+#: Masks of the coefficients that are scale factors of accelerometers, and of gyros.
 IS_FORCE_SCALE = [each.name == "accelerometer_scale_factor" for each in COEFFICIENTS]
 IS_GYRO_SCALE = [each.name == "gyro_scale_factor" for each in COEFFICIENTS]
-#: So closely the scale factors of accelerometers have the mean zero where the vertical force is not measured.
+#: Prior of the mean of the accelerometers' scale factors if the vertical force is not measured: nearly zero.
 _COMMON_SCALE = 1e-9
-#: Rows for each column that are compressed at once.
-_ROWS_A_COLUMN = 16
+#: Number of rows that are compressed at once, relative to the number of columns.
+_ROWS_PER_COLUMN = 16
 
 
 @dataclass(frozen=True)
 class CalibrationOptions:
-    """What is estimated beside the coefficients, and what the table contributes."""
+    """Optional parameters to estimate, and assumptions about noise, site and table."""
 
-    lever_arms: bool = False  #: Places of the y and z accelerometers relative to the x accelerometer.
-    delay: bool = False  #: Delay of the accelerometers against the gyros.
+    lever_arms: bool = False  #: Positions of the y and z accelerometers relative to the x accelerometer.
+    delay: bool = False  #: Delay of the accelerometers relative to the gyros.
     quadratic: bool = False  #: Quadratic terms of the accelerometers.
-    #: Biases of the gyros that follow the specific force; None: where they explain what noise does not.
+    #: Sensitivities of the gyro biases to specific force; None: only if they explain what noise does not.
     g_sensitivity: bool | None = False
-    #: Gyros the asymmetry of whose scale factor is estimated: by default those with whole turns both ways,
-    #: whose asymmetry would pass for a bias; none: ``()``.
+    #: Indices of the gyros whose scale factor asymmetry is estimated. None: those with whole turns in both
+    #: directions, whose asymmetry would look like a bias.
     asymmetries: tuple[int, ...] | None = None
-    #: Standard uncertainty, rad, with which the table returns after whole turns; None: spins count as any
+    #: Standard uncertainty, rad, of the table's return after whole turns; None: spins are treated as any
     #: other rotation.
     whole_turns: float | None = None
     gravity: float | None = None  #: Local gravity, m/s^2; None: normal gravity of the site.
@@ -69,23 +70,23 @@ class CalibrationOptions:
     walks: tuple[float, float] | None = None
     gravity_sigma: float = 0.0  #: Standard uncertainty of gravity, m/s^2.
     latitude_sigma: float = 0.0  #: Standard uncertainty of the latitude, rad.
-    #: Standard uncertainty, rad, of the heading over rotations about Up that a recording's table measures;
-    #: None: they do not count.
+    #: Standard uncertainty, rad, of the change of heading in rotations about Up by the table's readings;
+    #: None: the readings are not used.
     heading: float | None = None
-    #: Standard uncertainty, rad/s^2, of a steady drift of each gyro's bias in each recording, about the bias
-    #: at half time; 0: none is estimated.
+    #: Standard uncertainty, rad/s^2, of a steady drift of each gyro's bias in each recording, relative to the
+    #: bias at half time; 0: none is estimated.
     bias_drift: float = 0.0
-    #: By how much the standard uncertainty of the time between samples changes the scale factors of all gyros
-    #: and of all accelerometers: rates times a longer time are larger angles, velocity increments over it
-    #: smaller forces.
+    #: Change of the scale factors of all gyros and of all accelerometers for one standard uncertainty of the
+    #: time between samples: for rates a longer time gives larger angles, for velocity increments smaller
+    #: forces.
     scales_by_time: tuple[float, float] = (0.0, 0.0)
     #: Whether lever arms, delay, quadratic terms, g-sensitivities and drift are tried as explanations of a
-    #: misfit, one by one: each takes as long as the estimate.
-    are_explained: bool = True
+    #: misfit, one by one, each of which takes as long as the estimate.
+    tries_explanations: bool = True
 
     @property
     def columns(self) -> list[int]:
-        """Which columns are common to all recordings; the x accelerometer's place is the origin."""
+        """Columns of the parameters common to all recordings; the x accelerometer is the origin."""
         arms = range(LEVER_ARMS.start + 3, LEVER_ARMS.stop) if self.lever_arms else ()
         squares = range(QUADRATIC.start, QUADRATIC.stop) if self.quadratic else ()
         by_force = range(G_SENSITIVITIES.start, G_SENSITIVITIES.stop) if self.g_sensitivity else ()
@@ -93,36 +94,41 @@ class CalibrationOptions:
         return [*range(COUNT), *arms, *([DELAY] if self.delay else []), *squares, *by_force, *by_sign]
 
 
-def spun_both_ways(turns: Iterable[tuple[int, float]]) -> tuple[int, ...]:
-    """Gyros with whole turns both ways, from the axis and the angle of each."""
-    ways = {(axis, angle > 0.0) for axis, angle in turns}
-    return tuple(axis for axis in range(3) if {(axis, True), (axis, False)} <= ways)
+def gyros_spun_both_ways(turns: Iterable[tuple[int, float]]) -> tuple[int, ...]:
+    """Indices of gyros with whole turns in both directions, from the axis and the angle of each turn."""
+    directions = {(axis, angle > 0.0) for axis, angle in turns}
+    return tuple(axis for axis in range(3) if {(axis, True), (axis, False)} <= directions)
 
 
-def integrated_sections(
+def integrate_sections(
     sections: Sequence[IncrementSection],
     starts: Sequence[FloatArray],
     common: FloatArray,
     site: Site,
     options: CalibrationOptions,
 ) -> list[Trajectory]:
-    """Trajectory of each section from its attitude (3, 3) at the start, freed of ``common`` (46,)."""
-    gravity, every = options.gravity or site.gravity, range(LATITUDE)
-    columns = [*options.columns, *every[ATTITUDE], *(every[DRIFT] if options.bias_drift else ()), LATITUDE]
+    """Trajectory of each section from its initial attitude (3, 3), corrected for ``common`` (46,)."""
+    gravity, all_columns = options.gravity or site.gravity, range(LATITUDE)
+    columns = [
+        *options.columns,
+        *all_columns[ATTITUDE],
+        *(all_columns[DRIFT] if options.bias_drift else ()),
+        LATITUDE,
+    ]
     pairs = zip(sections, starts, strict=True)
-    return [section.integrated(start, common, site.latitude, gravity, columns) for section, start in pairs]
+    return [section.integrate(start, common, site.latitude, gravity, columns) for section, start in pairs]
 
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """White rows as a function of the coefficients and of all other parameters, at assumed values of them."""
+    """White rows of the problem, linear in the coefficients and all other parameters about assumed values."""
 
-    #: Rows (m, 21 + k + 2) of each recording, SI: coefficients, what is estimated beside them, attitudes at
-    #: the start, drifts of the biases; then an error of the latitude, and data. They give the values, of the
-    #: attitudes corrections to those assumed.
+    #: Rows (m, 21 + k + 2) of each recording, SI: coefficients, optional parameters, initial attitudes,
+    #: drifts of the biases; then an error of the latitude, and data. Solutions are values of the parameters,
+    #: but corrections of the attitudes.
     blocks: list[FloatArray]
     sizes: FloatArray  #: Shape (21 + k,). Large values of the parameters, SI.
-    drifts: int  #: How many of the parameters, the last ones, are drifts of biases.
+    drifts: int  #: Number of drifts of biases, which are the last parameters.
 
     @classmethod
     def of(
@@ -134,25 +140,25 @@ class Information:
         site: Site,
         options: CalibrationOptions,
     ) -> Information:
-        """From what :func:`integrated_sections` gives with the values ``common`` (46,)."""
+        """Make the rows from the result of :func:`integrate_sections` with the same ``common`` (46,)."""
         used, blocks = options.columns, []
         for number, (section, trajectory) in enumerate(zip(sections, trajectories, strict=True)):
             table = options.whole_turns, options.heading
             rows, data = white_rows(
                 trajectory, section.lengths_s, section.epochs, noise, site.latitude, *table
             )
-            own = rows[:, len(used) : -1].reshape(len(rows), -1, 3)
-            beside = np.zeros((len(rows), own.shape[1], len(sections), 3))
-            beside[:, :, number] = own
-            parts = rows[:, : len(used)], beside.reshape(len(rows), -1), rows[:, -1:]
+            section_rows = rows[:, len(used) : -1].reshape(len(rows), -1, 3)
+            rows_by_section = np.zeros((len(rows), section_rows.shape[1], len(sections), 3))
+            rows_by_section[:, :, number] = section_rows
+            parts = rows[:, : len(used)], rows_by_section.reshape(len(rows), -1), rows[:, -1:]
             block = np.column_stack([*parts, data + rows[:, : len(used)] @ common[used]])
             blocks.append(block)
         if not any(section.epochs.has_vertical for section in sections):
-            # Gravity in place of the vertical force does not show the mean of the scale factors.
+            # If gravity replaces the vertical force, the mean of the scale factors is not observable.
             mean = np.zeros((1, blocks[0].shape[1]))
             mean[0, np.flatnonzero(IS_FORCE_SCALE)] = 1.0 / _COMMON_SCALE
             blocks.append(mean)
-        sizes = np.array([each.size for each in (*COEFFICIENTS, *BESIDE)])
+        sizes = np.array([each.size for each in (*COEFFICIENTS, *OPTIONAL_PARAMETERS)])
         if not all(each.epochs.has_vertical for each in sections):
             sizes[np.flatnonzero(IS_FORCE_SCALE)] = FORCE_SCALE
         count = 3 * len(sections)
@@ -163,56 +169,56 @@ class Information:
     @cached_property
     def root(self) -> FloatArray:
         """Fewest rows (m, 21 + k + 2) with the same normal equations; latitude and data last."""
-        # By parts that fit a processor's cache.
-        size = _ROWS_A_COLUMN * self.blocks[0].shape[1]
+        # In parts that fit into the processor's cache.
+        size = _ROWS_PER_COLUMN * self.blocks[0].shape[1]
         parts = (part for each in self.blocks for part in np.array_split(each, len(each) // size + 1))
         return compress(np.vstack([compress(part) for part in parts]))
 
     def solve(self, origin: FloatArray | None = None) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Values (21 + k,), their covariance, and which of them the data determine.
+        """Values (21 + k,), their covariance, and a mask of those that the data determine.
 
-        What the data leave open stays near ``origin`` (21 + k,), or zero.
+        Values that the data do not determine stay near ``origin`` (21 + k,), or zero.
         """
-        centre = np.zeros(len(self.sizes)) if origin is None else origin
-        rows, left = self.root[:, :-2], self.root[:, -1] - self.root[:, :-2] @ centre
-        values, covariance = solve(rows, left, np.diag(self.sizes))
-        # Drifts are as likely as their sizes say.
+        origin_values = np.zeros(len(self.sizes)) if origin is None else origin
+        rows, residual = self.root[:, :-2], self.root[:, -1] - self.root[:, :-2] @ origin_values
+        values, covariance = solve(rows, residual, np.diag(self.sizes))
+        # The sizes of drifts are true priors, and are not enlarged.
         is_size = np.arange(len(self.sizes)) < len(self.sizes) - self.drifts
-        _, wide = solve(rows, left, np.diag(np.where(is_size, 10.0, 1.0) * self.sizes))
-        growth = np.sqrt(np.diag(wide) / np.diag(covariance))
-        return centre + values, covariance, np.asarray(growth < _MAX_GROWTH)
+        _, wide_covariance = solve(rows, residual, np.diag(np.where(is_size, 10.0, 1.0) * self.sizes))
+        growth = np.sqrt(np.diag(wide_covariance) / np.diag(covariance))
+        return origin_values + values, covariance, np.asarray(growth < _MAX_GROWTH)
 
     def chi2(self, values: FloatArray) -> float:
         """Sum of squared residuals at values of the parameters (21 + k,)."""
         return float(np.linalg.norm(self.root @ [*values, 0.0, -1.0]) ** 2)
 
-    def shown(self, step: FloatArray, least: float) -> FloatArray:
-        """Part of a step of the parameters (21 + k,) along what the data determine.
+    def project_observable(self, step: FloatArray, min_singular_value: float) -> FloatArray:
+        """Part of a step of the parameters (21 + k,) along the directions that the data determine.
 
-        Along what they leave open the sum of squares is a curved valley, such as a heading with a bias East
-        and scale factors: a step along its tangent leaves it. ``least``: by how many standard deviations the
-        residuals change along each direction over one size.
+        Along the other directions, such as a heading with a bias East and scale factors, the sum of squares
+        is a curved valley, which a step along its tangent leaves. ``min_singular_value``: smallest change of
+        the residuals, in standard deviations, for one size along a direction.
         """
         is_drift = np.arange(len(self.sizes)) >= len(self.sizes) - self.drifts
         _, singular, directions = np.linalg.svd(
             np.vstack([self.root[:, :-2] * self.sizes, np.diag(is_drift)])
         )
-        known = directions[: len(singular)][singular > least]
-        return np.asarray(self.sizes * (known.T @ (known @ (step / self.sizes))))
+        observable = directions[: len(singular)][singular > min_singular_value]
+        return np.asarray(self.sizes * (observable.T @ (observable @ (step / self.sizes))))
 
     def latitude_correction(self) -> tuple[float, float]:
-        """What the data would add to the latitude if it were a parameter, and its uncertainty, rad."""
+        """Correction of the latitude if it was a parameter, and its uncertainty, rad."""
         sizes = np.append(self.sizes, _LATITUDE_ERROR)
         values, covariance = solve(self.root[:, :-1], self.root[:, -1], np.diag(sizes))
         return float(values[-1]), float(np.sqrt(covariance[-1, -1]))
 
     def site_parts(self, site: Site, options: CalibrationOptions) -> Mapping[str, FloatArray]:
-        """Covariances (21 + k, 21 + k) by what is assumed of place and time, which the residuals hardly show.
+        """Covariances of coefficients and optional parameters due to assumed gravity, latitude and time.
 
-        Of the coefficients and what is estimated beside them.
+        The residuals hardly depend on errors of these assumptions.
         """
         count = len(options.columns)
-        # An error of gravity is one of all three scale factors.
+        # An error of gravity acts as an error of all three scale factors.
         is_scale = np.isin(options.columns, np.flatnonzero(IS_FORCE_SCALE))
         shifts = {"gravity": is_scale * options.gravity_sigma / (options.gravity or site.gravity)}
         if options.latitude_sigma:

@@ -1,12 +1,13 @@
-"""The shortest list of rotations that reaches given uncertainties on a table.
+"""Searches the shortest list of rotations that reaches given uncertainties on a table.
 
-A list grows by one rotation at a time, of a quarter, a half or whole turns about an axis of the table within
-its limits. The best lists of each length are kept (beam search); a list is better the less it misses the
-targets by. The quickest of the first that reach all of them is shortened: rotations are taken out as long as
-it still does.
+Lists are extended by one rotation at a time, of a quarter, a half or whole turns about an axis of the table
+within its limits. The best lists of each length are kept (beam search), ranked by how closely they reach the
+targets. As soon as lists reach all targets, the quickest of them is shortened: rotations are removed as long
+as the list still reaches the targets.
 
 All lists consist of the same few movements between quarter turns of the axes. So each movement is integrated
-once, and the information of a list follows by sending the state of the whitening filter through them.
+once, and the information of a list is computed by propagating the state of the whitening filter through its
+movements.
 """
 
 from __future__ import annotations
@@ -36,16 +37,16 @@ from gyrobench.bench.foundations.kernels import compiled
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.navigation.table_axes import Angles
 
-#: Lists kept of each length, and the longest.
+#: Number of lists kept of each length, and the largest length.
 _BEAM, _MAX_ROTATIONS = 60, 36
-#: Whole turns in one rotation, if the axis has the range.
+#: Most whole turns in one rotation, if the range of the axis allows it.
 _MAX_TURNS = 10
-#: Length of an epoch, s; one value of the velocity at rest stands for those of each second.
+#: Length of an epoch, s; one value of the velocity at rest replaces the values of each second.
 _EPOCH_S = 5.0
-#: Parts of the targets to search for, since the search is coarser than the expected uncertainties.
+#: Factors on the targets in successive searches, since the search is coarser than the final prediction.
 _MARGINS = (1.0, 0.97, 0.9)
 _UNITS = {"deg/h": "dph", "ppm": "ppm", "arcsec": "arcsec", "ug": "ug"}
-#: Parameters of a list.
+#: Columns of the parameters of a list, and their sizes.
 _COLUMNS = [*range(COUNT), *range(ATTITUDE.start, ATTITUDE.stop)]
 _SIZES = np.array([*(each.size for each in COEFFICIENTS), *[ATTITUDE_ERROR] * 3])
 
@@ -68,10 +69,10 @@ def parse_targets(text: str) -> FloatArray:
         except ValueError:
             limit = np.nan
         if name not in names or not 0.0 < limit < np.inf:
-            known = ", ".join(name for name, numbers in names.items() if len(numbers) > 1)
+            valid_names = ", ".join(name for name, numbers in names.items() if len(numbers) > 1)
             raise DocumentError(
                 f"--reach: '{part.strip()}' is no coefficient with an uncertainty above 0. Give NAME=NUMBER "
-                f"with {known}, or one axis as in gyro_scale_factor_z_ppm"
+                f"with {valid_names}, or one axis as in gyro_scale_factor_z_ppm"
             )
         for number in names[name]:
             targets[number] = limit / COEFFICIENTS[number].per_si
@@ -81,45 +82,46 @@ def parse_targets(text: str) -> FloatArray:
 def shortest_list(
     pattern: RotationList, targets: FloatArray, setup: RotationSetup
 ) -> tuple[RotationList, ExpectedUncertainties]:
-    """A list of rotations that reaches the targets, and what it will know.
+    """Shortest list of rotations found that reaches the targets, and its expected uncertainties.
 
-    ``pattern``: gives start, dwell and rate; its rotations are used, as far as needed, if nothing quicker is
-    found. ``targets`` (21,): largest uncertainties, SI; infinite where there is none. Whole turns are tried
-    only where ``setup`` states their uncertainty. Raises DocumentError if no list reaches the targets.
+    ``pattern``: gives start, dwell and rate; its rotations are used, as far as needed, if no quicker list is
+    found. ``targets`` (21,): largest uncertainties, SI; infinite for coefficients without a target. Whole
+    turns are tried only if ``setup`` states their uncertainty. Raises DocumentError if no list reaches the
+    targets.
     """
-    unseen = np.array(IS_FORCE_SCALE) & np.isfinite(targets)
-    if unseen.any() and not setup.has_vertical:
+    unobservable = np.array(IS_FORCE_SCALE) & np.isfinite(targets)
+    if unobservable.any() and not setup.has_vertical:
         raise DocumentError(
             "accelerometer scale factors are not observable without increments (ins.signals.increments). "
             "Leave their targets out"
         )
-    left: list[str] = []
+    missed_texts: list[str] = []
     for margin in _MARGINS:
         search = _Search(pattern, margin * targets, setup)
-        rotations, left = search.run()
-        if left:
+        rotations, missed_texts = search.run()
+        if missed_texts:
             break
-        found = pattern.model_copy(
+        shortest = pattern.model_copy(
             update={
                 "rotation_list": f"{pattern.rotation_list}_shortest",
                 "description": "Proposed by gyrobench plan --observability --reach.",
                 "rotations": rotations,
             }
         )
-        expected = expected_uncertainties(found, setup)
+        expected = expected_uncertainties(shortest, setup)
         missed = np.isfinite(targets) & ~((expected.sigmas <= targets) & expected.is_observed)
         if not missed.any():
-            return found, expected
-        left = _named(missed, expected.sigmas)
+            return shortest, expected
+        missed_texts = _missed_texts(missed, expected.sigmas)
     raise DocumentError(
         f"no list of up to {_MAX_ROTATIONS} rotations on this table reaches the targets: "
-        f"{', '.join(left)}. Give larger uncertainties or a longer dwell_s, or --whole-turns-arcsec for "
-        "scale factors"
+        f"{', '.join(missed_texts)}. Give larger uncertainties or a longer dwell_s, or --whole-turns-arcsec "
+        "for scale factors"
     )
 
 
-def _named(missed: BoolArray, sigmas: FloatArray) -> list[str]:
-    """Coefficients that miss their targets, with their uncertainties."""
+def _missed_texts(missed: BoolArray, sigmas: FloatArray) -> list[str]:
+    """Texts with the coefficients that miss their targets and their uncertainties."""
     return [
         f"{each.name} {each.axis} ({sigma * each.per_si:.3g} {each.unit})"
         for each, sigma, misses in zip(COEFFICIENTS, sigmas, missed, strict=True)
@@ -140,13 +142,13 @@ class _Movement:
 
 
 @dataclass(frozen=True, eq=False)
-class _Partial:
-    """A list so far."""
+class _PartialList:
+    """A list of rotations under construction, with the state of its whitening filter."""
 
     rotations: tuple[TableRotation, ...]
     angles: Angles
-    #: state, covariance, information: Shapes (9, 24), (9, 9), (24, 24). Of the whitening filter: what it does
-    #: not know of psi, u and the psi before a spin, for each parameter; its covariance; white rows, squared.
+    #: state, covariance, information: Shapes (9, 24), (9, 9), (24, 24). For each parameter, the part of psi,
+    #: u and the psi before a spin that the filter does not estimate; its covariance; information of the rows.
     state: FloatArray
     covariance: FloatArray
     information: FloatArray
@@ -165,73 +167,77 @@ class _Search:
         self._start = setup.table.angles(POSITIONS[pattern.start].C_nb())
 
     def run(self) -> tuple[list[TableRotation], list[str]]:
-        """Rotations that reach the targets; or what the best list leaves too uncertain."""
-        given = self._of(self._pattern.rotations)
-        known = [given] if given and self._ratios([given]).max() <= 1.0 else []
-        beam = [self._begun()]
+        """Rotations that reach the targets; otherwise texts with the targets that the best list misses."""
+        given = self._partial_list(self._pattern.rotations)
+        starting = [given] if given and self._ratios([given]).max() <= 1.0 else []
+        beam = [self._empty_list()]
         for _ in range(_MAX_ROTATIONS):
-            grown = [self._extended(each, move) for each in beam for move in self._moves(each.angles)]
-            if not grown:
+            extended = [
+                self._append(each, move) for each in beam for move in self._candidate_rotations(each.angles)
+            ]
+            if not extended:
                 break
-            ratios = self._ratios(grown)
-            reaching = [each for each, ratio in zip(grown, ratios, strict=True) if ratio.max() <= 1.0]
+            ratios = self._ratios(extended)
+            reaching = [each for each, ratio in zip(extended, ratios, strict=True) if ratio.max() <= 1.0]
             if reaching:
-                shortened = [self._shortened(each) for each in (*known, min(reaching, key=self._seconds))]
-                return list(min(shortened, key=self._seconds).rotations), []
+                shortened = [self._shorten(each) for each in (*starting, min(reaching, key=self._duration_s))]
+                return list(min(shortened, key=self._duration_s).rotations), []
             scores = np.log(np.maximum(ratios, 1.0)).sum(axis=1) + 1e-3 * np.log(ratios).sum(axis=1)
             beam, seen = [], set()
-            for number in np.argsort(scores, kind="stable"):
-                # Lists that differ by symmetry alone would fill the beam.
-                key = (*np.mod(grown[number].angles, 360.0), round(float(scores[number]), 6))
+            for index in np.argsort(scores, kind="stable"):
+                # Lists that differ only by a symmetry would fill the beam.
+                key = (*np.mod(extended[index].angles, 360.0), round(float(scores[index]), 6))
                 if key not in seen:
                     seen.add(key)
-                    beam.append(grown[number])
+                    beam.append(extended[index])
                 if len(beam) == _BEAM:
                     break
-        for each in known:
-            return list(self._shortened(each).rotations), []
+        for each in starting:
+            return list(self._shorten(each).rotations), []
         sigmas = np.zeros(COUNT)
         targeted = np.isfinite(self._targets)
         sigmas[targeted] = self._ratios(beam[:1])[0] * self._targets[targeted]
-        return [], _named(sigmas > self._targets, sigmas)
+        return [], _missed_texts(sigmas > self._targets, sigmas)
 
-    def _shortened(self, found: _Partial) -> _Partial:
-        shorter: _Partial | None = found
+    def _shorten(self, shortest: _PartialList) -> _PartialList:
+        shorter: _PartialList | None = shortest
         while shorter is not None:
-            found, moves = shorter, shorter.rotations
-            fewer = (self._of((*moves[:k], *moves[k + 1 :])) for k in range(len(moves)))
-            shorter = next((each for each in fewer if each and self._ratios([each]).max() <= 1.0), None)
-        return found
+            shortest, moves = shorter, shorter.rotations
+            shorter_lists = (self._partial_list((*moves[:k], *moves[k + 1 :])) for k in range(len(moves)))
+            shorter = next(
+                (each for each in shorter_lists if each and self._ratios([each]).max() <= 1.0), None
+            )
+        return shortest
 
-    def _of(self, rotations: Sequence[TableRotation]) -> _Partial | None:
-        part = self._begun()
+    def _partial_list(self, rotations: Sequence[TableRotation]) -> _PartialList | None:
+        part = self._empty_list()
         for rotation in rotations:
             if not self._allows(part.angles, rotation):
                 return None
-            part = self._extended(part, rotation)
+            part = self._append(part, rotation)
         return part
 
-    def _seconds(self, part: _Partial) -> float:
+    def _duration_s(self, part: _PartialList) -> float:
         return sum(self._pattern.dwell_s + self._pattern.seconds(each) for each in part.rotations)
 
-    def _moves(self, angles: Angles) -> Iterator[TableRotation]:
+    def _candidate_rotations(self, angles: Angles) -> Iterator[TableRotation]:
         axes: tuple[Literal["outer", "inner"], ...] = ("outer", "inner")
         for axis, at_deg in zip(axes, angles, strict=True):
             low, high = self._limits[axis]
-            sizes = [90.0, 180.0]
+            angles_deg = [90.0, 180.0]
             if self._setup.whole_turns is not None:
                 room = min(max(high - at_deg, at_deg - low) / 360.0, _MAX_TURNS)
-                sizes += [360.0 * int(room)] * (room >= 1.0)
-            for angle_deg in (sign * size for size in sizes for sign in (1.0, -1.0)):
+                angles_deg += [360.0 * int(room)] * (room >= 1.0)
+            for angle_deg in (sign * size for size in angles_deg for sign in (1.0, -1.0)):
                 rotation = TableRotation(axis=axis, angle_deg=angle_deg)
                 if self._allows(angles, rotation):
                     yield rotation
 
     def _allows(self, angles: Angles, rotation: TableRotation) -> bool:
         low, high = self._limits[rotation.axis]
-        return low <= _moved(angles, rotation)[rotation.axis == "inner"] <= high
+        return low <= _angles_after(angles, rotation)[rotation.axis == "inner"] <= high
 
-    def _ratios(self, parts: Sequence[_Partial]) -> FloatArray:
+    def _ratios(self, parts: Sequence[_PartialList]) -> FloatArray:
         """Uncertainties over targets (n, m) of the coefficients that have one."""
         information = np.array([each.information for each in parts]) + np.eye(len(_COLUMNS))
         variances = np.diagonal(np.linalg.inv(information), axis1=1, axis2=2)
@@ -239,20 +245,20 @@ class _Search:
         ratios = (np.sqrt(variances) * self._sizes)[:, :COUNT] / self._targets
         return np.asarray(ratios[:, targeted])
 
-    def _begun(self) -> _Partial:
+    def _empty_list(self) -> _PartialList:
         state, covariance = np.zeros((9, len(_COLUMNS))), np.zeros((9, 9))
         state[:3, COUNT:] = np.eye(3) * self._sizes[COUNT:]
         covariance[3:6, 3:6] = self._white * np.eye(3)
-        begun = _Partial((), self._start, state, covariance, np.zeros((len(_COLUMNS),) * 2))
-        return self._through(begun, self._movement(self._start, None), (), self._start)
+        begun = _PartialList((), self._start, state, covariance, np.zeros((len(_COLUMNS),) * 2))
+        return self._apply_movement(begun, self._movement(self._start, None), (), self._start)
 
-    def _extended(self, part: _Partial, rotation: TableRotation) -> _Partial:
-        rotations, angles = (*part.rotations, rotation), _moved(part.angles, rotation)
-        return self._through(part, self._movement(part.angles, rotation), rotations, angles)
+    def _append(self, part: _PartialList, rotation: TableRotation) -> _PartialList:
+        rotations, angles = (*part.rotations, rotation), _angles_after(part.angles, rotation)
+        return self._apply_movement(part, self._movement(part.angles, rotation), rotations, angles)
 
-    def _through(
-        self, part: _Partial, movement: _Movement, rotations: tuple[TableRotation, ...], angles: Angles
-    ) -> _Partial:
+    def _apply_movement(
+        self, part: _PartialList, movement: _Movement, rotations: tuple[TableRotation, ...], angles: Angles
+    ) -> _PartialList:
         state, covariance, information = part.state.copy(), part.covariance.copy(), part.information.copy()
         _filter(
             movement.transition,
@@ -267,7 +273,7 @@ class _Search:
             covariance,
             information,
         )
-        return _Partial(rotations, angles, state, covariance, information)
+        return _PartialList(rotations, angles, state, covariance, information)
 
     def _movement(self, angles: Angles, rotation: TableRotation | None) -> _Movement:
         outer, inner = (round(each % 360.0, 6) for each in angles)
@@ -295,7 +301,7 @@ class _Search:
         return self._cache[key]
 
 
-def _moved(angles: Angles, rotation: TableRotation) -> Angles:
+def _angles_after(angles: Angles, rotation: TableRotation) -> Angles:
     outer, inner = angles
     is_outer = rotation.axis == "outer"
     return (outer + rotation.angle_deg, inner) if is_outer else (outer, inner + rotation.angle_deg)
@@ -317,9 +323,9 @@ def _filter(
                 P[a, 6 + i] = P[a, i]
     is_turned = not is_spin
     for epoch in range(len(transition)):
-        _moved_on(transition[epoch], Z)
-        _moved_on(transition[epoch], P)
-        _moved_on(transition[epoch], P.T)
+        _propagate(transition[epoch], Z)
+        _propagate(transition[epoch], P)
+        _propagate(transition[epoch], P.T)
         for i in range(6):
             for a in range(Z.shape[1]):
                 Z[i, a] += drive[epoch, i, a]
@@ -328,29 +334,29 @@ def _filter(
         if not at_rest[epoch]:
             continue
         for i in range(measured):
-            _take(Z[3 + i].copy(), P[3 + i].copy(), P[3 + i, 3 + i] + white, Z, P, information)
+            _update(Z[3 + i].copy(), P[3 + i].copy(), P[3 + i, 3 + i] + white, Z, P, information)
         if not is_turned:
             is_turned = True
             for i in range(3):
                 spread = P[:, i] - P[:, 6 + i]
-                _take(Z[i] - Z[6 + i], spread, spread[i] - spread[6 + i] + turn, Z, P, information)
+                _update(Z[i] - Z[6 + i], spread, spread[i] - spread[6 + i] + turn, Z, P, information)
 
 
 @compiled
-def _moved_on(transition: FloatArray, rows: FloatArray) -> None:
+def _propagate(transition: FloatArray, rows: FloatArray) -> None:
     """Multiply the first six rows by a transition, in place."""
-    moved = np.empty(6)
+    propagated = np.empty(6)
     for a in range(rows.shape[1]):
         for i in range(6):
-            moved[i] = 0.0
+            propagated[i] = 0.0
             for j in range(6):
-                moved[i] += transition[i, j] * rows[j, a]
+                propagated[i] += transition[i, j] * rows[j, a]
         for i in range(6):
-            rows[i, a] = moved[i]
+            rows[i, a] = propagated[i]
 
 
 @compiled
-def _take(
+def _update(
     row: FloatArray,
     spread: FloatArray,
     variance: float,
@@ -358,7 +364,10 @@ def _take(
     P: FloatArray,
     information: FloatArray,
 ) -> None:
-    """Take in a measurement: its row, its covariance with the state, its variance."""
+    """Update state, covariance and information by a measurement.
+
+    ``row``, ``spread``, ``variance``: its row, its covariance with the state, and its variance.
+    """
     for i in range(9):
         gain = spread[i] / variance
         for a in range(len(row)):

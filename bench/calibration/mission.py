@@ -1,10 +1,10 @@
-"""Position error of a rotational INS that navigates with what is left of its sensors' errors.
+"""Position error of a rotational INS due to the residual errors of its sensors.
 
-The increments that gyros and accelerometers give while a dual-axis gimbal turns them from one attitude to the
-next are computed without approximation, given the errors of a :class:`SensorErrors`, and navigated: attitude,
-velocity and position on the ellipsoid, at fixed altitude. The vehicle rests, the errors are constant, and
-navigation starts without an error. Position errors are linear in so small sensor errors, so the distribution
-that follows from the uncertainty of the coefficients is drawn from the responses to each of them.
+A dual-axis gimbal turns the sensors from one attitude to the next. The increments of gyros and accelerometers
+with given :class:`SensorErrors` are computed without approximation and navigated: attitude, velocity and
+position on the ellipsoid, at fixed altitude. The vehicle rests, the errors are constant, and the navigation
+starts without error. Position errors are linear in such small sensor errors, so their distribution due to the
+uncertainty of the coefficients is sampled with the responses to each coefficient.
 
 References
 ----------
@@ -36,11 +36,11 @@ from gyrobench.bench.navigation.rotational_ins import (
 #: Times of a mission at which its error is stated, h.
 HOURS = (1.0, 8.0, 24.0)
 
-_S_PER_H, _EVERY_S = 3600.0, 60.0
+_S_PER_H, _OUTPUT_INTERVAL_S = 3600.0, 60.0
 _DURATION_S = HOURS[-1] * _S_PER_H
 _DWELL_STEP_S, _TURN_STEP_DEG = 10.0, 5.0
-#: Size of one coefficient by which its response is computed, of the size of a large error.
-_SMALL = 1e-4
+#: Step of a coefficient in the computation of its response, as a share of its large size.
+_STEP_SHARE = 1e-4
 _DRAWS = 2000
 
 
@@ -48,29 +48,29 @@ _DRAWS = 2000
 class MissionError:
     """Largest distance from the true position up to each of :data:`HOURS`, nmi."""
 
-    stated_nmi: FloatArray  #: Shape (3,). With the coefficients as stated.
-    #: median_nmi, high_nmi: Shape (3,). Of the distribution by their uncertainty: half and 95 % are below.
+    stated_nmi: FloatArray  #: Shape (3,). For the estimates of the coefficients.
+    #: median_nmi, high_nmi: Shape (3,). Median and 95 % quantile, given the uncertainty of the coefficients.
     median_nmi: FloatArray
     high_nmi: FloatArray
     time_s: FloatArray  #: Shape (n,). Every minute.
-    distance_nmi: FloatArray  #: Shape (n,). Distance from the true position with the coefficients as stated.
+    distance_nmi: FloatArray  #: Shape (n,). Distance from the true position, for the estimates.
 
 
 def mission_error(values: FloatArray, covariance: FloatArray, site: Site) -> MissionError:
-    """Error of a mission of a day, with retraced half turns, with what is left of the coefficients.
+    """Error of a mission of a day with retraced half turns, due to residual coefficients.
 
     ``values`` (21,), ``covariance`` (21, 21): of :data:`~.coefficients.COEFFICIENTS`, SI.
     """
     time_s, responses = _responses(site)
     stated = np.hypot(*navigate_mission(SensorErrors.from_vector(values), site, RETRACED_HALF_TURNS)[1])
     draws = np.random.default_rng(0).multivariate_normal(values, covariance, _DRAWS, method="eigh")
-    drawn = np.hypot(*np.moveaxis(np.tensordot(draws, responses, axes=1), 1, 0))
+    distances_m = np.hypot(*np.moveaxis(np.tensordot(draws, responses, axes=1), 1, 0))
     ends = [int(np.searchsorted(time_s, hours * _S_PER_H)) + 1 for hours in HOURS]
-    largest = np.array([drawn[:, :end].max(axis=1) for end in ends]) / NAUTICAL_MILE_M
+    largest_nmi = np.array([distances_m[:, :end].max(axis=1) for end in ends]) / NAUTICAL_MILE_M
     return MissionError(
         stated_nmi=np.array([stated[:end].max() for end in ends]) / NAUTICAL_MILE_M,
-        median_nmi=np.median(largest, axis=1),
-        high_nmi=np.quantile(largest, 0.95, axis=1),
+        median_nmi=np.median(largest_nmi, axis=1),
+        high_nmi=np.quantile(largest_nmi, 0.95, axis=1),
         time_s=time_s,
         distance_nmi=stated / NAUTICAL_MILE_M,
     )
@@ -79,9 +79,9 @@ def mission_error(values: FloatArray, covariance: FloatArray, site: Site) -> Mis
 def navigate_mission(
     errors: SensorErrors, site: Site, scheme: RotationScheme
 ) -> tuple[FloatArray, FloatArray]:
-    """Navigate for a day with sensors that have errors: times (n,), every minute, and error East, North.
+    """Navigate for a day with sensors that have errors.
 
-    The errors have shape (2, n), m.
+    Returns times (n,), s, every minute, and errors East and North (2, n), m.
     """
     interval_s, angle, velocity, start = _increments(site, scheme)
     measured_angle = angle @ (np.eye(3) + errors.gyro_matrix).T + errors.gyro_bias * interval_s[:, np.newaxis]
@@ -94,20 +94,20 @@ def navigate_mission(
         np.array(curvature_radii(site.latitude, site.height)), EARTH_RATE,
     )  # fmt: skip
     ends_s = np.concatenate([[0.0], np.cumsum(np.tile(interval_s, cycles))])
-    time_s = np.arange(0.0, _DURATION_S + 0.5 * _EVERY_S, _EVERY_S)
+    time_s = np.arange(0.0, _DURATION_S + 0.5 * _OUTPUT_INTERVAL_S, _OUTPUT_INTERVAL_S)
     return time_s, np.stack([np.interp(time_s, ends_s, track) for track in track_m])
 
 
 @lru_cache(maxsize=4)
 def _responses(site: Site) -> tuple[FloatArray, FloatArray]:
-    """Times (n,), and error East and North per unit of each coefficient, m: shape (21, 2, n)."""
-    time_s, none_m = navigate_mission(SensorErrors(), site, RETRACED_HALF_TURNS)
-    sizes = _SMALL * np.array([each.size for each in COEFFICIENTS])
-    alone = [SensorErrors.from_vector(row) for row in np.eye(COUNT) * sizes]
+    """Times (n,), and errors East and North (21, 2, n), m, per unit of each coefficient."""
+    time_s, reference_m = navigate_mission(SensorErrors(), site, RETRACED_HALF_TURNS)
+    sizes = _STEP_SHARE * np.array([each.size for each in COEFFICIENTS])
+    single_errors = [SensorErrors.from_vector(row) for row in np.eye(COUNT) * sizes]
     return time_s, np.array(
         [
-            (navigate_mission(each, site, RETRACED_HALF_TURNS)[1] - none_m) / size
-            for each, size in zip(alone, sizes, strict=True)
+            (navigate_mission(each, site, RETRACED_HALF_TURNS)[1] - reference_m) / size
+            for each, size in zip(single_errors, sizes, strict=True)
         ]
     )
 
@@ -146,8 +146,8 @@ def _navigate(
 ) -> FloatArray:  # fmt: skip
     """Error East and North (2, n + 1), m, from the increments of one cycle, repeated.
 
-    The attitude is turned by half of what the navigation frame turns before, and after, each step; the
-    velocity increment is resolved in the middle of the step.
+    Half of the rotation of the navigation frame is applied before, and half after each step; the velocity
+    increment is resolved in the middle of the step.
     """
     steps = interval_s.size
     track = np.zeros((2, cycles * steps + 1))
@@ -156,14 +156,14 @@ def _navigate(
     for k in range(cycles * steps):
         step = k % steps
         dt = interval_s[step]
-        at = latitude + north_m / meridian_m
-        cosine, sine, tangent = np.cos(at), np.sin(at), np.tan(at)
+        present_latitude = latitude + north_m / meridian_m
+        cosine, sine, tangent = np.cos(present_latitude), np.sin(present_latitude), np.tan(present_latitude)
         earth_n, earth_u = earth_rate * cosine, earth_rate * sine
         turn = np.array(
             [-north_mps / meridian_m, earth_n + east_mps / across_m, earth_u + east_mps * tangent / across_m]
         )
-        C_nb = _turned(-0.5 * dt * turn) @ C_nb
-        force = (C_nb @ _turned(0.5 * angle[step])) @ velocity[step]
+        C_nb = _rotation(-0.5 * dt * turn) @ C_nb
+        force = (C_nb @ _rotation(0.5 * angle[step])) @ velocity[step]
         coriolis = 2.0 * earth_u + east_mps * tangent / across_m
         change_e, change_n = force[0] + coriolis * north_mps * dt, force[1] - coriolis * east_mps * dt
         east_m += (east_mps + 0.5 * change_e) * dt * np.cos(latitude) / cosine
@@ -173,13 +173,13 @@ def _navigate(
         turn = np.array(
             [-north_mps / meridian_m, earth_n + east_mps / across_m, earth_u + east_mps * tangent / across_m]
         )
-        C_nb = _turned(-0.5 * dt * turn) @ (C_nb @ _turned(angle[step]))
+        C_nb = _rotation(-0.5 * dt * turn) @ (C_nb @ _rotation(angle[step]))
         track[0, k + 1], track[1, k + 1] = east_m, north_m
     return track
 
 
 @compiled
-def _turned(vector: FloatArray) -> FloatArray:
+def _rotation(vector: FloatArray) -> FloatArray:
     """Matrix (3, 3) of a rotation vector, rad."""
     matrix = np.empty((3, 3))
     set_turn(matrix, (vector[0], vector[1], vector[2]))

@@ -1,7 +1,7 @@
-"""Coefficients of a unit as one least-squares problem, and what else may explain its residuals.
+"""The least-squares problem of the coefficients, and alternative explanations of its residuals.
 
-Another latitude, a wrong time, terms beside the coefficients or whole turns that contradict the rotations:
-each is the same problem with one assumption changed.
+Another latitude, a wrong time, optional parameters or whole turns that contradict the rotations: each
+alternative is the same problem with one assumption changed.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from gyrobench.bench.bias.statistics import Chi2Test, chi2_p_value, chi2_test
-from gyrobench.bench.calibration.coefficients import BESIDE, COEFFICIENTS, COUNT, SensorErrors
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, OPTIONAL_PARAMETERS, SensorErrors
 from gyrobench.bench.calibration.increment_recording import SensorNoise
 from gyrobench.bench.calibration.information import (
     BIAS_DRIFT,
@@ -21,7 +21,7 @@ from gyrobench.bench.calibration.information import (
     MIN_SINGULAR_VALUE,
     CalibrationOptions,
     Information,
-    integrated_sections,
+    integrate_sections,
 )
 from gyrobench.bench.calibration.section import IncrementSection, SpinError
 from gyrobench.bench.calibration.strapdown import ASYMMETRIES, G_SENSITIVITIES, PARAMETER_COUNT, Trajectory
@@ -32,36 +32,36 @@ from gyrobench.bench.navigation.attitude import rotation_matrices
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES
 
-#: Rounds of linearisation; the last one changes the weighted sum of squares by less than this, and each
-#: observed parameter by less than this part of its standard uncertainty.
-_MAX_ROUNDS, _CONVERGED, _MAX_STEP = 15, 0.1, 0.05
-#: After a step that multiplies the sum by more than this, steps are along fewer directions: those that the
-#: data determine better by this factor.
-_WORSE, _FEWER = 2.0, 10.0
-#: Something else explains the residuals where it reduces chi2 to this part. A chi2 below this many times its
-#: degrees of freedom can't fall that far unless the noise is less than half of the declared one.
-_EXPLAINED, _MIN_EXPLICABLE = 0.1, 2.5
-#: For an error of the latitude below this, rad, chi2 falls by the square of the error in units of its
-#: uncertainty; chi2 of sums over minutes by at most this many times as much.
+#: Iterations of the linearisation, and conditions of convergence: largest change of chi-square, and of each
+#: observed parameter in standard uncertainties.
+_MAX_ROUNDS, _MAX_CHI2_CHANGE, _MAX_STEP_SIGMAS = 15, 0.1, 0.05
+#: After a step that multiplies chi-square by more than the first factor, steps are restricted to directions
+#: that the data determine better by the second factor.
+_MAX_CHI2_GROWTH, _DIRECTION_FACTOR = 2.0, 10.0
+#: An alternative explains the residuals if it reduces chi2 to this share. A chi2 below this multiple of its
+#: degrees of freedom can't fall that far, unless the noise is less than half of the declared one.
+_EXPLAINED_SHARE, _MIN_CHI2_PER_DOF = 0.1, 2.5
+#: If the error of the latitude is smaller than this, rad, its correction reduces chi2 by the square of the
+#: error in standard uncertainties; chi2 of sums over minutes by at most this multiple of it.
 _SMALL_ANGLE, _MAX_CHI2_RATIO = 0.01, 2.0
-#: A latitude is settled where the next step reduces chi2 no further than to this part.
-_SETTLED = 0.5
-#: Below this probability the noise alone does not explain the residuals.
+#: A latitude is converged if the next step does not reduce chi2 below this share.
+_CONVERGED_SHARE = 0.5
+#: The noise does not explain the residuals if their p-value is smaller.
 UNEXPLAINED_P_VALUE = 1e-3
-#: Smallest relative error of the time that is looked for.
+#: Smallest relative error of the time that is tested.
 _MIN_TIME_ERROR = 3e-4
-#: Largest sensitivity of a ring laser gyro to the specific force, s/m: 0.5 deg/h/g. What needs more is a
-#: mistake in the set-up, such as a latitude: its error along Up is one along the specific force.
+#: Largest sensitivity of a ring laser gyro to the specific force, s/m: 0.5 deg/h/g. A larger one is due to a
+#: mistake in the set-up, such as a wrong latitude, whose rate along Up is a rate along the specific force.
 _MAX_G_SENSITIVITY = 0.5 * DPH_TO_RADPS / STANDARD_GRAVITY
-#: Standard uncertainties from which a sensitivity is named, and from which it may be a rate Up.
-_NAMED_SIGMAS, _CLEAR_SIGMAS = 3.0, 4.0
-_SENSITIVITIES = BESIDE[G_SENSITIVITIES.start - COUNT : G_SENSITIVITIES.stop - COUNT]
-#: Least eigenvalue of a correlation matrix, above rounding.
+#: A sensitivity is reported, and may be a rate Up, if it exceeds these numbers of standard uncertainties.
+_REPORTED_SIGMAS, _SIGNIFICANT_SIGMAS = 3.0, 4.0
+_SENSITIVITIES = OPTIONAL_PARAMETERS[G_SENSITIVITIES.start - COUNT : G_SENSITIVITIES.stop - COUNT]
+#: Smallest eigenvalue of a correlation matrix, above rounding.
 _MIN_EIGENVALUE = 1e-9
-#: Size of a parameter that is held, in its usual one.
-_FIXED = 1e-6
-#: Options that may explain a misfit, with the option of ``gyrobench calibrate``.
-_BESIDE_COEFFICIENTS: tuple[tuple[dict[str, Any], str], ...] = (
+#: Prior of a parameter that is held fixed, relative to its usual size.
+_FIXED_SIZE = 1e-6
+#: Options that may explain a misfit, with descriptions that name the option of ``gyrobench calibrate``.
+_EXPLANATIONS: tuple[tuple[dict[str, Any], str], ...] = (
     ({"quadratic": True}, "quadratic terms of the accelerometers (--quadratic)"),
     ({"lever_arms": True}, "places of the accelerometers (--lever-arms)"),
     ({"delay": True}, "a delay of the accelerometers (--delay)"),
@@ -69,17 +69,17 @@ _BESIDE_COEFFICIENTS: tuple[tuple[dict[str, Any], str], ...] = (
     ({"asymmetries": (0, 1, 2)}, "asymmetries of the gyros' scale factors (--asymmetry)"),
     ({"bias_drift": BIAS_DRIFT}, "a drift of the gyro biases (--drift)"),
 )
-#: Places of the scale factors of the gyros among the coefficients.
+#: Indices of the gyro scale factors among the coefficients.
 GYRO_SCALES = np.flatnonzero(IS_GYRO_SCALE)
-#: Epochs at rest over which residuals are summed for the test of fit.
+#: Epochs at rest over which residuals are summed for the goodness-of-fit test.
 _FIT_EPOCHS = 60
 
 
 @dataclass(frozen=True, eq=False)
 class Estimates:
-    """Estimates of all parameters of a problem, and how they fit.
+    """Estimates of all parameters of a problem, and their fit.
 
-    These are the coefficients, what is estimated beside them, attitudes at the starts, drifts of the biases.
+    The parameters are the coefficients, optional parameters, initial attitudes and drifts of the biases.
     """
 
     #: values, covariance, is_observed: Of all parameters.
@@ -95,25 +95,25 @@ class Estimates:
 
 @dataclass(frozen=True, eq=False)
 class _TurnScatter:
-    """Spins of one gyro, less its scale factor."""
+    """Residuals of the spins of one gyro about its scale factor."""
 
     axis: int
     path: FloatArray  #: Shape (n,). Angles travelled, rad, with their signs.
-    left: FloatArray  #: Shape (n,). Rad.
-    variance: FloatArray  #: Shape (n,). Of each by noise and the table's return, rad^2.
+    residuals_rad: FloatArray  #: Shape (n,).
+    variance: FloatArray  #: Shape (n,). Of each residual, due to noise and the table's return, rad^2.
     dof: int
 
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """Where a problem is linearised."""
+    """Point at which a problem is linearised."""
 
-    values: FloatArray  #: Of all parameters; attitudes are corrections to the ``starts``, and zero.
+    values: FloatArray  #: Of all parameters; those of attitudes are corrections to ``starts``, here zero.
     starts: list[FloatArray]  #: Attitudes (3, 3) at the start of each section.
-    origin: FloatArray  #: What the data leave open stays near it.
+    origin: FloatArray  #: Values near which parameters stay if the data do not determine them.
 
-    def moved(self, step: FloatArray, first: int) -> _Point:
-        """A step further; attitudes are from number ``first`` on."""
+    def advance(self, step: FloatArray, first: int) -> _Point:
+        """Point moved by ``step``; attitude corrections start at index ``first``."""
         turns = slice(first, first + 3 * len(self.starts))
         values, origin = self.values + step, self.origin.copy()
         values[turns] = 0.0
@@ -124,44 +124,50 @@ class _Point:
 
 @dataclass(frozen=True, eq=False)
 class CalibrationProblem:
-    """What the coefficients are estimated from."""
+    """Data and assumptions from which the coefficients are estimated."""
 
     sections: Sequence[IncrementSection]
-    bias: FloatArray  #: Shape (3,). Of the gyros, rad/s, where to begin.
+    bias: FloatArray  #: Shape (3,). Initial values of the gyro biases, rad/s.
     noise: SensorNoise
     site: Site
     options: CalibrationOptions
 
     def solve(self) -> Estimates:
-        """Estimate all parameters. Raises MeasurementError if that does not converge."""
-        used, first = self.options.columns, SensorErrors(gyro_bias=self.bias)
+        """Estimate all parameters. Raises MeasurementError if the iteration does not converge."""
+        columns, initial_errors = self.options.columns, SensorErrors(gyro_bias=self.bias)
         common = np.zeros(PARAMETER_COUNT)
-        common[:COUNT] = first.vector()
-        beside = 6 if self.options.bias_drift else 3
-        begin = np.concatenate([common[used], np.zeros(beside * len(self.sections))])
-        point = trial = _Point(begin, [each.aligned(first) for each in self.sections], begin)
-        lowest, left, least = np.inf, np.inf, MIN_SINGULAR_VALUE
+        common[:COUNT] = initial_errors.vector()
+        per_section = 6 if self.options.bias_drift else 3
+        initial = np.concatenate([common[columns], np.zeros(per_section * len(self.sections))])
+        starts = [each.initial_attitude(initial_errors) for each in self.sections]
+        point = trial = _Point(initial, starts, initial)
+        lowest_chi2, next_chi2, min_singular_value = np.inf, np.inf, MIN_SINGULAR_VALUE
         for _ in range(_MAX_ROUNDS):
-            common[used] = trial.values[: len(used)]
-            tried = integrated_sections(self.sections, trial.starts, common, self.site, self.options)
-            linear = Information.of(self.sections, tried, common, self.noise, self.site, self.options)
-            if (chi2 := linear.chi2(trial.values)) < _WORSE * lowest:
-                point, found, trajectories, lowest = trial, linear, tried, chi2
-                values, covariance, is_observed = found.solve(point.origin)
-            elif np.isfinite(lowest):
-                least *= _FEWER
+            common[columns] = trial.values[: len(columns)]
+            trial_trajectories = integrate_sections(
+                self.sections, trial.starts, common, self.site, self.options
+            )
+            linear = Information.of(
+                self.sections, trial_trajectories, common, self.noise, self.site, self.options
+            )
+            if (chi2 := linear.chi2(trial.values)) < _MAX_CHI2_GROWTH * lowest_chi2:
+                point, information, trajectories, lowest_chi2 = trial, linear, trial_trajectories, chi2
+                values, covariance, is_observed = information.solve(point.origin)
+            elif np.isfinite(lowest_chi2):
+                min_singular_value *= _DIRECTION_FACTOR
             else:
                 break
-            step = found.shown(values - point.values, least)
-            trial, before, left = point.moved(step, len(used)), left, found.chi2(point.values + step)
-            # Sizes count in units of the residuals where these exceed the noise.
-            excess = max(1.0, left / sum(map(len, found.blocks)))
-            is_still = np.abs(step) < _MAX_STEP * np.sqrt(excess * np.diag(covariance))
-            if abs(left - before) < _CONVERGED * excess and is_still[is_observed].all():
-                common[used] = trial.values[: len(used)]
-                fit = _test_fit(values, covariance, found.blocks)
+            step = information.project_observable(values - point.values, min_singular_value)
+            trial, chi2_before = point.advance(step, len(columns)), next_chi2
+            next_chi2 = information.chi2(point.values + step)
+            # If the residuals exceed the noise, tolerances scale with them.
+            excess = max(1.0, next_chi2 / sum(map(len, information.blocks)))
+            is_converged = np.abs(step) < _MAX_STEP_SIGMAS * np.sqrt(excess * np.diag(covariance))
+            if abs(next_chi2 - chi2_before) < _MAX_CHI2_CHANGE * excess and is_converged[is_observed].all():
+                common[columns] = trial.values[: len(columns)]
+                fit = _test_fit(values, covariance, information.blocks)
                 return Estimates(
-                    values, covariance, is_observed, common, trial.starts, fit, found, trajectories
+                    values, covariance, is_observed, common, trial.starts, fit, information, trajectories
                 )
         raise MeasurementError(
             "the estimate does not converge: the increments do not follow from rotations between rests at "
@@ -169,90 +175,95 @@ class CalibrationProblem:
             "whether the table turns as its angles say"
         )
 
-    def with_g_sensitivity(self, found: Estimates) -> tuple[CalibrationProblem, Estimates, str]:
-        """The same problem, and its solution, with gyro biases that follow the specific force; these as text.
+    def with_g_sensitivity(self, estimates: Estimates) -> tuple[CalibrationProblem, Estimates, str]:
+        """Problem and solution with gyro biases that follow the specific force, and a note about them.
 
-        Unchanged, without text, where these do not explain the residuals, noise or another latitude may, or
-        they are larger than those of a ring laser gyro. Raises MeasurementError as
+        Unchanged and without a note if these do not explain the residuals, if noise or another latitude may
+        explain them, or if they are larger than those of a ring laser gyro. Raises MeasurementError as
         :meth:`check_alternatives`.
         """
-        wider = replace(self, options=replace(self.options, g_sensitivity=True))
-        other = _explaining(wider, found)
+        with_sensitivity = replace(self, options=replace(self.options, g_sensitivity=True))
+        other = _explaining_solution(with_sensitivity, estimates)
         if other is None or other.fit.p_value < UNEXPLAINED_P_VALUE:
-            return self, found, ""
-        values, columns = other.common[G_SENSITIVITIES], wider.options.columns
-        places = [columns.index(each) for each in range(G_SENSITIVITIES.start, G_SENSITIVITIES.stop)]
-        covariance = other.covariance[np.ix_(places, places)]
-        # As an F-test: larger noise makes nine more parameters gain as much more.
-        gain = (found.fit.chi2 - other.fit.chi2) * other.fit.dof / other.fit.chi2
-        is_doubtful = (
-            chi2_p_value(len(places), gain) >= UNEXPLAINED_P_VALUE
+            return self, estimates, ""
+        values, columns = other.common[G_SENSITIVITIES], with_sensitivity.options.columns
+        indices = [columns.index(each) for each in range(G_SENSITIVITIES.start, G_SENSITIVITIES.stop)]
+        covariance = other.covariance[np.ix_(indices, indices)]
+        # As in an F-test: with larger noise, nine more parameters reduce chi2 by correspondingly more.
+        gain = (estimates.fit.chi2 - other.fit.chi2) * other.fit.dof / other.fit.chi2
+        is_implausible = (
+            chi2_p_value(len(indices), gain) >= UNEXPLAINED_P_VALUE
             or np.abs(values).max() > _MAX_G_SENSITIVITY
-            or self._is_rate_up(other, values, covariance)
+            or self._may_be_rate_up(other, values, covariance)
         )
-        if is_doubtful:
-            return self, found, ""
-        self.check_alternatives(found)
-        latitude = self.at_another_latitude(found)
-        if latitude is not None and _explaining(latitude, found) is not None:
-            return self, found, ""
+        if is_implausible:
+            return self, estimates, ""
+        self.check_alternatives(estimates)
+        latitude = self.at_estimated_latitude(estimates)
+        if latitude is not None and _explaining_solution(latitude, estimates) is not None:
+            return self, estimates, ""
         sigmas = np.sqrt(np.diag(covariance))
-        named = ", ".join(
+        terms_text = ", ".join(
             f"{each.axis[0]} gyro {value * each.per_si:+.2g} ± {sigma * each.per_si:.1g} along {each.axis[1]}"
             for each, value, sigma in zip(_SENSITIVITIES, values, sigmas, strict=True)
-            if abs(value) > _NAMED_SIGMAS * sigma
+            if abs(value) > _REPORTED_SIGMAS * sigma
         )
         text = (
-            f"the gyro biases follow the specific force (p = {found.fit.p_value:.1g} without that), in deg/h "
-            f"for each g: {named}. The coefficients allow for this; the gyro biases are those without "
-            "specific force"
+            f"the gyro biases follow the specific force (p = {estimates.fit.p_value:.1g} without that), in "
+            f"deg/h for each g: {terms_text}. The coefficients allow for this; the gyro biases are those "
+            "without specific force"
         )
-        return wider, other, text
+        return with_sensitivity, other, text
 
-    def _is_rate_up(self, other: Estimates, values: FloatArray, covariance: FloatArray) -> bool:
-        """Whether sensitivities (9,) may stand for an error of the latitude, or a bias that lags attitude.
+    def _may_be_rate_up(self, other: Estimates, values: FloatArray, covariance: FloatArray) -> bool:
+        """Whether sensitivities (9,) may be due to an error of the latitude, or a bias that lags attitude.
 
-        An equal sensitivity of all gyros along their own axes is a rate Up. It stands for such an error where
-        it is clear and larger than the rest.
+        An equal sensitivity of all gyros along their own axes is a rate Up. It may be due to such an error if
+        it is significant and larger than the other sensitivities.
         """
-        own, (correction, sigma) = np.eye(3).ravel() / 3.0, other.information.latitude_correction()
-        up = abs(float(own @ values))
-        rest = np.sqrt(np.sum((values - 3.0 * own * (own @ values)) ** 2) / (len(values) - 1))
+        mean, (correction, sigma) = np.eye(3).ravel() / 3.0, other.information.latitude_correction()
+        up = abs(float(mean @ values))
+        residual = np.sqrt(np.sum((values - 3.0 * mean * (mean @ values)) ** 2) / (len(values) - 1))
         return bool(
-            (up > _CLEAR_SIGMAS * np.sqrt(own @ covariance @ own) and up > rest)
-            or abs(correction) > _CLEAR_SIGMAS * np.hypot(sigma, self.options.latitude_sigma)
+            (up > _SIGNIFICANT_SIGMAS * np.sqrt(mean @ covariance @ mean) and up > residual)
+            or abs(correction) > _SIGNIFICANT_SIGMAS * np.hypot(sigma, self.options.latitude_sigma)
         )
 
-    def with_turns_checked(
-        self, found: Estimates, spun: Sequence[int]
+    def check_turns(
+        self, estimates: Estimates, spun_axes: Sequence[int]
     ) -> tuple[CalibrationProblem, Estimates, FloatArray, str]:
-        """The same problem, and its solution, with whole turns as uncertain as rotations and noise show.
+        """Problem and solution with the uncertainty of whole turns as estimated from their residuals.
 
-        Also by how much the scale factors of whole turns contradict the others (3,), zero where they do not,
-        and that as text. A scale factor that depends on the rate is no fault of the rests. It makes turns at
-        several rates scatter, and those at one rate contradict the rotations, as a table does that returns
-        elsewhere. ``spun``: the gyros that were spun.
+        Also returns the differences (3,) between the scale factors of whole turns and the others, zero if
+        they agree, and a finding about them. The residuals at rest do not reveal a scale factor that depends
+        on the rate. But it makes turns at several rates scatter, and turns at one rate contradict the
+        rotations, as does a table that does not return to its start. ``spun_axes``: axes of the gyros that
+        were spun.
         """
-        offset, text = self._contradiction(found, spun)
-        is_explained = found.fit.p_value >= UNEXPLAINED_P_VALUE
-        if not text and is_explained and self._scatter_p_value(found) >= UNEXPLAINED_P_VALUE:
-            return self, found, offset, ""
-        alone = replace(self, options=replace(self.options, whole_turns=None)).solve()
-        spins = self._spins(alone)
-        if not spins or not (text or alone.fit.p_value >= UNEXPLAINED_P_VALUE):
-            return self, found, offset, ""
-        left = np.concatenate([each.left + each.path * offset[each.axis] for each in self._left(spins)])
-        turns = float(np.hypot(self.options.whole_turns or 0.0, np.sqrt(np.mean(np.square(left)))))
+        offset, text = self._contradiction(estimates, spun_axes)
+        is_explained = estimates.fit.p_value >= UNEXPLAINED_P_VALUE
+        if not text and is_explained and self._scatter_p_value(estimates) >= UNEXPLAINED_P_VALUE:
+            return self, estimates, offset, ""
+        without_turns = replace(self, options=replace(self.options, whole_turns=None)).solve()
+        spins = self._spin_errors(without_turns)
+        if not spins or not (text or without_turns.fit.p_value >= UNEXPLAINED_P_VALUE):
+            return self, estimates, offset, ""
+        residuals = np.concatenate(
+            [each.residuals_rad + each.path * offset[each.axis] for each in self._turn_scatters(spins)]
+        )
+        turns = float(np.hypot(self.options.whole_turns or 0.0, np.sqrt(np.mean(np.square(residuals)))))
         widened = replace(self, options=replace(self.options, whole_turns=turns))
         return widened, widened.solve(), offset, text
 
-    def _spins(self, found: Estimates) -> list[SpinError]:
-        """What each spin is wrong by with the values found."""
-        pairs = zip(self.sections, found.starts, strict=True)
-        return [spin for each, start in pairs for spin in each.spin_errors(start, found.common, self.site)]
+    def _spin_errors(self, estimates: Estimates) -> list[SpinError]:
+        """Error of each spin for these estimates."""
+        pairs = zip(self.sections, estimates.starts, strict=True)
+        return [
+            spin for each, start in pairs for spin in each.spin_errors(start, estimates.common, self.site)
+        ]
 
-    def _left(self, spins: Sequence[SpinError]) -> Iterator[_TurnScatter]:
-        """What no scale factor and asymmetry explains of the spins of each gyro."""
+    def _turn_scatters(self, spins: Sequence[SpinError]) -> Iterator[_TurnScatter]:
+        """Residuals of the spins of each gyro about a scale factor and an asymmetry."""
         for axis in sorted({spin.axis for spin in spins}):
             error, path, duration_s = np.array(
                 [(each.error, each.path, each.duration_s) for each in spins if each.axis == axis]
@@ -265,115 +276,122 @@ class CalibrationProblem:
                 + 2.0 * self.noise.white_angle[axis] ** 2
                 + self.noise.angle_random_walk[axis] ** 2 * duration_s
             )
-            left = error - design @ np.linalg.lstsq(design, error)[0]
-            yield _TurnScatter(axis, path, left, variance, max(0, len(path) - design.shape[1]))
+            residuals = error - design @ np.linalg.lstsq(design, error)[0]
+            yield _TurnScatter(axis, path, residuals, variance, max(0, len(path) - design.shape[1]))
 
-    def _scatter_p_value(self, found: Estimates) -> float:
-        """Probability of the scatter of whole turns by noise and the table's return."""
-        scatters = list(self._left(self._spins(found)))
-        chi2 = sum(float(np.sum(each.left**2 / each.variance)) for each in scatters)
+    def _scatter_p_value(self, estimates: Estimates) -> float:
+        """P-value of the scatter of whole turns, given noise and the table's return."""
+        scatters = list(self._turn_scatters(self._spin_errors(estimates)))
+        chi2 = sum(float(np.sum(each.residuals_rad**2 / each.variance)) for each in scatters)
         dof = sum(each.dof for each in scatters)
         return chi2_p_value(dof, chi2) if dof else 1.0
 
-    def _contradiction(self, found: Estimates, spun: Sequence[int]) -> tuple[FloatArray, str]:
-        """Scale factors (3,) of whole turns less the others, and that as text; zero where noise explains it.
+    def _contradiction(self, estimates: Estimates, spun_axes: Sequence[int]) -> tuple[FloatArray, str]:
+        """Scale factors (3,) of whole turns minus the others, zero if noise explains it; and a finding.
 
-        The covariance of the difference is that of a part of the data less that of all (Hausman 1978). The
-        asymmetries are those of all data: left open without the turns, they would hide the difference.
+        The covariance of the difference is that of a part of the data minus that of all (Hausman 1978). The
+        asymmetries are fixed at their estimates from all data: if they were free without the turns, they
+        would hide the difference.
         """
         offset, options = np.zeros(3), replace(self.options, whole_turns=None)
-        known = self.sections, found.trajectories, found.common
-        others = Information.of(*known, self.noise, self.site, options)
-        sizes = others.sizes.copy()
-        sizes[[place for place, each in enumerate(options.columns) if each >= ASYMMETRIES.start]] *= _FIXED
-        origin = np.zeros(len(found.values))
-        origin[: len(options.columns)] = found.common[options.columns]
-        values, others_covariance, is_observed = replace(others, sizes=sizes).solve(origin)
-        _, all_covariance, _ = replace(found.information, sizes=sizes).solve(origin)
-        axes = [axis for axis in spun if is_observed[GYRO_SCALES[axis]]]
-        places = [GYRO_SCALES[axis] for axis in axes]
-        if not places:
+        fixed = self.sections, estimates.trajectories, estimates.common
+        others_information = Information.of(*fixed, self.noise, self.site, options)
+        sizes = others_information.sizes.copy()
+        sizes[[index for index, each in enumerate(options.columns) if each >= ASYMMETRIES.start]] *= (
+            _FIXED_SIZE
+        )
+        origin = np.zeros(len(estimates.values))
+        origin[: len(options.columns)] = estimates.common[options.columns]
+        values, others_covariance, is_observed = replace(others_information, sizes=sizes).solve(origin)
+        _, all_covariance, _ = replace(estimates.information, sizes=sizes).solve(origin)
+        axes = [axis for axis in spun_axes if is_observed[GYRO_SCALES[axis]]]
+        indices = [GYRO_SCALES[axis] for axis in axes]
+        if not indices:
             return offset, ""
-        difference = found.values[places] - values[places]
-        covariance = (others_covariance - all_covariance)[np.ix_(places, places)]
+        difference = estimates.values[indices] - values[indices]
+        covariance = (others_covariance - all_covariance)[np.ix_(indices, indices)]
         scales = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         squares, directions = np.linalg.eigh(covariance / np.outer(scales, scales))
-        parts = (directions.T @ (difference / scales)) ** 2 / np.maximum(squares, _MIN_EIGENVALUE)
-        p_value = chi2_p_value(len(places), float(parts.sum()))
+        terms = (directions.T @ (difference / scales)) ** 2 / np.maximum(squares, _MIN_EIGENVALUE)
+        p_value = chi2_p_value(len(indices), float(terms.sum()))
         if p_value >= UNEXPLAINED_P_VALUE:
             return offset, ""
-        # All data are a weighted mean of both.
-        share = 1.0 - np.diag(all_covariance)[places] / np.diag(others_covariance)[places]
+        # The estimate from all data is a weighted mean of both.
+        share = 1.0 - np.diag(all_covariance)[indices] / np.diag(others_covariance)[indices]
         offset[axes] = difference / np.maximum(share, _MIN_EIGENVALUE)
-        apart = ", ".join(f"{AXES[axis]} {1e6 * offset[axis]:+.2g} ppm" for axis in axes)
+        differences_text = ", ".join(f"{AXES[axis]} {1e6 * offset[axis]:+.2g} ppm" for axis in axes)
         return offset, (
             f"whole turns contradict the rotations (p = {p_value:.1g}): scale factors of whole turns less "
-            f"those of rotations are {apart}. Their uncertainties include it. Check that the table returns "
-            "to where it was, and whether the scale factors depend on the rate"
+            f"those of rotations are {differences_text}. Their uncertainties include it. Check that the "
+            "table returns to where it was, and whether the scale factors depend on the rate"
         )
 
-    def explanation(self, found: Estimates) -> str:
-        """What would explain a misfit, or reduce it, as advice."""
+    def explanation(self, estimates: Estimates) -> str:
+        """Advice: an alternative that would explain a misfit, or reduce it."""
         alternatives = [
-            (problem, what, _solution(problem))
-            for chosen, what in _BESIDE_COEFFICIENTS
-            if self.options.are_explained and not all(getattr(self.options, name) for name in chosen)
+            (problem, description, _solution(problem))
+            for chosen, description in _EXPLANATIONS
+            if self.options.tries_explanations and not all(getattr(self.options, name) for name in chosen)
             for problem in [replace(self, options=replace(self.options, **chosen))]
         ]
-        if (settled := self._at_settled_latitude(found)) is not None:
-            latitude, other = settled
-            what = f"a latitude of {np.rad2deg(latitude.site.latitude):.3f} deg"
-            alternatives.insert(0, (latitude, what, other))
+        if (converged := self._at_converged_latitude(estimates)) is not None:
+            latitude, at_latitude = converged
+            description = f"a latitude of {np.rad2deg(latitude.site.latitude):.3f} deg"
+            alternatives.insert(0, (latitude, description, at_latitude))
         explained = [
-            (other.fit.chi2 + 2.0 * len(problem.options.columns), what, other.fit)
-            for problem, what, other in alternatives
-            if other is not None and _is_explained(other.fit.chi2, found.fit)
+            (other.fit.chi2 + 2.0 * len(problem.options.columns), description, other.fit)
+            for problem, description, other in alternatives
+            if other is not None and _explains(other.fit.chi2, estimates.fit)
         ]
         if explained:
-            _, what, fit = min(explained, key=lambda each: each[0])
-            falls = f"chi2 falls from {found.fit.chi2:.3g} to {fit.chi2:.3g}"
-            what = capitalised(what)
+            _, description, fit = min(explained, key=lambda each: each[0])
+            chi2_text = f"chi2 falls from {estimates.fit.chi2:.3g} to {fit.chi2:.3g}"
+            description = capitalised(description)
             if fit.p_value >= UNEXPLAINED_P_VALUE:
-                return f"{what} would explain it: {falls}"
+                return f"{description} would explain it: {chi2_text}"
             return (
-                f"{what} would reduce it: {falls}; noise alone gives {fit.dof}. Something else is wrong too"
+                f"{description} would reduce it: {chi2_text}; noise alone gives {fit.dof}. Something else is "
+                "wrong too"
             )
-        others = "; gyrobench calibrate has --lever-arms, --delay, --quadratic, --g-sensitivity, --asymmetry"
+        hint = "; gyrobench calibrate has --lever-arms, --delay, --quadratic, --g-sensitivity, --asymmetry"
         return (
             "Check latitude, gravity, signs and times, and whether the unit drifts, changes its temperature, "
-            f"moves at rest or has biases that follow attitude{others * self.options.are_explained}"
+            f"moves at rest or has biases that follow attitude{hint * self.options.tries_explanations}"
         )
 
-    def _at_settled_latitude(self, found: Estimates) -> tuple[CalibrationProblem, Estimates] | None:
-        """As :meth:`at_another_latitude`, again from there where it is too far, and its solution.
+    def _at_converged_latitude(self, estimates: Estimates) -> tuple[CalibrationProblem, Estimates] | None:
+        """Problem at the estimated latitude, iterated until it converges, and its solution.
 
-        None where there is no such latitude, or no solution.
+        None if there is no such latitude, or no solution.
         """
-        settled, nearer = None, self.at_another_latitude(found)
+        converged, next_problem = None, self.at_estimated_latitude(estimates)
         for _ in range(_MAX_ROUNDS):
-            if nearer is None:
+            if next_problem is None:
                 break
-            if (other := _solution(nearer)) is None:
+            if (other := _solution(next_problem)) is None:
                 return None
-            settled = nearer, other
-            if other.fit.p_value >= UNEXPLAINED_P_VALUE or other.fit.chi2 > _SETTLED * found.fit.chi2:
+            converged = next_problem, other
+            if (
+                other.fit.p_value >= UNEXPLAINED_P_VALUE
+                or other.fit.chi2 > _CONVERGED_SHARE * estimates.fit.chi2
+            ):
                 break
-            found, nearer = other, nearer.at_another_latitude(other)
-        return settled
+            estimates, next_problem = other, next_problem.at_estimated_latitude(other)
+        return converged
 
-    def at_another_latitude(self, found: Estimates) -> CalibrationProblem | None:
-        """The same problem at the latitude that the data show, if there is one that may explain a misfit."""
-        correction, sigma = found.information.latitude_correction()
+    def at_estimated_latitude(self, estimates: Estimates) -> CalibrationProblem | None:
+        """Problem at the latitude estimated from the data; None if that can't explain a misfit."""
+        correction, sigma = estimates.information.latitude_correction()
         latitude = self.site.latitude + correction
-        left = found.fit.chi2 - _MAX_CHI2_RATIO * (correction / sigma) ** 2
+        lowest_chi2 = estimates.fit.chi2 - _MAX_CHI2_RATIO * (correction / sigma) ** 2
         is_linear = abs(correction) < _SMALL_ANGLE
-        if abs(latitude) >= 0.5 * np.pi or (is_linear and not _is_explained(left, found.fit)):
+        if abs(latitude) >= 0.5 * np.pi or (is_linear and not _explains(lowest_chi2, estimates.fit)):
             return None
         return replace(self, site=replace(self.site, latitude=latitude))
 
-    def check_alternatives(self, found: Estimates) -> None:
+    def check_alternatives(self, estimates: Estimates) -> None:
         """Raise MeasurementError if a mistake in the map explains what the noise does not."""
-        if found.fit.chi2 < _MIN_EXPLICABLE * found.fit.dof:
+        if estimates.fit.chi2 < _MIN_CHI2_PER_DOF * estimates.fit.dof:
             return
         opposite = replace(self.site, latitude=-self.site.latitude)
         alternatives = [
@@ -383,52 +401,53 @@ class CalibrationProblem:
                 "accelerometers in the import map",
             )
         ]
-        # A wrong interval makes scale factors alike: of increments the accelerometers', of rates the gyros'.
-        for sensor, of_rates in (("accelerometer", False), ("gyro", True)):
-            chosen = [each.name == f"{sensor}_scale_factor" for each in COEFFICIENTS]
-            scale = 1.0 + float(found.values[:COUNT][chosen].mean())
-            factor = 1.0 / scale if of_rates else scale
+        # A wrong interval changes all scale factors equally: those of the accelerometers if the log has
+        # increments, those of the gyros if it has rates.
+        for sensor, are_rates in (("accelerometer", False), ("gyro", True)):
+            is_scale = [each.name == f"{sensor}_scale_factor" for each in COEFFICIENTS]
+            scale = 1.0 + float(estimates.values[:COUNT][is_scale].mean())
+            factor = 1.0 / scale if are_rates else scale
             if abs(factor - 1.0) > _MIN_TIME_ERROR:
                 text = (
                     f"if samples are {self.sections[0].interval_s * factor:.4g} s apart and not "
                     f"{self.sections[0].interval_s:.4g} s. Correct 'time' in the import map"
                 )
-                retimed = [each.retimed(factor, of_rates) for each in self.sections]
-                alternatives.append((replace(self, sections=retimed), text))
+                sections = [each.with_interval(factor, are_rates) for each in self.sections]
+                alternatives.append((replace(self, sections=sections), text))
         for problem, text in alternatives:
             other = _solution(problem)
-            if other is not None and other.fit.chi2 < _EXPLAINED * found.fit.chi2:
-                raise MeasurementError(f"chi2 is {found.fit.chi2:.3g}, and {other.fit.chi2:.3g} {text}")
+            if other is not None and other.fit.chi2 < _EXPLAINED_SHARE * estimates.fit.chi2:
+                raise MeasurementError(f"chi2 is {estimates.fit.chi2:.3g}, and {other.fit.chi2:.3g} {text}")
 
 
 def _solution(problem: CalibrationProblem) -> Estimates | None:
-    """The solution of a problem, if there is one."""
+    """Solution of a problem; None if it does not converge."""
     try:
         return problem.solve()
     except MeasurementError:
         return None
 
 
-def _explaining(problem: CalibrationProblem, found: Estimates) -> Estimates | None:
-    """The solution of another problem with the same data, if it explains what ``found`` does not."""
+def _explaining_solution(problem: CalibrationProblem, estimates: Estimates) -> Estimates | None:
+    """Solution of another problem with the same data, if it explains the residuals; else None."""
     other = _solution(problem)
-    return other if other is not None and _is_explained(other.fit.chi2, found.fit) else None
+    return other if other is not None and _explains(other.fit.chi2, estimates.fit) else None
 
 
-def _is_explained(chi2: float, fit: Chi2Test) -> bool:
-    """Whether another problem whose residuals have this sum of squares explains those of a fit."""
-    return chi2_p_value(fit.dof, chi2) >= UNEXPLAINED_P_VALUE or chi2 < _EXPLAINED * fit.chi2
+def _explains(chi2: float, fit: Chi2Test) -> bool:
+    """Whether another problem with this chi2 explains the residuals of a fit."""
+    return chi2_p_value(fit.dof, chi2) >= UNEXPLAINED_P_VALUE or chi2 < _EXPLAINED_SHARE * fit.chi2
 
 
 def _test_fit(values: FloatArray, covariance: FloatArray, blocks: Sequence[FloatArray]) -> Chi2Test:
     """Test that the noise explains the residuals, summed over minutes."""
-    sums = np.vstack([_sums(each) for each in blocks])
-    sums = sums[sums.any(axis=1)]  # without those of what is not measured
+    sums = np.vstack([_minute_sums(each) for each in blocks])
+    sums = sums[sums.any(axis=1)]  # without components that are not measured
     return chi2_test(sums[:, -1] - sums[:, :-2] @ values, sums[:, :-2], covariance)
 
 
-def _sums(rows: FloatArray) -> FloatArray:
-    """White rows summed over blocks of a minute, which show a slow misfit."""
+def _minute_sums(rows: FloatArray) -> FloatArray:
+    """White rows summed over blocks of a minute, which reveal a slow misfit."""
     size, columns = 3 * _FIT_EPOCHS, rows.shape[1]
     blocks = rows[: len(rows) // size * size].reshape(-1, _FIT_EPOCHS, 3, columns)
     return np.asarray(blocks.sum(axis=1).reshape(-1, columns) / np.sqrt(_FIT_EPOCHS))

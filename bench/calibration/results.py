@@ -1,4 +1,4 @@
-"""Results of a calibration as a table of coefficients, correlations and one record."""
+"""Results of a calibration: table of coefficients, table of correlations, and a record of everything."""
 
 from __future__ import annotations
 
@@ -29,16 +29,17 @@ from gyrobench.bench.navigation.positions import AXES
 
 NOT_OBSERVABLE = "not observable"
 
-#: Scale factors of three sensors count as one above this, and within this part of it.
+#: Scale factors of three sensors are common if their mean exceeds this, ppm, and they differ by less than
+#: this share of it.
 _MIN_COMMON_PPM, _MAX_SPREAD = 100.0, 0.3
 
 
 @dataclass(frozen=True)
 class CoefficientRow:
-    """A row of ``coefficients.csv``; value and sigma are missing where not observable."""
+    """A row of ``coefficients.csv``; value and sigma are None if not observable."""
 
     coefficient: str  #: ``gyro_bias``, ``accelerometer_misalignment``, ...
-    axis: str  #: Sensor axis; of misalignments the sensor and the axis that it senses.
+    axis: str  #: Sensor axis; for misalignments, the sensor and the axis to which it is sensitive.
     value: float | None
     sigma: float | None  #: Standard uncertainty.
     unit: str
@@ -51,9 +52,9 @@ class RestRate:
 
     start_s: float  #: On the log's clock.
     duration_s: float
-    rate_dph: float  #: Size of the mean rate.
-    up_rate_dph: float  #: Its part along the specific force.
-    up_sigma_dph: float  #: Standard uncertainty of both by noise alone.
+    rate_dph: float  #: Magnitude of the mean rate.
+    up_rate_dph: float  #: Component of the mean rate along the specific force.
+    up_sigma_dph: float  #: Standard uncertainty of both, due to noise only.
 
 
 def coefficient_rows(estimate: CoefficientEstimate) -> list[CoefficientRow]:
@@ -74,7 +75,7 @@ def coefficient_rows(estimate: CoefficientEstimate) -> list[CoefficientRow]:
 
 
 def expected_rows(expected: ExpectedUncertainties) -> list[dict[str, Any]]:
-    """Expected standard uncertainty of each coefficient; None where not observable."""
+    """Expected standard uncertainty of each coefficient; None if not observable."""
     return [
         {
             "coefficient": each.name,
@@ -87,10 +88,10 @@ def expected_rows(expected: ExpectedUncertainties) -> list[dict[str, Any]]:
 
 
 def rest_rates(calibration: Calibration) -> list[RestRate]:
-    """What each rest measured."""
+    """Mean rate of each rest."""
     rates = []
     for recording in calibration.recordings:
-        for rest, rate, force in zip(recording.rests, *recording.at_rest(), strict=True):
+        for rest, rate, force in zip(recording.rests, *recording.rest_means(), strict=True):
             size = float(np.linalg.norm(force))
             duration_s = (rest.end - rest.begin) * recording.interval_s
             noise = calibration.noise
@@ -108,33 +109,33 @@ def rest_rates(calibration: Calibration) -> list[RestRate]:
 
 
 def strongest_correlations(
-    calibration: Calibration, least: float
+    calibration: Calibration, min_correlation: float
 ) -> list[tuple[SensorCoefficient, SensorCoefficient, float]]:
-    """Pairs of observed coefficients whose correlation is at least ``least``, strongest first."""
+    """Pairs of observed coefficients whose correlation is at least ``min_correlation``, strongest first."""
     correlations = calibration.correlations
-    seen = np.flatnonzero(calibration.is_observed)
+    observed = np.flatnonzero(calibration.is_observed)
     pairs = [
         (calibration.coefficients[i], calibration.coefficients[j], float(correlations[i, j]))
-        for i in seen
-        for j in seen[seen > i]
-        if abs(correlations[i, j]) >= least
+        for i in observed
+        for j in observed[observed > i]
+        if abs(correlations[i, j]) >= min_correlation
     ]
     return sorted(pairs, key=lambda pair: -abs(pair[2]))
 
 
 def common_scale_ppm(calibration: Calibration, sensor: str) -> float | None:
-    """Scale factor of three sensors that have about the same one, as a wrong time or gravity makes it."""
-    chosen = [each.name == f"{sensor}_scale_factor" for each in calibration.coefficients]
-    values = 1e6 * calibration.values[chosen]
+    """Common scale factor of three sensors, as caused by a wrong time or gravity; None if they differ."""
+    is_scale = [each.name == f"{sensor}_scale_factor" for each in calibration.coefficients]
+    values = 1e6 * calibration.values[is_scale]
     mean = float(values.mean())
     is_common = abs(mean) > _MIN_COMMON_PPM and np.ptp(values) < _MAX_SPREAD * abs(mean)
-    return mean if is_common and calibration.is_observed[chosen].all() else None
+    return mean if is_common and calibration.is_observed[is_scale].all() else None
 
 
 def calibration_record(
     calibration: Calibration, site: Site, spins: Sequence[SpinScaleFactor], origin: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Everything, as one JSON object."""
+    """Record of the whole calibration, as one JSON object."""
     noise = calibration.noise
     return {
         **origin,
@@ -170,7 +171,7 @@ def calibration_record(
 def write_calibration(folder: Path, calibration: Calibration, record: Mapping[str, Any]) -> list[Path]:
     """Write ``coefficients.csv``, ``correlations.csv`` and ``calibration.json``; returns the paths.
 
-    The last one is written when the others are there. Raises RunFolderError if a file can't be written.
+    The last one is written after the others. Raises RunFolderError if a file can't be written.
     """
     texts = {
         "coefficients.csv": format_rows(list(CoefficientRow.__annotations__), coefficient_rows(calibration)),
@@ -179,17 +180,17 @@ def write_calibration(folder: Path, calibration: Calibration, record: Mapping[st
     }
     make_folder(folder)
     for name in reversed(texts):
-        remove(folder / name)  # never parts of two calibrations together
+        remove(folder / name)  # so that files of two calibrations are never mixed
     for name, text in texts.items():
         write_text(folder / name, text)
     return [folder / name for name in texts]
 
 
 def _correlations_table(estimate: CoefficientEstimate) -> str:
-    """Text of ``correlations.csv``; empty cells where a coefficient is not observed."""
+    """Text of ``correlations.csv``; cells of coefficients that are not observed are empty."""
     names = [f"{each.name}_{each.axis}" for each in estimate.coefficients]
-    seen = np.outer(estimate.is_observed, estimate.is_observed)
-    correlations = np.where(seen, estimate.correlations, np.nan)
+    observed = np.outer(estimate.is_observed, estimate.is_observed)
+    correlations = np.where(observed, estimate.correlations, np.nan)
     lines = [",".join(["coefficient", *names])]
     lines += [
         ",".join([name, *correlation_cells(row)]) for name, row in zip(names, correlations, strict=True)

@@ -1,7 +1,8 @@
-"""Rotation lists, and what a calibration over one will know of each coefficient.
+"""Rotation lists, and the expected uncertainties of a calibration with one.
 
-The unit rests, is turned about an axis of the table, rests, and so on. Ideal increments of that motion give
-the responses, and these, whitened by the expected noise, the Fisher information: no measurement is needed.
+The unit rests, is turned about an axis of the table, rests, and so on. The responses are computed from ideal
+increments of that motion. Whitened by the expected noise, they give the Fisher information; no measurement is
+needed.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ from gyrobench.bench.calibration.information import (
     IS_FORCE_SCALE,
     CalibrationOptions,
     Information,
-    integrated_sections,
-    spun_both_ways,
+    gyros_spun_both_ways,
+    integrate_sections,
 )
 from gyrobench.bench.calibration.section import REST_EPOCH_S, IncrementSection
 from gyrobench.bench.calibration.strapdown import PARAMETER_COUNT, IncrementEpochs
@@ -45,8 +46,8 @@ from gyrobench.bench.navigation.table_axes import Angles, TwoAxisTable
 STEP_S, _RAMP_S = 0.05, 1.0
 _WHOLE_TURN_DEG = 360.0
 #: Angle and velocity random walk of a typical unit, SI, and its noise of the velocity at rest, m/s.
-_TYPICAL = (0.0006 * DEG_PER_SQRT_H_TO_SI, 5.0 * UG_PER_SQRT_HZ_TO_SI, 1e-3)
-#: Least noise of the velocity at rest, m/s: it divides.
+_TYPICAL_NOISE = (0.0006 * DEG_PER_SQRT_H_TO_SI, 5.0 * UG_PER_SQRT_HZ_TO_SI, 1e-3)
+#: Smallest noise of the velocity at rest, m/s, which avoids a division by zero.
 _MIN_WHITE_VELOCITY = 1e-6
 
 
@@ -73,7 +74,7 @@ class RotationList(StrictModel):
     rotations: list[TableRotation] = Field(min_length=1, max_length=500, description="in their order")
 
     def seconds(self, rotation: TableRotation) -> float:
-        """Time that a rotation takes."""
+        """Duration of a rotation."""
         return abs(rotation.angle_deg) / (rotation.rate_dps or self.rate_dps) + _RAMP_S
 
     @property
@@ -83,12 +84,12 @@ class RotationList(StrictModel):
 
 
 def load_rotation_list(path: Path) -> RotationList:
-    """Read a rotation list. Raises DocumentError, which lists everything that is wrong with it."""
+    """Read a rotation list. Raises DocumentError, which lists all problems of the file."""
     return validate(read_document(path), RotationList)
 
 
 def rotation_list_text(rotations: RotationList) -> str:
-    """A rotation list as YAML, as :func:`load_rotation_list` reads it."""
+    """Format a rotation list as YAML that :func:`load_rotation_list` reads."""
     lines = [
         f"rotation_list: {rotations.rotation_list}",
         f"description: {rotations.description}",
@@ -106,16 +107,16 @@ def rotation_list_text(rotations: RotationList) -> str:
 def expected_noise(
     declared: NoiseModel | None, rotations: RotationList, velocity_step_mps: float
 ) -> SensorNoise:
-    """Noise of a unit as its station declares it; of a navigation-grade unit where it is to be estimated.
+    """Noise of a unit as declared in its station; if undeclared, that of a typical navigation-grade unit.
 
-    ``velocity_step_mps``: resolution of the velocity, where it stands in for increments.
+    ``velocity_step_mps``: resolution of the velocity, if increments are computed from it.
     """
     walk, velocity_walk, white = (
-        _TYPICAL
+        _TYPICAL_NOISE
         if declared is None
         else (declared.angle_random_walk, declared.velocity_random_walk, declared.velocity_white)
     )
-    # A tilt that walks through the whole list moves the velocity of a rest so far, on average over the list.
+    # Mean change of velocity in a rest by the tilt that angle random walk accumulates over the list.
     tilt = walk * math.sqrt(2.0 / math.pi) * 2.0 / 3.0 * math.sqrt(rotations.duration_s)
     moved_mps = STANDARD_GRAVITY * tilt * rotations.dwell_s
     if velocity_step_mps:
@@ -127,7 +128,7 @@ def expected_noise(
 
 @dataclass(frozen=True, eq=False)
 class RotationSetup:
-    """What a list of rotations is measured with."""
+    """Table, site and unit with which a list of rotations is measured."""
 
     table: TwoAxisTable
     site: Site
@@ -140,21 +141,21 @@ class RotationSetup:
 
 @dataclass(frozen=True, eq=False)
 class ExpectedUncertainties:
-    """What a calibration over a list of rotations will know."""
+    """Expected uncertainties of a calibration with a list of rotations."""
 
     duration_s: float
-    sigmas: FloatArray  #: Shape (21,). Standard uncertainties, SI; without meaning where not observed.
+    sigmas: FloatArray  #: Shape (21,). Standard uncertainties, SI; meaningless if not observed.
     is_observed: BoolArray  #: Shape (21,).
 
 
 def expected_uncertainties(rotations: RotationList, setup: RotationSetup) -> ExpectedUncertainties:
-    """Expected uncertainties by Fisher information, of biases that do not drift.
+    """Expected uncertainties from the Fisher information, for biases that do not drift.
 
-    Raises DocumentError if the table can't do the rotations.
+    Raises DocumentError if the table can't perform the rotations.
     """
     table, site, noise, whole_turns = setup.table, setup.site, setup.noise, setup.whole_turns
     start = table.angles(POSITIONS[rotations.start].C_nb())
-    _check(rotations, table, start, setup.max_rate_dps)
+    _check_reachable(rotations, table, start, setup.max_rate_dps)
     attitude, at_rest, spins = motion(rotations, table, start)
     angle, velocity = ideal_increments(attitude, site)
     size = round(REST_EPOCH_S / STEP_S)
@@ -170,20 +171,22 @@ def expected_uncertainties(rotations: RotationList, setup: RotationSetup) -> Exp
         whole_turns=whole_turns,
         gravity_sigma=gravity_sigma,
         latitude_sigma=latitude_sigma,
-        asymmetries=spun_both_ways((axis, path[axis]) for axis, path in zip(axes, paths, strict=True)),
+        asymmetries=gyros_spun_both_ways((axis, path[axis]) for axis, path in zip(axes, paths, strict=True)),
     )
     common = np.zeros(PARAMETER_COUNT)
-    trajectories = integrated_sections([section], [attitude[0]], common, site, options)
-    ideal = Information.of([section], trajectories, common, noise, site, options)
-    _, covariance, is_observed = ideal.solve()
+    trajectories = integrate_sections([section], [attitude[0]], common, site, options)
+    information = Information.of([section], trajectories, common, noise, site, options)
+    _, covariance, is_observed = information.solve()
     if not setup.has_vertical:
         is_observed[:COUNT] &= ~np.array(IS_FORCE_SCALE)
-    parts = covariance, *ideal.site_parts(site, options).values()
+    parts = covariance, *information.site_parts(site, options).values()
     variances = sum(np.diag(part)[:COUNT] for part in parts)
     return ExpectedUncertainties(rotations.duration_s, np.sqrt(variances), is_observed[:COUNT])
 
 
-def _check(rotations: RotationList, table: TwoAxisTable, start: Angles, max_rate_dps: float) -> None:
+def _check_reachable(
+    rotations: RotationList, table: TwoAxisTable, start: Angles, max_rate_dps: float
+) -> None:
     angles = dict(zip(("outer", "inner"), start, strict=True))
     limits = {"outer": table.outer_limits_deg, "inner": table.inner_limits_deg}
     for number, rotation in enumerate(rotations.rotations, 1):
@@ -205,33 +208,33 @@ def _check(rotations: RotationList, table: TwoAxisTable, start: Angles, max_rate
 def motion(
     rotations: RotationList, table: TwoAxisTable, start: Angles
 ) -> tuple[FloatArray, BoolArray, list[tuple[int, int]]]:
-    """Attitudes (n, 3, 3) at the edges of increments, which of them rest, and edges around whole turns."""
+    """Attitudes (n, 3, 3) at the edges of increments, mask (n,) of rests, and edges around spins."""
     rest = round(rotations.dwell_s / STEP_S)
     angles = {"outer": [np.full(rest + 1, start[0])], "inner": [np.full(rest + 1, start[1])]}
-    resting, spins, count = [np.ones(rest + 1, bool)], [], rest + 1
+    at_rest, spins, count = [np.ones(rest + 1, bool)], [], rest + 1
     for rotation in rotations.rotations:
         steps = round(rotations.seconds(rotation) / STEP_S)
         time_s = STEP_S * np.arange(1.0, steps + 1.0)
-        moved = rotation.angle_deg * _course(time_s, steps * STEP_S)
+        travelled_deg = rotation.angle_deg * _travelled_share(time_s, steps * STEP_S)
         for axis, parts in angles.items():
-            now = parts[-1][-1]
-            way = now + moved if axis == rotation.axis else np.full(steps, now)
-            parts += [way, np.full(rest, way[-1])]
-        resting += [np.zeros(steps, bool), np.ones(rest, bool)]
+            present_deg = parts[-1][-1]
+            path_deg = present_deg + travelled_deg if axis == rotation.axis else np.full(steps, present_deg)
+            parts += [path_deg, np.full(rest, path_deg[-1])]
+        at_rest += [np.zeros(steps, bool), np.ones(rest, bool)]
         if rotation.angle_deg and rotation.angle_deg % _WHOLE_TURN_DEG == 0.0:
             spins.append((count - 1, count - 1 + steps))
         count += steps + rest
     outer, inner = (np.deg2rad(np.concatenate(angles[axis])) for axis in ("outer", "inner"))
-    turned = (
+    attitudes = (
         rotation_matrices(outer[:, np.newaxis] * table.outer_axis_enu)
         @ rotation_matrices(inner[:, np.newaxis] * table.inner_axis_enu)
         @ table.C_mount
     )
-    return turned, np.concatenate(resting), spins
+    return attitudes, np.concatenate(at_rest), spins
 
 
-def _course(time_s: FloatArray, duration_s: float) -> FloatArray:
-    """Share of the way with a constant acceleration at both ends."""
+def _travelled_share(time_s: FloatArray, duration_s: float) -> FloatArray:
+    """Travelled share of the angle, with constant acceleration at both ends."""
     rate = 1.0 / (duration_s - _RAMP_S)
     early, late = np.minimum(time_s, _RAMP_S), np.minimum(duration_s - time_s, _RAMP_S)
     started = 0.5 * rate * early**2 / _RAMP_S + rate * (time_s - early)
@@ -239,7 +242,7 @@ def _course(time_s: FloatArray, duration_s: float) -> FloatArray:
 
 
 def ideal_increments(attitude: FloatArray, site: Site) -> tuple[FloatArray, FloatArray]:
-    """Increments (n, 3) of angle and velocity between attitudes (n + 1, 3, 3) a step apart."""
+    """Increments (n, 3) of angle and velocity between attitudes (n + 1, 3, 3) one step apart."""
     earth = rotation_matrices(earth_rate_enu(site.latitude) * STEP_S)
     before, after = attitude[:-1], attitude[1:]
     angle = rotation_vectors(before.transpose(0, 2, 1) @ earth @ after)

@@ -1,9 +1,9 @@
 """Scale factor of each gyro from whole turns: per spin, and its dependence on rate and direction.
 
-A spin of whole turns against the table measures the scale factor at its rate and in its direction: the angle
-left when all known errors are removed, over the angle travelled. Noise and the table's return are
-independent from spin to spin; an error of the bias is common to all spins of a gyro, and acts on those in
-opposite directions in opposite ways, as an asymmetry does.
+A spin of whole turns of the table measures the scale factor at its rate and in its direction: the residual
+angle after correction of all known errors, over the angle travelled. Noise and the table's return are
+independent from spin to spin. An error of the bias is common to all spins of a gyro, with opposite effect in
+opposite directions, as an asymmetry.
 
 References
 ----------
@@ -26,16 +26,16 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES
 
-#: Rates that differ by less than this part are one.
-_SAME_RATE = 0.02
-#: Whole turns contradict gravity beyond this number of standard uncertainties of the scale factor, and ppm:
-#: what accelerometers that settle by 60 ug make of one turn.
+#: Largest relative difference of rates that count as equal.
+_RATE_TOLERANCE = 0.02
+#: Whole turns contradict gravity if the scale factors differ by more than this number of standard
+#: uncertainties plus this, ppm, which allows for accelerometers that settle by 60 ug in one turn.
 _MIN_SIGMAS, _MIN_PPM = 5.0, 10.0
 
 
 @dataclass(frozen=True)
 class SpinRow:
-    """Scale factor by one spin."""
+    """Scale factor from one spin."""
 
     start_s: float  #: On the log's clock.
     axis: str
@@ -43,7 +43,7 @@ class SpinRow:
     turns: int  #: With their sign.
     scale_factor_ppm: float
     sigma_ppm: float
-    residual_ppm: float  #: Scale factor less that of all spins of the gyro.
+    residual_ppm: float  #: Scale factor minus that of all spins of the gyro.
 
 
 @dataclass(frozen=True)
@@ -51,24 +51,24 @@ class RateRow:
     """Scale factor at one rate."""
 
     rate_dps: float
-    deviation_ppm: float  #: Scale factor, mean of both directions, less that of all rates.
+    deviation_ppm: float  #: Scale factor, mean of both directions, minus that of all rates.
     deviation_sigma_ppm: float
-    #: asymmetry_ppm, asymmetry_sigma_ppm: Scale factor in positive direction less that in negative direction;
-    #: None where only one was measured.
+    #: asymmetry_ppm, asymmetry_sigma_ppm: Scale factor in positive direction minus that in negative
+    #: direction; None if only one was measured.
     asymmetry_ppm: float | None
     asymmetry_sigma_ppm: float | None
 
 
 @dataclass(frozen=True)
 class SpinScaleFactor:
-    """Scale factor of one gyro by all its spins."""
+    """Scale factor of one gyro from all its spins."""
 
     axis: str
     scale_factor_ppm: float
     sigma_ppm: float
     spins: tuple[SpinRow, ...]
     rates: tuple[RateRow, ...]
-    p_value: float  #: Probability of the spins' scatter if the scale factor depends on nothing.
+    p_value: float  #: Probability of the spins' scatter if the scale factor is constant.
 
 
 def spin_scale_factors(calibration: Calibration, site: Site, whole_turns: float) -> list[SpinScaleFactor]:
@@ -76,31 +76,34 @@ def spin_scale_factors(calibration: Calibration, site: Site, whole_turns: float)
 
     ``whole_turns``: standard uncertainty, rad, of the table's return.
     """
-    found: dict[int, list[tuple[float, SpinError]]] = {}
+    spins_by_axis: dict[int, list[tuple[float, SpinError]]] = {}
     common = calibration.common.copy()
-    common[ASYMMETRIES] = 0.0  # each spin shows its own
+    common[ASYMMETRIES] = 0.0  # so that asymmetries remain in the scale factors of the spins
     for section, recording, start in zip(
         calibration.sections, calibration.recordings, calibration.starts, strict=True
     ):
         begin_s = recording.start_s + recording.rests[0].begin * recording.interval_s
         edges_s = section.interval_s * np.concatenate([[0], section.epochs.ends])
         for spin in section.spin_errors(start, common, site):
-            found.setdefault(spin.axis, []).append((begin_s + float(edges_s[spin.epoch]), spin))
-    return [_of_gyro(calibration, axis, found[axis], whole_turns) for axis in sorted(found)]
+            spins_by_axis.setdefault(spin.axis, []).append((begin_s + float(edges_s[spin.epoch]), spin))
+    return [
+        _gyro_scale_factor(calibration, axis, spins_by_axis[axis], whole_turns)
+        for axis in sorted(spins_by_axis)
+    ]
 
 
-def gravity_contradiction(calibration: Calibration, spun: Sequence[SpinScaleFactor]) -> str:
-    """That whole turns are not whole, which gravity shows where a gyro was spun level; empty if they may be.
+def gravity_contradiction(calibration: Calibration, scale_factors: Sequence[SpinScaleFactor]) -> str:
+    """Message if turns are not whole according to gravity, for gyros spun with a level axis; else empty.
 
-    ``calibration``: with ``options.whole_turns`` None, so that gravity alone determines the scale factors.
-    One that depends on the rate lies between those of the spins.
+    ``calibration``: with ``options.whole_turns`` None, so that only gravity determines the scale factors. A
+    scale factor that depends on the rate lies between those of the spins.
     """
-    for each in spun:
-        place = 3 + 4 * AXES.index(each.axis)
-        value, sigma = 1e6 * calibration.common[place], 1e6 * calibration.sigmas[place]
+    for each in scale_factors:
+        index = 3 + 4 * AXES.index(each.axis)
+        value, sigma = 1e6 * calibration.common[index], 1e6 * calibration.sigmas[index]
         by_table = [row.scale_factor_ppm for row in each.spins]
-        beyond = max(min(by_table) - value, value - max(by_table))
-        if calibration.is_observed[place] and beyond > _MIN_SIGMAS * sigma + _MIN_PPM:
+        excess = max(min(by_table) - value, value - max(by_table))
+        if calibration.is_observed[index] and excess > _MIN_SIGMAS * sigma + _MIN_PPM:
             return (
                 f"whole turns of the {each.axis} gyro give a scale factor of {each.scale_factor_ppm:.1f} ppm "
                 f"against the table, and {value:.1f} ± {sigma:.1g} ppm against gravity. Check the encoder: "
@@ -109,7 +112,7 @@ def gravity_contradiction(calibration: Calibration, spun: Sequence[SpinScaleFact
     return ""
 
 
-def _of_gyro(
+def _gyro_scale_factor(
     calibration: Calibration, axis: int, timed: Sequence[tuple[float, SpinError]], whole_turns: float
 ) -> SpinScaleFactor:
     spins = [spin for _, spin in timed]
@@ -117,9 +120,11 @@ def _of_gyro(
     values = calibration.common[3 + 4 * axis] + error / path
     noise = calibration.noise
     angle = noise.angle_random_walk[axis] ** 2 * duration_s + 2.0 * noise.white_angle[axis] ** 2
-    by_bias = duration_s / path
+    bias_response = duration_s / path
     bias = calibration.sigmas[axis] if calibration.is_observed[axis] else COEFFICIENTS[axis].size
-    covariance = np.diag((angle + whole_turns**2) / path**2) + bias**2 * np.outer(by_bias, by_bias)
+    covariance = np.diag((angle + whole_turns**2) / path**2) + bias**2 * np.outer(
+        bias_response, bias_response
+    )
     rates = np.array([each.rate for each in spins])
     common = _weights(np.ones((len(spins), 1)), covariance)
     mean = float((common @ values)[0])
@@ -151,16 +156,16 @@ def _of_gyro(
 def _by_rate(
     rates: FloatArray, values: FloatArray, covariance: FloatArray, common: FloatArray
 ) -> list[RateRow]:
-    rows, left = [], np.argsort(np.abs(rates))
-    while len(left):
-        rate = abs(rates[left[0]])
-        near = np.abs(np.abs(rates[left]) / rate - 1.0) < _SAME_RATE
-        here, left = left[near], left[~near]
-        signs = np.sign(rates[here])
+    rows, remaining = [], np.argsort(np.abs(rates))
+    while len(remaining):
+        rate = abs(rates[remaining[0]])
+        is_same_rate = np.abs(np.abs(rates[remaining]) / rate - 1.0) < _RATE_TOLERANCE
+        indices, remaining = remaining[is_same_rate], remaining[~is_same_rate]
+        signs = np.sign(rates[indices])
         is_both = len(set(signs)) == 2
-        design = np.column_stack([np.ones(len(here)), 0.5 * signs])[:, : 2 if is_both else 1]
+        design = np.column_stack([np.ones(len(indices)), 0.5 * signs])[:, : 2 if is_both else 1]
         weights = np.zeros((design.shape[1], len(rates)))
-        weights[:, here] = _weights(design, covariance[np.ix_(here, here)])
+        weights[:, indices] = _weights(design, covariance[np.ix_(indices, indices)])
         weights[0] -= common
         estimates = 1e6 * weights @ values
         sigmas = 1e6 * np.sqrt(np.maximum(np.diag(weights @ covariance @ weights.T), 0.0))

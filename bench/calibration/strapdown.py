@@ -1,18 +1,18 @@
-"""Navigation errors at rest as white rows of a least-squares problem.
+"""Strapdown integration of increments; navigation errors at rest as white rows of a least-squares problem.
 
 The unit stays at one place. So the integral of the specific force and gravity in the navigation frame,
 
     ``u(t) = integral of (C_nb f + g) dt``,
 
-is zero whenever the unit rests, whichever way it was turned in between; what it is instead is error.
-Attitude errors psi turn vectors of the true attitude to the computed one, ENU:
+is zero whenever the unit rests, however it was turned in between; a deviation from zero is an error.
+Attitude errors psi rotate vectors from the true attitude to the computed one, ENU:
 
     ``psi' = -w_ie x psi + C_nb dw``,   ``u' = psi x C_nb f + C_nb df``.
 
 The same integration gives the response of psi and u to each coefficient. The noise of the sensors is
-integrated twice into u and correlates all epochs. A Kalman filter that knows this noise alone, with the
-states psi, u and the psi at the start of a spin, turns data and responses into innovations that are white
-with unit variance: generalised least squares without its large matrix, as in
+integrated twice into u and correlates all epochs. A Kalman filter whose model contains only this noise, with
+the states psi, u and the psi at the start of a spin, turns data and responses into innovations that are white
+with unit variance: generalised least squares without the large covariance matrix, as in
 :mod:`gyrobench.bench.bias.window_filter`.
 
 References
@@ -29,7 +29,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrobench.bench.calibration.coefficients import BESIDE, COUNT, LOWER, SensorErrors
+from gyrobench.bench.calibration.coefficients import COUNT, LOWER, OPTIONAL_PARAMETERS, SensorErrors
 from gyrobench.bench.calibration.increment_recording import SensorNoise
 from gyrobench.bench.calibration.turns import Vector, set_turn
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
@@ -39,36 +39,40 @@ from gyrobench.bench.navigation.earth import earth_rate_enu
 
 #: Columns of the responses: the coefficients; inner lever arms of the accelerometers by rows, m; delay of the
 #: accelerometers, s; their quadratic terms, s^2/m; sensitivities of the gyros to the specific force by rows,
-#: s/m; asymmetries of their scale factors; initial attitude error, rad; drift of the gyro biases about those
-#: at half time, rad/s^2; latitude, rad.
+#: s/m; asymmetries of their scale factors; initial attitude error, rad; drift of the gyro biases relative to
+#: those at half time, rad/s^2; latitude, rad.
 LEVER_ARMS, DELAY, QUADRATIC = slice(COUNT, COUNT + 9), COUNT + 9, slice(COUNT + 10, COUNT + 13)
 G_SENSITIVITIES, ASYMMETRIES = slice(COUNT + 13, COUNT + 22), slice(COUNT + 22, COUNT + 25)
-#: Rate, rad/s, from which an asymmetry acts: below it noise changes the sign.
+#: Rate, rad/s, above which an asymmetry is modelled; at lower rates noise changes the sign of the rate.
 ASYMMETRY_RATE = np.deg2rad(0.1)
-PARAMETER_COUNT = COUNT + len(BESIDE)
+PARAMETER_COUNT = COUNT + len(OPTIONAL_PARAMETERS)
 ATTITUDE, DRIFT = slice(PARAMETER_COUNT, PARAMETER_COUNT + 3), slice(PARAMETER_COUNT + 3, PARAMETER_COUNT + 6)
 LATITUDE = PARAMETER_COUNT + 6
 _ALL = tuple(range(LATITUDE))
-_SQUARES, _BY_FORCE, _BY_SIGN = QUADRATIC.start, G_SENSITIVITIES.start, ASYMMETRIES.start
+_FIRST_QUADRATIC, _FIRST_G_SENSITIVITY, _FIRST_ASYMMETRY = (
+    QUADRATIC.start,
+    G_SENSITIVITIES.start,
+    ASYMMETRIES.start,
+)
 _ROWS, _COLUMNS = LOWER
-#: Rotations, rad, after which the attitude and the responses are brought up to date. Until then increments
-#: are summed with their coning and sculling, and the attitude of the responses is the mean.
+#: Rotations, rad, after which the attitude, and after which the responses are updated. In between, increments
+#: are summed with their coning and sculling, and the responses use the mean attitude.
 _MAX_SUM, _MAX_TURN = 2e-5, 0.01
-#: Noise of outputs without any, m/s and rad: far below what sensors resolve.
+#: Smallest noise of outputs, m/s and rad: far below the resolution of sensors.
 _MIN_VELOCITY, _MIN_ANGLE = 1e-8, 1e-10
 
 
 @dataclass(frozen=True, eq=False)
 class IncrementEpochs:
-    """Where in n epochs of increments the unit rests."""
+    """Ends, rests and table rotations of n epochs of increments."""
 
     ends: IntArray  #: Shape (n,). Number of increments up to the end of each epoch.
-    at_rest: BoolArray  #: Shape (n,). Whether the unit rests at the end of each.
-    #: Epochs, counted from 0 at the start, in the rests before and after whole turns, and the rotation
-    #: (3, 3), ENU, that the table's readings leave.
+    at_rest: BoolArray  #: Shape (n,). Whether the unit rests at the end of each epoch.
+    #: Indices of epochs in the rests before and after whole turns, and the net rotation (3, 3), ENU, by the
+    #: table's readings.
     spins: Sequence[tuple[int, int, FloatArray]]
     has_vertical: bool  #: Whether the vertical velocity is measured; otherwise its rows are zero.
-    #: Epochs before and after each rotation about Up that the table measures, and that rotation (3, 3), ENU.
+    #: Indices of epochs before and after rotations about Up, and the rotation (3, 3), ENU, by the table.
     headings: Sequence[tuple[int, int, FloatArray]] = ()
 
 
@@ -86,15 +90,15 @@ def white_rows(
     Parameters
     ----------
     trajectory : Trajectory
-        Of the increments freed of the errors known so far, with the responses to c columns.
+        Of the corrected increments, with the responses to c columns.
     lengths_s : ndarray, shape (n,)
         Of the epochs.
     whole_turns : float, optional
-        Standard uncertainty, rad, of the table's return after whole turns; without it spins count as any
-        other rotation.
+        Standard uncertainty, rad, of the table's return after whole turns; without it spins are treated as
+        any other rotation.
     heading : float, optional
-        Standard uncertainty, rad, of the heading over the table's rotations about Up; without it they do not
-        count.
+        Standard uncertainty, rad, of the change of heading in the table's rotations about Up; without it
+        these are not used.
     """
     n, turns = len(lengths_s), _turns(epochs, whole_turns, heading)
     starts, ends = np.full((2, n + 1), -1, np.int64)
@@ -104,7 +108,7 @@ def white_rows(
     for number, (a, b, R, _) in enumerate(turns):
         starts[a], ends[b] = number, number
         stacked[n + number, :, :columns] = trajectory.response[b, :3] - R @ trajectory.response[a, :3]
-        stacked[n + number, :, columns] = _returned(trajectory, a, b, R)
+        stacked[n + number, :, columns] = _turn_error(trajectory, a, b, R)
     white = float(np.mean(noise.white_velocity**2)) + _MIN_VELOCITY**2
     output = 2.0 * float(np.mean(noise.white_angle**2)) + _MIN_ANGLE**2
     R = np.array([each[2] for each in turns]).reshape(-1, 3, 3)
@@ -119,16 +123,16 @@ def white_rows(
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Integrated increments at the ends of n epochs, and at the start."""
+    """Integrated increments at the start and at the ends of n epochs."""
 
     attitude: FloatArray  #: Shape (n + 1, 3, 3). C_nb.
     integral: FloatArray  #: Shape (n + 1, 3). u, m/s, ENU; zero at rest if the sensors have no error.
-    gravity: float  #: What was taken from the specific force, m/s^2.
+    gravity: float  #: Gravity subtracted from the specific force, m/s^2.
     #: Shape (n + 1, 6, c). Derivatives of attitude (rad) and u (m/s) by coefficients and other columns, SI.
     response: FloatArray
 
 
-def integrated(
+def integrate_increments(
     angle: FloatArray,
     velocity: FloatArray,
     interval_s: float,
@@ -138,35 +142,45 @@ def integrated(
     gravity: float,
     columns: Sequence[int] = _ALL,
     errors: SensorErrors | None = None,
-    are_freed: bool = False,
+    are_corrected: bool = False,
 ) -> Trajectory:
     """Integrate increments (k, 3), body axes, rad and m/s, from the attitude ``C_nb`` up to ``ends`` (n,).
 
-    ``columns``: of the responses. ``errors``: of the sensors; increments that ``are_freed`` are free of them,
-    as they must be with columns beside the coefficients.
+    ``columns``: of the responses. ``errors``: of the sensors. ``are_corrected``: whether the increments are
+    already corrected for ``errors``, as they must be with columns of optional parameters.
     """
     steps = interval_s * np.arange(np.diff(ends, prepend=0).max() + 1.0)
     earth = rotation_matrices(-earth_rate_enu(latitude) * steps[:, np.newaxis])
     half = rotation_matrices(-0.5 * earth_rate_enu(latitude) * steps[:, np.newaxis])
     attitude = np.empty((len(ends) + 1, 3, 3))
     integral = np.zeros((len(ends) + 1, 3))
-    which = np.array(columns, np.int64)
-    response = np.zeros((len(ends) + 1, 6, len(which)))
+    column_array = np.array(columns, np.int64)
+    response = np.zeros((len(ends) + 1, 6, len(column_array)))
     attitude[0] = C_nb
-    response[0, :3] = which == np.arange(ATTITUDE.start, ATTITUDE.stop)[:, np.newaxis]
+    response[0, :3] = column_array == np.arange(ATTITUDE.start, ATTITUDE.stop)[:, np.newaxis]
     turns = earth, half, np.cross([1.0, 0.0, 0.0], earth_rate_enu(latitude))
     states = attitude, integral, response
-    of_errors = (errors or SensorErrors()).removal(interval_s)
-    removal = SensorErrors().removal(interval_s) if are_freed else of_errors
+    error_correction = (errors or SensorErrors()).correction(interval_s)
+    correction = SensorErrors().correction(interval_s) if are_corrected else error_correction
     has_sums = any(COUNT <= each < G_SENSITIVITIES.start for each in columns)
     _integrate(
-        angle, velocity, removal, of_errors, interval_s, ends, has_sums, *turns, gravity, which, *states
+        angle,
+        velocity,
+        correction,
+        error_correction,
+        interval_s,
+        ends,
+        has_sums,
+        *turns,
+        gravity,
+        column_array,
+        *states,
     )
     return Trajectory(attitude, integral, gravity, response)
 
 
 @compiled
-def _times(a: FloatArray, b: Vector) -> Vector:
+def _multiply(a: FloatArray, b: Vector) -> Vector:
     return (
         a[0, 0] * b[0] + a[0, 1] * b[1] + a[0, 2] * b[2],
         a[1, 0] * b[0] + a[1, 1] * b[1] + a[1, 2] * b[2],
@@ -175,9 +189,9 @@ def _times(a: FloatArray, b: Vector) -> Vector:
 
 
 @compiled
-def _removed(removal: FloatArray, measured: FloatArray) -> Vector:
-    x, y, z = _times(removal, (measured[0], measured[1], measured[2]))
-    return x + removal[0, 3], y + removal[1, 3], z + removal[2, 3]
+def _corrected_increment(correction: FloatArray, measured: FloatArray) -> Vector:
+    x, y, z = _multiply(correction, (measured[0], measured[1], measured[2]))
+    return x + correction[0, 3], y + correction[1, 3], z + correction[2, 3]
 
 
 @compiled
@@ -186,38 +200,40 @@ def _cross(a: Vector, b: Vector) -> Vector:
 
 
 @compiled
-def _sum(a: Vector, b: Vector, share: float) -> Vector:
+def _add_scaled(a: Vector, b: Vector, share: float) -> Vector:
     return a[0] + share * b[0], a[1] + share * b[1], a[2] + share * b[2]
 
 
 @compiled
 def _integrate(
-    angle: FloatArray, velocity: FloatArray, removal: FloatArray, of_errors: FloatArray, interval_s: float,
-    ends: IntArray, has_sums: bool, earth: FloatArray, half: FloatArray, by_latitude: FloatArray,
-    gravity: float, columns: IntArray, attitudes: FloatArray, integrals: FloatArray, responses: FloatArray,
+    angle: FloatArray, velocity: FloatArray, correction: FloatArray, error_correction: FloatArray,
+    interval_s: float, ends: IntArray, has_sums: bool, earth: FloatArray, half: FloatArray,
+    latitude_response: FloatArray, gravity: float, columns: IntArray, attitudes: FloatArray,
+    integrals: FloatArray, responses: FloatArray,
 ) -> None:  # fmt: skip
     C, begin = attitudes[0].copy(), attitudes[0].copy()
     u = np.zeros(3)
     response = responses[0].copy()
     tilt = np.empty(3)
-    # Sums over the samples since the responses were last brought up to date: angles, and derivatives of the
-    # velocity increments by lever arms, delay and quadratic terms.
+    # Sums over the samples since the last update of the responses: angles, and derivatives of the velocity
+    # increments by lever arms, delay and quadratic terms.
     sums = np.zeros((6, 3))
     angles, delayed, squares, arms = sums[0], sums[1], sums[2], sums[3:]
     samples = summed = epoch = 0
     count = len(angle)
-    turn, turned, of_gyros, of_forces = np.empty((4, 3, 3))
+    turn, product, gyro_axes, force_axes = np.empty((4, 3, 3))
     theta = dv = alpha = speed = coning = sculling = (0.0, 0.0, 0.0)
     for k in range(ends[-1]):
         theta_before, dv_before = theta, dv
-        theta, dv = _removed(removal[0], angle[k]), _removed(removal[1], velocity[k])
+        theta = _corrected_increment(correction[0], angle[k])
+        dv = _corrected_increment(correction[1], velocity[k])
         if k == 0:
             theta_before, dv_before = theta, dv
-        before = _sum(alpha, theta_before, 1.0 / 6.0)
-        coning = _sum(coning, _cross(before, theta), 0.5)
-        sculling = _sum(sculling, _cross(before, dv), 0.5)
-        sculling = _sum(sculling, _cross(_sum(speed, dv_before, 1.0 / 6.0), theta), 0.5)
-        alpha, speed = _sum(alpha, theta, 1.0), _sum(speed, dv, 1.0)
+        before = _add_scaled(alpha, theta_before, 1.0 / 6.0)
+        coning = _add_scaled(coning, _cross(before, theta), 0.5)
+        sculling = _add_scaled(sculling, _cross(before, dv), 0.5)
+        sculling = _add_scaled(sculling, _cross(_add_scaled(speed, dv_before, 1.0 / 6.0), theta), 0.5)
+        alpha, speed = _add_scaled(alpha, theta, 1.0), _add_scaled(speed, dv, 1.0)
         summed += 1
         if has_sums:
             first, last = max(k - 1, 0), min(k + 1, count - 1)
@@ -235,14 +251,16 @@ def _integrate(
         if k + 1 != ends[epoch] and alpha[0] ** 2 + alpha[1] ** 2 + alpha[2] ** 2 < _MAX_SUM**2:
             continue
         cross = _cross(alpha, speed)
-        moved = _sum(_sum(_sum(speed, sculling, 1.0), cross, 0.5), _cross(alpha, cross), 1.0 / 6.0)
-        lift = _times(half[summed], _times(C, moved))
-        set_turn(turn, _sum(alpha, coning, 1.0))
-        multiply_3x3(turned, C, turn)
-        multiply_3x3(C, earth[summed], turned)
+        force_sum = _add_scaled(
+            _add_scaled(_add_scaled(speed, sculling, 1.0), cross, 0.5), _cross(alpha, cross), 1.0 / 6.0
+        )
+        velocity_change = _multiply(half[summed], _multiply(C, force_sum))
+        set_turn(turn, _add_scaled(alpha, coning, 1.0))
+        multiply_3x3(product, C, turn)
+        multiply_3x3(C, earth[summed], product)
         for i in range(3):
             angles[i] += alpha[i]
-            u[i] += lift[i]
+            u[i] += velocity_change[i]
         u[2] -= gravity * interval_s * summed
         samples += summed
         summed = 0
@@ -250,29 +268,31 @@ def _integrate(
         if k + 1 != ends[epoch] and angles[0] ** 2 + angles[1] ** 2 + angles[2] ** 2 < _MAX_TURN**2:
             continue
         middle, step, length_s = 0.5 * (begin + C), earth[samples], samples * interval_s
-        # An error of a sensor is one of the true increments by way of all scale factors and misalignments.
-        multiply_3x3(of_gyros, middle, of_errors[0])
-        multiply_3x3(of_forces, middle, of_errors[1])
-        # At rest the specific force is gravity. As measured it lets parameters explain its noise: a smaller
-        # scale factor makes it smaller, another heading turns it.
-        lifted = gravity * length_s
+        # An error of a sensor changes the corrected increments through all scale factors and misalignments.
+        multiply_3x3(gyro_axes, middle, error_correction[0])
+        multiply_3x3(force_axes, middle, error_correction[1])
+        # The responses use gravity as specific force. With the measured one, parameters would explain its
+        # noise: a smaller scale factor reduces it, another heading rotates it.
+        gravity_change = gravity * length_s
         since_middle_s = (k + 1 - 0.5 * samples - 0.5 * ends[-1]) * interval_s
         for r, c in enumerate(columns):
             for i in range(3):
                 tilt[i] = response[i, r]
-            # Response of the true increments: those measured less the errors.
+            # Response of the corrected increments, which are those measured minus the errors.
             if c < 3:
                 for i in range(3):
-                    response[i, r] -= of_gyros[i, c] * length_s
+                    response[i, r] -= gyro_axes[i, c] * length_s
             elif c < 12:
                 for i in range(3):
-                    response[i, r] -= of_gyros[i, (c - 3) // 3] * angles[(c - 3) % 3]
+                    response[i, r] -= gyro_axes[i, (c - 3) // 3] * angles[(c - 3) % 3]
             elif c < 15:
                 for i in range(3):
-                    response[3 + i, r] -= of_forces[i, c - 12] * length_s
+                    response[3 + i, r] -= force_axes[i, c - 12] * length_s
             elif c < COUNT:
                 for i in range(3):
-                    response[3 + i, r] -= of_forces[i, _ROWS[c - 15]] * middle[2, _COLUMNS[c - 15]] * lifted
+                    response[3 + i, r] -= (
+                        force_axes[i, _ROWS[c - 15]] * middle[2, _COLUMNS[c - 15]] * gravity_change
+                    )
             elif c < DELAY:
                 sensor, arm = (c - COUNT) // 3, (c - COUNT) % 3
                 for i in range(3):
@@ -282,28 +302,30 @@ def _integrate(
                     response[3 + i, r] += (
                         middle[i, 0] * delayed[0] + middle[i, 1] * delayed[1] + middle[i, 2] * delayed[2]
                     )
-            elif c < _BY_FORCE:
+            elif c < _FIRST_G_SENSITIVITY:
                 for i in range(3):
-                    response[3 + i, r] -= middle[i, c - _SQUARES] * squares[c - _SQUARES]
-            elif c < _BY_SIGN:
-                sensor, along = (c - _BY_FORCE) // 3, (c - _BY_FORCE) % 3
+                    response[3 + i, r] -= middle[i, c - _FIRST_QUADRATIC] * squares[c - _FIRST_QUADRATIC]
+            elif c < _FIRST_ASYMMETRY:
+                sensor, along = (c - _FIRST_G_SENSITIVITY) // 3, (c - _FIRST_G_SENSITIVITY) % 3
                 for i in range(3):
-                    response[i, r] -= middle[i, sensor] * middle[2, along] * lifted
-            elif c < PARAMETER_COUNT and abs(angles[c - _BY_SIGN]) > ASYMMETRY_RATE * length_s:
+                    response[i, r] -= middle[i, sensor] * middle[2, along] * gravity_change
+            elif c < PARAMETER_COUNT and abs(angles[c - _FIRST_ASYMMETRY]) > ASYMMETRY_RATE * length_s:
                 for i in range(3):
-                    response[i, r] -= 0.5 * of_gyros[i, c - _BY_SIGN] * abs(angles[c - _BY_SIGN])
+                    response[i, r] -= (
+                        0.5 * gyro_axes[i, c - _FIRST_ASYMMETRY] * abs(angles[c - _FIRST_ASYMMETRY])
+                    )
             elif c == LATITUDE:
                 for i in range(3):
-                    response[i, r] -= by_latitude[i] * length_s
+                    response[i, r] -= latitude_response[i] * length_s
             elif c >= PARAMETER_COUNT + 3:
                 for i in range(3):
-                    response[i, r] -= of_gyros[i, c - PARAMETER_COUNT - 3] * length_s * since_middle_s
+                    response[i, r] -= gyro_axes[i, c - PARAMETER_COUNT - 3] * length_s * since_middle_s
             a, b, d = response[0, r], response[1, r], response[2, r]
             for i in range(3):
                 response[i, r] = step[i, 0] * a + step[i, 1] * b + step[i, 2] * d
                 tilt[i] = 0.5 * (tilt[i] + response[i, r])
-            response[3, r] += tilt[1] * lifted
-            response[4, r] -= tilt[0] * lifted
+            response[3, r] += tilt[1] * gravity_change
+            response[4, r] -= tilt[0] * gravity_change
         # Numba takes seconds to compile the assignment of whole arrays.
         for i in range(3):
             for j in range(3):
@@ -327,7 +349,9 @@ def attitudes(
     angle: FloatArray, interval_s: float, ends: IntArray, C_nb: FloatArray, latitude: float
 ) -> FloatArray:
     """Attitudes (n + 1, 3, 3) at the start and the ends of epochs, from increments of angle."""
-    return integrated(angle, np.zeros_like(angle), interval_s, ends, C_nb, latitude, 0.0, ()).attitude
+    return integrate_increments(
+        angle, np.zeros_like(angle), interval_s, ends, C_nb, latitude, 0.0, ()
+    ).attitude
 
 
 def epoch_steps(
@@ -342,10 +366,10 @@ def epoch_steps(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Transition (n, 6, 6), noise (n, 6, 6) and drive (n, 6, 40) of psi and u over each epoch.
 
-    The response to the coefficients at the end of an epoch is that at its start times the transition, plus
-    the drive; :func:`integrated` has the parameters.
+    The response to the coefficients at the end of an epoch is the transition times that at its start, plus
+    the drive. For the parameters see :func:`integrate_increments`.
     """
-    trajectory = integrated(angle, velocity, interval_s, ends, C_nb, latitude, gravity)
+    trajectory = integrate_increments(angle, velocity, interval_s, ends, C_nb, latitude, gravity)
     transition, covariance = _intervals(trajectory, np.diff(ends, prepend=0) * interval_s, noise, latitude)
     response = trajectory.response.copy()
     response[:, :, ATTITUDE] = 0.0
@@ -356,7 +380,7 @@ _Turn = tuple[int, int, FloatArray, tuple[float, float, float]]
 
 
 def _turns(epochs: IncrementEpochs, whole_turns: float | None, heading: float | None) -> list[_Turn]:
-    """Epochs before and after each rotation that counts, the rotation (3, 3), its uncertainties E, N, U."""
+    """Epochs before and after each table rotation used, the rotation (3, 3), its uncertainties E, N, U."""
     turns: dict[int, _Turn] = {}
     if heading is not None:
         turns |= {a: (a, b, R, (np.inf, np.inf, heading)) for a, b, R in epochs.headings}
@@ -365,8 +389,8 @@ def _turns(epochs: IncrementEpochs, whole_turns: float | None, heading: float | 
     return list(turns.values())
 
 
-def _returned(trajectory: Trajectory, a: int, b: int, rotation: FloatArray) -> FloatArray:
-    """Error (3,) of the computed attitude, negated, after a rotation that is known."""
+def _turn_error(trajectory: Trajectory, a: int, b: int, rotation: FloatArray) -> FloatArray:
+    """Negative error (3,) of the computed attitude after a known rotation."""
     turn = trajectory.attitude[b] @ trajectory.attitude[a].T @ rotation.T
     return np.asarray(-rotation_vectors(turn[np.newaxis])[0])
 
@@ -394,7 +418,7 @@ def _set_intervals(
     attitude: FloatArray, gravity: float, lengths_s: FloatArray, angle_walk: FloatArray,
     velocity_walk: FloatArray, earth: FloatArray, transition: FloatArray, covariance: FloatArray,
 ) -> None:  # fmt: skip
-    cross, tilts, lifts, moved, twice = np.zeros((5, 3, 3))
+    cross, tilts, lifts, tilts_to_velocity, twice = np.zeros((5, 3, 3))
     for n, time in enumerate(lengths_s):
         F, Q, C = transition[n], covariance[n], 0.5 * (attitude[n] + attitude[n + 1])
         set_turn(F[:3, :3], (-earth[0] * time, -earth[1] * time, -earth[2] * time))
@@ -406,13 +430,13 @@ def _set_intervals(
                     tilts[i, j] += time * C[i, k] * angle_walk[k] * C[j, k]
                     lifts[i, j] += time * C[i, k] * velocity_walk[k] * C[j, k]
         cross[0, 1], cross[1, 0] = gravity * time, -gravity * time  # cross @ psi = psi x force
-        multiply_3x3(moved, cross, tilts)
-        multiply_3x3(twice, moved, cross)  # its transpose is its negative
+        multiply_3x3(tilts_to_velocity, cross, tilts)
+        multiply_3x3(twice, tilts_to_velocity, cross)  # the transpose of cross is its negative
         for i in range(3):
             for j in range(3):
                 F[3 + i, j] = cross[i, j]
                 Q[i, j], Q[3 + i, 3 + j] = tilts[i, j], lifts[i, j] - twice[i, j] / 3.0
-                Q[3 + i, j] = Q[j, 3 + i] = 0.5 * moved[i, j]
+                Q[3 + i, j] = Q[j, 3 + i] = 0.5 * tilts_to_velocity[i, j]
 
 
 @compiled
@@ -430,7 +454,7 @@ def _correct(
     X: FloatArray, P: FloatArray, innovation: FloatArray, gain: FloatArray, spread: FloatArray,
     variance: float,
 ) -> None:  # fmt: skip
-    """Correct states by an innovation, and make that one white with unit variance."""
+    """Correct states by an innovation, and scale the innovation to unit variance."""
     scale = 1.0 / np.sqrt(variance)
     for k in range(9):
         for j in range(X.shape[1]):
@@ -451,7 +475,7 @@ def _whiten(
     rows = np.zeros((3 * len(stacked), columns))
     used = 0
     X, P, gain, spread = np.zeros((9, columns)), np.zeros((9, 9)), np.empty(9), np.empty(9)
-    # The velocity at the start is as uncertain as any that is measured.
+    # The initial velocity has the uncertainty of any measured one.
     for i in range(3, 6):
         P[i, i] = white
     for epoch in range(n + 1):

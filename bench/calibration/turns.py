@@ -1,4 +1,4 @@
-"""Rotations one after the other, as machine code."""
+"""Compiled functions for sequences of rotations."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import numpy as np
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.kernels import compiled, multiply_3x3
 
-#: Tuples stay in registers, where small arrays would be allocated for every sample.
+#: Tuples stay in registers, while small arrays would be allocated for every sample.
 Vector = tuple[float, float, float]
 
 
 @compiled
 def set_turn(turn: FloatArray, vector: Vector) -> None:
-    """Set ``turn`` (3, 3) to the rotation by a vector."""
+    """Set ``turn`` (3, 3) to the matrix of a rotation vector."""
     x, y, z = vector
     square = x * x + y * y + z * z
     if square > 1e-8:
@@ -31,10 +31,10 @@ def set_turn(turn: FloatArray, vector: Vector) -> None:
 
 @compiled
 def net_turn(steps: FloatArray) -> FloatArray:
-    """Matrix (3, 3) of rotations (n, 3), rad, one after the other, each about axes turned by those before."""
-    C, turn, turned = np.eye(3), np.empty((3, 3)), np.empty((3, 3))
+    """Matrix (3, 3) of successive rotations (n, 3), rad, each in the axes turned by those before."""
+    C, turn, product = np.eye(3), np.empty((3, 3)), np.empty((3, 3))
     for step in steps:
         set_turn(turn, (step[0], step[1], step[2]))
-        multiply_3x3(turned, C, turn)
-        C, turned = turned, C
+        multiply_3x3(product, C, turn)
+        C, product = product, C
     return C

@@ -1,6 +1,6 @@
-"""Characteristics of the gyros beyond their biases: the further tests of laser gyros, one result each.
+"""Characteristics of the gyros other than their biases: further tests of laser gyros.
 
-``requested_tests`` is the section of a procedure that asks for them: ``turn_on``, ``warm_up``,
-``thermal_sensitivity``, ``allan_test`` and ``scale_factor`` are one test each; ``profile_fit`` has the least
-squares of several. All give ``results``.
+``requested_tests`` is the section of a procedure that requests them. ``turn_on``, ``warm_up``,
+``thermal_sensitivity``, ``allan_test`` and ``scale_factor`` are one test each; several use the least squares
+in ``profile_fit``. Each returns its ``results``.
 """

@@ -1,14 +1,14 @@
-"""Noise of the gyros by a long Allan variance: the five coefficients of the standard model.
+"""Noise of the gyros from a long Allan variance: the five coefficients of the standard model.
 
 Quantisation Q, angle random walk N, bias instability B and rate random walk K are fitted to the overlapping
-Allan variance; the ramp R is the mean slope of the rate, with the uncertainty that this noise gives it. Each
-interval is that of chi-squared with the effective degrees of freedom ``2 c^2 / var(c)`` of the squared
-coefficient c. What these five terms do not explain, as a periodic rate, goes into them all the same: a note
-states it, from the Allan variance or, where it has few periods, from the periodogram.
+Allan variance; the ramp R is the mean slope of the rate, with its uncertainty due to this noise. Intervals
+are those of chi-squared with the effective degrees of freedom ``2 c^2 / var(c)`` of the squared coefficient
+c. Effects that these five terms do not explain, as a periodic rate, nevertheless contribute to them: a note
+reports such effects, detected in the Allan variance or, if the record has few periods, in the periodogram.
 
 The periodogram of the rate is compared with ``a + b / f + c / f^2 + d f^2``: angle random walk, bias
-instability, rate random walk and quantisation, none below zero. With and without a sinusoid the terms have
-their largest Whittle likelihood. The ratio of the two is taken at the best frequency.
+instability, rate random walk and quantisation, none below zero. The terms are fitted with and without a
+sinusoid by maximum Whittle likelihood, and the likelihood ratio is evaluated at the best frequency.
 
 References
 ----------
@@ -37,7 +37,7 @@ from gyrobench.bench.bias.allan import (
     fit_rate_noise,
     goodness_of_fit,
     mean_ramp,
-    not_negative,
+    nonnegative_least_squares,
 )
 from gyrobench.bench.characteristics.results import Coefficient, Curve, TestResult, coefficient
 from gyrobench.bench.foundations.arrays import ARCSEC_TO_RAD, DEG_PER_SQRT_H_TO_SI, DPH_TO_RADPS, FloatArray
@@ -53,19 +53,19 @@ _TERMS = {
     RATE_WALK: ("rate random walk K", "deg/h/sqrt(h)", DPH_TO_RADPS / np.sqrt(_HOUR_S)),
 }
 _NORMAL_95 = 1.96
-#: p-value below which the terms do not explain the Allan variance.
+#: The terms do not explain the Allan variance if its p-value is smaller.
 _MIN_P_VALUE = 1e-5
 #: Period of a rate in units of the averaging time at which its Allan variance is largest.
-_PERIOD = 2.7
-#: Periods in the record that are tried; where there are more, the Allan variance shows them.
+_PERIOD_PER_TAU = 2.7
+#: Numbers of periods in the record that are tested; with more periods the Allan variance detects the effect.
 _PERIODS = np.arange(3.0, 40.5, 0.5)
-#: Frequencies of the periodogram, in units of one over the record.
+#: Number of frequencies of the periodogram, in units of one over the record.
 _ORDINATES = 200
-#: By the taper each ordinate says part of what its neighbours do: sum of their correlations.
-_REPEATED = 1.5
+#: Sum of the correlations of an ordinate with its neighbours, due to the taper.
+_CORRELATION_SUM = 1.5
 #: Twice the logarithm of the likelihood ratio that noise exceeds in less than 1 of 2,000 records.
 MIN_RATIO = 25.0
-_ROUNDS = 8
+_ITERATIONS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,8 +95,8 @@ def allan_test(records: Sequence[RateRecord]) -> TestResult:
             value, low, high = (np.sqrt(each) / size for each in (float(fit.terms[term]), low, high))
             coefficients.append(coefficient(gyro, name, unit, float(value), float(low), float(high)))
         ramp, sigma = (each * _HOUR_S / DPH_TO_RADPS for each in mean_ramp(segments, interval_s, fit))
-        ends = ramp - _NORMAL_95 * sigma, ramp + _NORMAL_95 * sigma
-        coefficients.append(coefficient(gyro, "rate ramp R", "deg/h/h", ramp, *ends))
+        interval = ramp - _NORMAL_95 * sigma, ramp + _NORMAL_95 * sigma
+        coefficients.append(coefficient(gyro, "rate ramp R", "deg/h/h", ramp, *interval))
         notes += _notes(gyro, allan, fit) or _periodic_note(gyro, max(segments, key=len), interval_s)
         curves.append(_curve(gyro, allan, fit))
     return TestResult(test="allan_variance", coefficients=coefficients, curves=curves, notes=notes)
@@ -114,32 +114,32 @@ def square_interval(square: float, sigma: float) -> tuple[float, float]:
 
 
 def _notes(gyro: str, allan: AllanVariance, fit: RateNoise) -> list[str]:
-    """Whether and where the terms do not explain the Allan variance."""
+    """Note if the terms do not explain the Allan variance, with the averaging time of the largest misfit."""
     p_value = goodness_of_fit(allan, fit)
     if p_value >= _MIN_P_VALUE:
         return []
     ratio = allan.variance / fit.expected
-    away = np.where(fit.used, np.abs(ratio - 1.0) / np.sqrt(2.0 / fit.edf + fit.excess**2), 0.0)
-    place = int(np.argmax(away))
-    tau_s = float(allan.tau_s[place])
-    period_s = float(f"{_PERIOD * tau_s:.2g}")
-    period = f", as with a rate of period {period_s:.0f} s" if ratio[place] > 1.0 else ""
+    deviations = np.where(fit.used, np.abs(ratio - 1.0) / np.sqrt(2.0 / fit.edf + fit.excess**2), 0.0)
+    index = int(np.argmax(deviations))
+    tau_s = float(allan.tau_s[index])
+    period_s = float(f"{_PERIOD_PER_TAU * tau_s:.2g}")
+    period = f", as with a rate of period {period_s:.0f} s" if ratio[index] > 1.0 else ""
     return [
         f"{gyro.upper()} gyro: the five terms do not explain the Allan variance (p < {_MIN_P_VALUE:g}); near "
-        f"{tau_s:.0f} s it is {ratio[place]:.1f} times the fit{period}. The coefficients may be those of "
+        f"{tau_s:.0f} s it is {ratio[index]:.1f} times the fit{period}. The coefficients may be those of "
         "another effect: look for it in the record."
     ]
 
 
 def _periodic_note(gyro: str, segment: FloatArray, interval_s: float) -> list[str]:
-    """A periodic rate that the terms take for noise."""
-    found = periodic_rate(segment, interval_s)
-    if found is None or found.ratio < MIN_RATIO:
+    """Note about a periodic rate that the terms would take for noise."""
+    periodic = periodic_rate(segment, interval_s)
+    if periodic is None or periodic.ratio < MIN_RATIO:
         return []
     return [
-        f"{gyro.upper()} gyro: the record has a rate of period {found.period_s:.2g} s and amplitude "
-        f"{found.amplitude / DPH_TO_RADPS:.2g} deg/h beside its noise. Bias instability and rate random walk "
-        "contain it: look for its cause, as heating or air conditioning, or record for longer."
+        f"{gyro.upper()} gyro: the record has a rate of period {periodic.period_s:.2g} s and amplitude "
+        f"{periodic.amplitude / DPH_TO_RADPS:.2g} deg/h beside its noise. Bias instability and rate random "
+        "walk contain it: look for its cause, as heating or air conditioning, or record for longer."
     ]
 
 
@@ -168,19 +168,19 @@ class PeriodicRate:
 
 
 def periodic_rate(angle: FloatArray, interval_s: float) -> PeriodicRate | None:
-    """The sinusoid that fits best the rate of its integral (n,) on an even grid; None if the record is short.
+    """Best-fitting sinusoid in the rate, from its integral (n,) on an even grid; None for a short record.
 
-    Of several parts between samples that are missing (NaN) the longest counts.
+    If samples are missing (NaN), the longest part between them is used.
     """
-    whole = max(np.split(angle, np.flatnonzero(np.isnan(angle))), key=len)
-    whole = whole[np.isfinite(whole)]
-    factor = max(1, (len(whole) - 1) // (4 * _ORDINATES))
-    rate = np.diff(whole[::factor]) / (factor * interval_s)
+    longest = max(np.split(angle, np.flatnonzero(np.isnan(angle))), key=len)
+    longest = longest[np.isfinite(longest)]
+    factor = max(1, (len(longest) - 1) // (4 * _ORDINATES))
+    rate = np.diff(longest[::factor]) / (factor * interval_s)
     count = len(rate)
     if count <= 4 * _PERIODS[-1]:
         return None
-    places = np.arange(1, min(_ORDINATES, count // 2) + 1)
-    noise = places[:, np.newaxis] ** np.array([0.0, -1.0, -2.0, 2.0])
+    ordinates = np.arange(1, min(_ORDINATES, count // 2) + 1)
+    noise = ordinates[:, np.newaxis] ** np.array([0.0, -1.0, -2.0, 2.0])
     moments = (np.arange(count) + 0.5) / count
     trend = np.column_stack([np.ones(count), moments])
     phases = 2.0 * np.pi * _PERIODS[:, np.newaxis] * moments
@@ -188,24 +188,24 @@ def periodic_rate(angle: FloatArray, interval_s: float) -> PeriodicRate | None:
     designs = [trend, *(np.column_stack([trend, np.sin(each), np.cos(each)]) for each in phases)]
     designs = [taper[:, np.newaxis] * each for each in designs]
     fits = [np.linalg.lstsq(design, taper * rate)[0] for design in designs]
-    left = np.array([taper * rate - design @ fit for design, fit in zip(designs, fits, strict=True)])
-    powers = np.abs(np.fft.rfft(left, axis=1)[:, places]) ** 2 / count
+    residuals = np.array([taper * rate - design @ fit for design, fit in zip(designs, fits, strict=True)])
+    powers = np.abs(np.fft.rfft(residuals, axis=1)[:, ordinates]) ** 2 / count
     logs = np.array([_log_likelihood(each, noise) for each in powers])
     best = int(np.argmax(logs[1:]))
     return PeriodicRate(
         period_s=float(count * factor * interval_s / _PERIODS[best]),
         amplitude=float(np.hypot(*fits[best + 1][2:])),
-        ratio=float(2.0 / _REPEATED * (logs[best + 1] - logs[0])),
+        ratio=float(2.0 / _CORRELATION_SUM * (logs[best + 1] - logs[0])),
     )
 
 
 def _log_likelihood(powers: FloatArray, noise: FloatArray) -> float:
-    """Of a periodogram (k,) with the best sum of terms (k, t)."""
+    """Whittle log-likelihood of a periodogram (k,) for the best sum of terms (k, t)."""
     model = np.full(len(powers), powers.mean())
     best = -np.inf
-    for _ in range(_ROUNDS):
+    for _ in range(_ITERATIONS):
         weighted = noise / model[:, np.newaxis]
         sizes = np.sqrt((weighted**2).sum(axis=0))
-        model = noise @ (not_negative(weighted / sizes, powers / model) / sizes)
+        model = noise @ (nonnegative_least_squares(weighted / sizes, powers / model) / sizes)
         best = max(best, -float(np.sum(powers / model + np.log(model))))
     return best

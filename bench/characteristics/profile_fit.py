@@ -1,10 +1,10 @@
 """Least squares with one nonlinear parameter on a grid.
 
-For each value of the nonlinear parameter (a time constant, a width) the other coefficients are linear. The
-likelihood of the values, each with its best coefficients, weighs them; draws take a value by its weight and
-coefficients from the normal distribution of its fit. Quantities that follow from all of these get their
-intervals from the draws, also where they are no linear function of the coefficients. The grid is refined
-where the weight is: intervals from a few points that carry all of it would be too narrow.
+For each value of the nonlinear parameter (a time constant, a width) the other coefficients are linear. Each
+value has the weight of its likelihood with the best coefficients. Draws select a value by its weight, and
+coefficients from the normal distribution of its fit. Intervals of derived quantities are quantiles over the
+draws, so these may be nonlinear functions of the coefficients. The grid is refined at points with much
+weight, since intervals from few points would be too narrow.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ _DRAWS = 2000
 #: Normal equations with a larger condition number do not separate their coefficients.
 _MAX_CONDITION = 1e12
 _TINY = 1e-300
-#: A point of a grid with a larger share of the weight gets closer neighbours, in at most so many rounds.
-_MAX_SHARE, MAX_REFINEMENTS = 0.05, 16
+#: Largest weight of a grid point without refinement next to it, and largest number of refinements.
+_MAX_WEIGHT, MAX_REFINEMENTS = 0.05, 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,7 @@ class ProfileFit:
     """The best of several linear fits to the same values, and draws over all of them."""
 
     best: int  #: Index of the best design.
-    coefficients: FloatArray  #: Shape (k,). Its coefficients.
+    coefficients: FloatArray  #: Shape (k,). Coefficients of the best design.
     fitted: FloatArray  #: Shape (n,). Values of the best fit.
     weights: FloatArray  #: Shape (d,). Of each design; they add up to 1.
     deviance: (
@@ -54,10 +54,10 @@ def profile_fit(
 ) -> ProfileFit:
     """Fit values (n,) with standard uncertainties (n,) by each of the designs (d, n, k).
 
-    A design lacks a coefficient whose column is zero. ``penalties`` (d,) are added to each design's chi2 in
-    comparisons. ``shared`` (n, s): errors of all values by one standard uncertainty of each of s sources,
-    part of ``sigmas``. ``shares`` (d,): part of the nonlinear parameter's range that each design stands for;
-    by default all stand for the same. Raises MeasurementError if there are too few values, or no design
+    A column of zeros means that a design does not have the coefficient. ``penalties`` (d,) are added to each
+    design's chi2 in comparisons. ``shared`` (n, s): errors of all values for one standard uncertainty of each
+    of s sources, included in ``sigmas``. ``shares`` (d,): part of the nonlinear parameter's range that each
+    design represents; default: equal. Raises MeasurementError if there are too few values, or no design
     separates its coefficients.
     """
     count, size = designs.shape[1:]
@@ -68,24 +68,24 @@ def profile_fit(
         )
     if shared is not None:
         values, sigmas, designs = _with_shared(values, sigmas, designs, shared)
-    white, target = designs / sigmas[:, np.newaxis], values / sigmas
-    inverse, shrink, separable = _inverse_normal(white)
-    covariance = inverse * shrink[:, :, None] * shrink[:, None]
-    solved = (covariance @ (np.swapaxes(white, 1, 2) @ target)[:, :, None])[:, :, 0]
-    chi2 = ((target - (white @ solved[:, :, None])[:, :, 0]) ** 2).sum(axis=1)
+    white, white_values = designs / sigmas[:, np.newaxis], values / sigmas
+    inverse, inverse_sizes, separable = _inverse_normal(white)
+    covariance = inverse * inverse_sizes[:, :, None] * inverse_sizes[:, None]
+    solutions = (covariance @ (np.swapaxes(white, 1, 2) @ white_values)[:, :, None])[:, :, 0]
+    chi2 = ((white_values - (white @ solutions[:, :, None])[:, :, 0]) ** 2).sum(axis=1)
     deviance = np.where(separable, chi2 if penalties is None else chi2 + penalties, np.inf)
     best = int(np.argmin(deviance))
     scale = float(np.sqrt(max(1.0, chi2[best] / dof)))
     relative = (deviance - deviance[best]) / scale**2
     weights = np.exp(-0.5 * relative) * (1.0 if shares is None else shares)
     weights /= weights.sum()
-    random = np.random.default_rng(0)  # the same data give the same intervals
-    chosen = np.sort(random.choice(len(designs), _DRAWS, p=weights))
+    random = np.random.default_rng(0)  # so that the same data give the same intervals
+    drawn_designs = np.sort(random.choice(len(designs), _DRAWS, p=weights))
     normal = scale * random.standard_normal((_DRAWS, designs.shape[2], 1))
-    places, of_place = np.unique(chosen, return_inverse=True)
-    roots = shrink[places][:, :, None] * np.linalg.cholesky(inverse[places])
-    draws = solved[chosen] + (roots[of_place] @ normal)[:, :, 0]
-    coefficients = solved[best, :size]
+    distinct, distinct_index = np.unique(drawn_designs, return_inverse=True)
+    roots = inverse_sizes[distinct][:, :, None] * np.linalg.cholesky(inverse[distinct])
+    draws = solutions[drawn_designs] + (roots[distinct_index] @ normal)[:, :, 0]
+    coefficients = solutions[best, :size]
     return ProfileFit(
         best,
         coefficients,
@@ -93,7 +93,7 @@ def profile_fit(
         weights,
         relative,
         scale,
-        chosen,
+        drawn_designs,
         *np.split(draws, [size], 1),
     )
 
@@ -101,27 +101,27 @@ def profile_fit(
 def _with_shared(
     values: FloatArray, sigmas: FloatArray, designs: FloatArray, shared: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Values (n + s,), uncertainties (n + s,) and designs (d, n + s, k + s).
+    """Add shared errors as parameters, each with a prior of 0 ± 1.
 
-    Shared errors are further parameters, each known to be 0 ± 1.
+    Returns values (n + s,), uncertainties (n + s,) and designs (d, n + s, k + s).
     """
     size, sources = designs.shape[2], shared.shape[1]
     extended = np.zeros((len(designs), len(values) + sources, size + sources))
     extended[:, : len(values), :size] = designs
     extended[:, : len(values), size:] = shared
     extended[:, len(values) :, size:] = np.eye(sources)
-    own = np.sqrt(np.maximum(sigmas**2 - (shared**2).sum(axis=1), _TINY))
-    return np.append(values, np.zeros(sources)), np.append(own, np.ones(sources)), extended
+    own_sigmas = np.sqrt(np.maximum(sigmas**2 - (shared**2).sum(axis=1), _TINY))
+    return np.append(values, np.zeros(sources)), np.append(own_sigmas, np.ones(sources)), extended
 
 
 def _inverse_normal(white: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Inverse (d, k, k) of the normal matrices of designs (d, n, k) with columns of unit size.
+    """Inverse (d, k, k) of the normal matrices of designs (d, n, k) with columns scaled to unit size.
 
-    And the inverse sizes of the columns (d, k), and which designs (d,) separate their coefficients; the
-    inverse of others is zero. Raises MeasurementError if none does.
+    Also returns the inverse sizes of the columns (d, k), and a mask (d,) of the designs that separate their
+    coefficients; the inverse of others is zero. Raises MeasurementError if none does.
     """
     sizes = np.sqrt((white**2).sum(axis=1))
-    # A coefficient that is lacking is zero for sure: one on the diagonal, and no size.
+    # A coefficient that a design does not have is exactly zero: 1 on the diagonal, and inverse size 0.
     normal = np.swapaxes(white, 1, 2) @ white / np.maximum(sizes[:, :, None] * sizes[:, None], _TINY)
     normal = np.where(sizes[:, :, None] > 0.0, normal, np.eye(white.shape[2]))
     spread = np.linalg.eigvalsh(normal)
@@ -136,25 +136,25 @@ def _inverse_normal(white: FloatArray) -> tuple[FloatArray, FloatArray, BoolArra
     return inverse, np.where(sizes > 0.0, 1.0 / np.maximum(sizes, _TINY), 0.0), separable
 
 
-def cells(grid: FloatArray) -> FloatArray:
-    """Part of the range (g,) that each point of an increasing grid stands for: half way to its neighbours."""
+def cell_widths(grid: FloatArray) -> FloatArray:
+    """Widths (g,) of the cells of an increasing grid, which extend half way to the neighbouring points."""
     edges = np.concatenate([grid[:1], 0.5 * (grid[1:] + grid[:-1]), grid[-1:]])
     return np.diff(edges)
 
 
-def refined(grid: FloatArray, weights: FloatArray) -> FloatArray:
-    """The grid (g,) with points half way to the neighbours of those whose weights (g,) are large."""
-    is_heavy = weights > _MAX_SHARE
-    between = is_heavy[1:] | is_heavy[:-1]
-    return np.sort(np.append(grid, 0.5 * (grid[1:] + grid[:-1])[between]))
+def refine(grid: FloatArray, weights: FloatArray) -> FloatArray:
+    """Grid (g,) with additional points half way to the neighbours of points with large weights (g,)."""
+    is_heavy = weights > _MAX_WEIGHT
+    is_refined = is_heavy[1:] | is_heavy[:-1]
+    return np.sort(np.append(grid, 0.5 * (grid[1:] + grid[:-1])[is_refined]))
 
 
-def indicators(groups: Sequence[object]) -> FloatArray:
-    """Columns (n, g) of ones and zeros, one for each different group in the order of appearance."""
+def indicator_columns(groups: Sequence[object]) -> FloatArray:
+    """Indicator columns (n, g) of ones and zeros, one for each distinct group in the order of appearance."""
     names = list(dict.fromkeys(groups))
     return np.array([[float(group == name) for name in names] for group in groups])
 
 
-def shared_by(shared: SharedErrors, rows: Sequence[DwellRow], axis: int) -> FloatArray | None:
-    """Errors (n, s) of a gyro in these dwells by each source that they share; None without any."""
+def shared_error_columns(shared: SharedErrors, rows: Sequence[DwellRow], axis: int) -> FloatArray | None:
+    """Errors (n, s) of a gyro in these dwells due to each shared source; None without any."""
     return np.array([shared[row.dwell][axis] for row in rows]) if shared else None

@@ -1,4 +1,4 @@
-"""Which characteristics a procedure determines, and how: its section ``tests``."""
+"""Section ``tests`` of a procedure: the characteristics to determine, and their settings."""
 
 from __future__ import annotations
 
@@ -84,9 +84,10 @@ class CharacteristicTests(StrictModel):
         shared: SharedErrors,
         errors: SplitErrors,
     ) -> list[TestResult]:
-        """Results from the dwells, noise records and whole turns of a run; without enough data a note.
+        """Results from the dwells, noise records and whole turns of a run; a note if there are too few data.
 
-        ``shared``: errors of the dwells by accelerometers that follow the temperature. ``errors``: all.
+        ``shared``: errors of the dwells due to accelerometers that follow the temperature. ``errors``: all
+        errors of the dwells.
         """
         results: list[TestResult] = []
         if self.turn_on_repeatability:
@@ -95,9 +96,9 @@ class CharacteristicTests(StrictModel):
             within_dph = self.warm_up.within_dph
             results.append(_result("warm_up", lambda: warm_up(rows, within_dph, shared)))
         if self.thermal_sensitivity:
-            zero_c, degree = self.thermal_sensitivity.reference_c, self.thermal_sensitivity.degree
+            reference_c, degree = self.thermal_sensitivity.reference_c, self.thermal_sensitivity.degree
             results.append(
-                _result("thermal_sensitivity", lambda: thermal_sensitivity(rows, zero_c, degree, shared))
+                _result("thermal_sensitivity", lambda: thermal_sensitivity(rows, reference_c, degree, shared))
             )
         if self.allan_variance:
             results.append(_result("allan_variance", lambda: allan_test(records)))

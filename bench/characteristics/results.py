@@ -26,14 +26,14 @@ class Coefficient(StrictModel):
     gyro: str = Field(pattern="^[xyz]$")
     name: str
     unit: str
-    value: float | None  #: None where the data do not determine it.
-    #: low, high: Ends of the 95 % interval; None where the data set no limit.
+    value: float | None  #: None if the data do not determine it.
+    #: low, high: Ends of the 95 % interval; None if the data set no limit.
     low: float | None
     high: float | None
 
 
 class Curve(StrictModel):
-    """What a figure shows of one gyro: points with bars, and the fit through them."""
+    """Data of a figure of one gyro: points with bars, and the fit."""
 
     gyro: str = Field(pattern="^[xyz]$")
     #: x, value, low, high, fit: One number for each point; low and high are the ends of its bar.
@@ -42,8 +42,8 @@ class Curve(StrictModel):
     low: list[float]
     high: list[float]
     fit: list[float]
-    #: Name of the part of the measurement that each point belongs to: a line ends with its part. Empty if
-    #: there is one.
+    #: For each point, the name of its part of the measurement; lines are not drawn across parts. Empty if
+    #: there is only one.
     parts: list[str] = Field(default_factory=list)
 
     @classmethod
@@ -56,10 +56,10 @@ class Curve(StrictModel):
         fit: FloatArray,
         parts: Sequence[str] = (),
     ) -> Curve:
-        """Points (n,) with standard uncertainties."""
+        """Make a curve from points (n,) with standard uncertainties."""
         low, high = value - sigma, value + sigma
-        named = {"x": x, "value": value, "low": low, "high": high, "fit": fit}
-        return cls(gyro=gyro, parts=list(parts), **{name: each.tolist() for name, each in named.items()})
+        fields = {"x": x, "value": value, "low": low, "high": high, "fit": fit}
+        return cls(gyro=gyro, parts=list(parts), **{name: each.tolist() for name, each in fields.items()})
 
 
 class TestResult(StrictModel):
@@ -70,7 +70,7 @@ class TestResult(StrictModel):
     test: TestName
     coefficients: list[Coefficient] = Field(default_factory=list)
     curves: list[Curve] = Field(default_factory=list)
-    notes: list[str] = Field(default_factory=list)  #: Sentences: what was left out, what limits the result.
+    notes: list[str] = Field(default_factory=list)  #: Sentences about omissions and limitations.
 
 
 class Characteristics(StrictModel):
@@ -80,7 +80,7 @@ class Characteristics(StrictModel):
 
 
 def from_draws(gyro: str, name: str, unit: str, value: float, draws: FloatArray) -> Coefficient:
-    """Coefficient with the interval that holds 95 % of ``draws`` (n,); infinite draws set no limit."""
+    """Coefficient with the interval that contains 95 % of ``draws`` (n,); an infinite limit becomes None."""
     low, high = np.quantile(draws, [0.025, 0.975], method="nearest")
     return coefficient(gyro, name, unit, value, float(low), float(high))
 
@@ -97,7 +97,7 @@ def write_characteristics(path: Path, results: Sequence[TestResult]) -> None:
 
 
 def read_characteristics(path: Path) -> list[TestResult]:
-    """Read the results of tests. Raises DocumentError if the file can't be read or holds something else."""
+    """Read the results of tests. Raises DocumentError if the file can't be read or has other content."""
     text = read_text(path)
     try:
         return Characteristics.model_validate(parse_json(text)).tests

@@ -1,17 +1,17 @@
-"""Calibration check: biases from alignments and navigations, beside the calibrated ones.
+"""Calibration check: measures biases by alignments and navigations, and compares them with calibrated ones.
 
-An INS that levelled and gyrocompassed itself starts with the attitude errors that its own sensors
-make: tilts that hide the accelerometer biases, and a heading at which the East gyro's bias hides
-behind the Earth's rotation. So the heading after alignment shows the East gyro, and the velocity
-East of the navigation that follows shows the North gyro. An accelerometer bias ``a`` along the same
-axis is not separable from the gyro's here: both show ``b - (W_U / g) a``, 0.9e-3 deg/h for 100 ug at
-middle latitudes. What is known of ``a`` from the calibration is taken into account.
+An INS that has levelled and gyrocompassed starts with attitude errors due to its own sensors: tilts that
+cancel the accelerometer biases, and a heading error for which the Earth's rotation cancels the bias of the
+East gyro. Therefore the heading after alignment measures the East gyro, and the velocity East of the
+navigation that follows measures the North gyro. An accelerometer bias ``a`` along the same axis is not
+separable from the gyro's here: both methods give ``b - (W_U / g) a``, 0.9e-3 deg/h for 100 ug at middle
+latitudes. The calibrated value of ``a`` is taken into account.
 
 References
 ----------
 Yu et al., "The Six-Position Calibration Technique of Gyro Bias for Rotational Inertial
-Navigation System Based on Ring Laser Gyroscope", section 5: the two methods by name; how they are
-evaluated is worked out here.
+Navigation System Based on Ring Laser Gyroscope", section 5: names the two methods, without details of their
+evaluation.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from gyrobench.bench.bias.paper import TURN_TOLERANCE, PolynomialTrend
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.bias.plateaus import MAX_FROM_MEAN_K, group_plateaus
 from gyrobench.bench.bias.statistics import solve
-from gyrobench.bench.dwells.earlier_calibration import EarlierCalibration, KnownAccelerometers
+from gyrobench.bench.dwells.earlier_calibration import AccelerometerBiases, EarlierCalibration
 from gyrobench.bench.dwells.measure_dwell import CheckDwell
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, UG_TO_MPS2, FloatArray, Triple
@@ -45,33 +45,34 @@ from gyrobench.bench.runs.marks import DwellMarks
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow
 
 _EAST, _NORTH = np.eye(3)[:2]
-#: Azimuth errors of the table in one position agree within this, rad, and this number of standard
+#: Largest difference of azimuth errors of the table in one position: this, rad, or this number of standard
 #: uncertainties of each.
 _MAX_TABLE_ERROR, _MAX_TABLE_SIGMAS = math.radians(0.05), 5.0
-#: A gyro points East or North if it is no farther away than this.
+#: Largest angle between a gyro and East or North.
 _MAX_ANGLE_DEG = 1.0
 
-#: Two alignments half a turn apart; None where the second one is missing.
+#: Two alignments half a turn apart; None if the second one is missing.
 _Pair = tuple[CheckDwell, CheckDwell | None]
 
 
 def calibration_check_rows(
     dwells: Sequence[CheckDwell], calibration: Sequence[DwellRow], setup: MeasurementSetup
 ) -> list[CalibrationCheckRow]:
-    """Biases that a calibration check measures, beside the calibrated ones.
+    """Biases measured by a calibration check, compared with the calibrated ones.
 
-    Each navigation gives the gyro along North; two alignments half a turn apart, in one position and
-    on one plateau, give the gyro along East. A bias that is not observable is a row with the reason.
+    Each navigation gives the bias of the gyro along North; two alignments half a turn apart, in one position
+    and on one plateau, give that of the gyro along East. A bias that is not observable has a row with the
+    reason.
 
     Parameters
     ----------
     dwells : sequence of CheckDwell
         In any order.
     calibration : sequence of DwellRow
-        Of this run or another one; rows of other units are passed over. Without any there is
-        nothing to compare with, and the accelerometers are not known.
+        Of this run or another one; rows of other units are skipped. Without any, nothing is compared and the
+        accelerometer biases are unknown.
     setup : MeasurementSetup
-        As for the dwells.
+        As used for the dwells.
     """
     calibrations = {
         unit: EarlierCalibration((row for row in calibration if row.unit == unit), setup.prior)
@@ -94,10 +95,10 @@ def _velocity_row(
         return row
     dwell, noise = each.navigation.dwell, each.navigation.noise
     gyro_c = each.temperatures.gyro_c
-    known = calibration.accelerometers(row.position, gyro_c)
-    bias = bias_from_velocity(dwell, each.marks.align_s, setup.site, noise, setup.prior, known)
-    slope = bias_from_velocity_slope(dwell, setup.site, noise, known)
-    return _compared(row, gyro_c, bias, slope, known, calibration)
+    accelerometers = calibration.accelerometers(row.position, gyro_c)
+    bias = bias_from_velocity(dwell, each.marks.align_s, setup.site, noise, setup.prior, accelerometers)
+    slope = bias_from_velocity_slope(dwell, setup.site, noise, accelerometers)
+    return _compare(row, gyro_c, bias, slope, accelerometers, calibration)
 
 
 def _alignment_row(
@@ -110,15 +111,15 @@ def _alignment_row(
     """Bias by a pair of alignments; ``pairs``: those of its plateau."""
     if second is None:
         opposite_deg = (first.marks.azimuth_deg + 180.0) % 360.0
-        alone = f"no alignment at azimuth {opposite_deg:g} deg: a single one contains the table's error too"
-        return _empty_row(first.marks, "alignment", _EAST, (*first.flags, alone))
+        flag = f"no alignment at azimuth {opposite_deg:g} deg: a single one contains the table's error too"
+        return _empty_row(first.marks, "alignment", _EAST, (*first.flags, flag))
     flags = [f"dwell {each.dwell}: {flag_text(each.flags)}" for each in (first, second) if each.flags]
     row = replace(_empty_row(first.marks, "alignment", _EAST, flags), turned_dwell=second.marks.dwell)
     if first.navigation is None or second.navigation is None:
         return row
     row = replace(row, flags=(*row.flags, *_table_flags((first, second), pairs, setup)))
-    x, y, z = np.mean([first.aligning_c, second.aligning_c], axis=0).tolist()
-    known = calibration.accelerometers(row.position, (x, y, z))
+    x, y, z = np.mean([first.alignment_c, second.alignment_c], axis=0).tolist()
+    accelerometers = calibration.accelerometers(row.position, (x, y, z))
     bias = bias_from_alignments(
         first.navigation.dwell,
         second.navigation.dwell,
@@ -126,32 +127,36 @@ def _alignment_row(
         setup.site,
         first.navigation.noise,
         setup.prior,
-        known,
+        accelerometers,
     )
-    return _compared(row, (x, y, z), bias, None, known, calibration)
+    return _compare(row, (x, y, z), bias, None, accelerometers, calibration)
 
 
 def _table_flags(pair: _Pair, pairs: Sequence[_Pair], setup: MeasurementSetup) -> Iterator[str]:
-    """That the azimuth error of the table in a pair is not that of another one in its position.
+    """Flag if the azimuth error of the table in a pair differs from that of another pair in its position.
 
-    In the mean of a pair's headings the bias cancels. An encoder with a wrong scale, or that slips, seems to
-    be a bias.
+    The bias cancels in the mean of a pair's headings. An encoder with a wrong scale, or one that slips, would
+    look like a bias.
     """
-    here = _table_error(pair, setup)
+    error = _table_error(pair, setup)
     for other in pairs:
-        there = _table_error(other, setup) if _is_placed_alike(pair[0], other[0]) else None
-        if here and there and abs(here[0] - there[0]) > max(_MAX_TABLE_ERROR, here[1] + there[1]):
+        other_error = _table_error(other, setup) if _have_same_position(pair[0], other[0]) else None
+        if (
+            error
+            and other_error
+            and abs(error[0] - other_error[0]) > max(_MAX_TABLE_ERROR, error[1] + other_error[1])
+        ):
             numbers = " and ".join(str(each.dwell) for each in other if each)
             yield (
-                f"the heading of the INS is {math.degrees(here[0]):.2f} deg off that of the table, and "
-                f"{math.degrees(there[0]):.2f} deg in dwells {numbers}: the table does not turn by what it "
-                "reads. Check encoder and coupling of the vertical axis"
+                f"the heading of the INS is {math.degrees(error[0]):.2f} deg off that of the table, and "
+                f"{math.degrees(other_error[0]):.2f} deg in dwells {numbers}: the table does not turn by "
+                "what it reads. Check encoder and coupling of the vertical axis"
             )
             return
 
 
 def _table_error(pair: _Pair, setup: MeasurementSetup) -> tuple[float, float] | None:
-    """Heading of the INS less that of the table, mean of a pair, and how far noise may move it, rad."""
+    """Heading of the INS minus that of the table, mean of a pair, and the limit of its noise, rad."""
     dwells = [each.navigation for each in pair if each and each.navigation]
     if len(dwells) < len(pair):
         return None
@@ -161,19 +166,19 @@ def _table_error(pair: _Pair, setup: MeasurementSetup) -> tuple[float, float] | 
     return sum(_heading_error(each.dwell) for each in dwells) / len(dwells), _MAX_TABLE_SIGMAS * noise
 
 
-def _is_placed_alike(one: CheckDwell, other: CheckDwell) -> bool:
-    return (one.marks.unit, one.marks.position) == (other.marks.unit, other.marks.position)
+def _have_same_position(first: CheckDwell, other: CheckDwell) -> bool:
+    return (first.marks.unit, first.marks.position) == (other.marks.unit, other.marks.position)
 
 
-def _are_comparable(one: CheckDwell, other: CheckDwell) -> bool:
-    apart_k = np.abs(np.subtract(one.aligning_c, other.aligning_c))  # NaN where there are no data
-    return _is_placed_alike(one, other) and not (apart_k > MAX_FROM_MEAN_K).any()
+def _are_comparable(first: CheckDwell, other: CheckDwell) -> bool:
+    differences_k = np.abs(np.subtract(first.alignment_c, other.alignment_c))  # NaN where there are no data
+    return _have_same_position(first, other) and not (differences_k > MAX_FROM_MEAN_K).any()
 
 
 def _empty_row(
     marks: DwellMarks, method: str, direction: FloatArray, flags: Sequence[str]
 ) -> CalibrationCheckRow:
-    along = POSITIONS[marks.position].C_nb(math.radians(marks.azimuth_deg)).T @ direction
+    direction_body = POSITIONS[marks.position].C_nb(math.radians(marks.azimuth_deg)).T @ direction
     return CalibrationCheckRow(
         unit=marks.unit,
         run=marks.run,
@@ -182,27 +187,27 @@ def _empty_row(
         cycle=marks.cycle,
         position=marks.position,
         azimuth_deg=marks.azimuth_deg,
-        gyro=AXES[int(np.argmax(np.abs(along)))],
+        gyro=AXES[int(np.argmax(np.abs(direction_body)))],
         method=method,
         flags=tuple(flags),
     )
 
 
-def _compared(
+def _compare(
     row: CalibrationCheckRow,
     gyro_c: Triple,
     bias: AxisBias,
     slope: AxisBias | None,
-    known: KnownAccelerometers,
+    accelerometers: AccelerometerBiases,
     calibration: EarlierCalibration,
 ) -> CalibrationCheckRow:
-    """Fill in the bias of the gyro and hold it against the calibrated one."""
+    """Fill in the bias of the gyro and compare it with the calibrated one."""
     axis = AXES.index(row.gyro)
-    along = bias.direction[axis]
-    if (angle_deg := math.degrees(math.acos(min(abs(along), 1.0)))) > _MAX_ANGLE_DEG:
+    component = bias.direction[axis]
+    if (angle_deg := math.degrees(math.acos(min(abs(component), 1.0)))) > _MAX_ANGLE_DEG:
         oblique = f"the {row.gyro} gyro is {angle_deg:.0f} deg off: check at azimuth 0, 90, 180 or 270 deg"
         return replace(row, flags=(*row.flags, oblique))
-    sign = math.copysign(1.0, along)
+    sign = math.copysign(1.0, component)
     row = replace(
         row,
         temperature_c=gyro_c[axis],
@@ -210,8 +215,8 @@ def _compared(
         sigma_dph=bias.sigma_dph,
         paper_bias_dph=sign * slope.bias_dph if slope else math.nan,
         paper_sigma_dph=slope.sigma_dph if slope else math.nan,
-        accelerometer_ug=float(known.bias[axis] / UG_TO_MPS2),
-        accelerometer_sigma_ug=float(known.sigma[axis] / UG_TO_MPS2),
+        accelerometer_ug=float(accelerometers.bias[axis] / UG_TO_MPS2),
+        accelerometer_sigma_ug=float(accelerometers.sigma[axis] / UG_TO_MPS2),
     )
     calibrated = calibration.gyro_dph(row.position, axis, row.temperature_c)
     return _with_difference(row, *calibrated) if calibrated else row
@@ -220,18 +225,18 @@ def _compared(
 def _with_difference(
     row: CalibrationCheckRow, calibrated_dph: float, sigma_dph: float
 ) -> CalibrationCheckRow:
-    """Row with the calibrated bias; what has flags is not judged."""
+    """Row with the calibrated bias; the difference is not given for a row with flags."""
     row = replace(row, calibrated_dph=calibrated_dph, calibrated_sigma_dph=sigma_dph)
     if row.flags:
         return row
-    difference, both = row.bias_dph - calibrated_dph, math.hypot(row.sigma_dph, sigma_dph)
-    p_value = math.erfc(abs(difference) / both / math.sqrt(2.0))
-    return replace(row, difference_dph=difference, difference_sigma_dph=both, p_value=p_value)
+    difference, difference_sigma = row.bias_dph - calibrated_dph, math.hypot(row.sigma_dph, sigma_dph)
+    p_value = math.erfc(abs(difference) / difference_sigma / math.sqrt(2.0))
+    return replace(row, difference_dph=difference, difference_sigma_dph=difference_sigma, p_value=p_value)
 
 
 @dataclass(frozen=True)
 class AxisBias:
-    """Bias along one direction that an INS in one attitude shows."""
+    """Bias along one direction, as measured in one attitude of the INS."""
 
     direction: tuple[float, float, float]  #: Unit vector in body axes.
     #: bias_radps, sigma_radps: Bias along it and its standard uncertainty.
@@ -256,15 +261,15 @@ def bias_from_alignments(
     site: Site,
     noise: NoiseModel,
     prior: PriorKnowledge,
-    accelerometers: KnownAccelerometers,
+    accelerometers: AccelerometerBiases,
 ) -> AxisBias:
     """Bias of the gyro that points East, from two alignments half a turn apart.
 
-    Each heading error is the bias over the Earth's horizontal rate; the table's own azimuth error is
-    the same in both and drops out. Misalignment towards the vertical shows as bias.
+    Each heading error is the bias over the Earth's horizontal rate; the azimuth error of the table is the
+    same in both and cancels. A misalignment towards the vertical looks like a bias.
 
-    ``first`` and ``second``: navigation straight from the alignments, in one position. ``align_s``: length of
-    each alignment, s; sets the noise of the heading. An INS that uses less of that time has more noise.
+    ``first`` and ``second``: navigation directly after the alignments, in one position. ``align_s``: length
+    of each alignment, s; sets the noise of the heading. An INS that uses less of that time has more noise.
     Raises MeasurementError if the two are not half a turn apart.
     """
     _check_half_turn(first, second)
@@ -276,9 +281,9 @@ def bias_from_alignments(
         prior.tilt_step * rate_n / 2.0,
         prior.gyro_misalignment * rate_u,
     )
-    shown = float(rate_n * (headings[0] - headings[1]) / 2.0)
+    apparent = float(rate_n * (headings[0] - headings[1]) / 2.0)
     east = first.C_nb_table[0].T @ _EAST
-    return _without_accelerometer(east, shown, math.hypot(*sigmas), site, accelerometers)
+    return _correct_for_accelerometer(east, apparent, math.hypot(*sigmas), site, accelerometers)
 
 
 def bias_from_velocity(
@@ -287,11 +292,11 @@ def bias_from_velocity(
     site: Site,
     noise: NoiseModel,
     prior: PriorKnowledge,
-    accelerometers: KnownAccelerometers,
+    accelerometers: AccelerometerBiases,
 ) -> AxisBias:
-    """Bias of the gyro that points North, from the navigation straight after an alignment.
+    """Bias of the gyro that points North, from the navigation directly after an alignment.
 
-    The full error model, started as the alignment leaves it, is fitted to the whole output.
+    The full error model, with the initial errors of an alignment, is fitted to the whole output.
 
     ``dwell``: with one window. ``align_s``: length of the alignment, s; sets the noise of the first attitude.
     Raises MeasurementError if there is not one window.
@@ -309,19 +314,19 @@ def bias_from_velocity(
 
 
 def bias_from_velocity_slope(
-    dwell: Dwell, site: Site, noise: NoiseModel, accelerometers: KnownAccelerometers
+    dwell: Dwell, site: Site, noise: NoiseModel, accelerometers: AccelerometerBiases
 ) -> AxisBias:
-    """Bias of the gyro that points North by the second slope of the velocity East over g.
+    """Bias of the gyro that points North, from the second derivative of the velocity East over g.
 
-    The paper's neglect of the Schuler loop and the Earth's rotation, for comparison. Raises MeasurementError
-    if there is not one window.
+    For comparison: neglects the Schuler loop and the Earth's rotation, as the paper does. Raises
+    MeasurementError if there is not one window.
     """
     window = _only_window(dwell)
     time = window.time_s - window.time_s[0]
     weights = PolynomialTrend(time, 2).weights / site.gravity
-    shown = float(window.velocity_enu_mps[:, 0] @ weights)
+    apparent = float(window.velocity_enu_mps[:, 0] @ weights)
     sigma = math.sqrt(float(noise.velocity_variance(time, weights, site.gravity)))
-    return _without_accelerometer(window.C_nb[0].T @ _NORTH, shown, sigma, site, accelerometers)
+    return _correct_for_accelerometer(window.C_nb[0].T @ _NORTH, apparent, sigma, site, accelerometers)
 
 
 def _check_half_turn(first: Dwell, second: Dwell) -> None:
@@ -343,7 +348,7 @@ def _only_window(dwell: Dwell) -> NavigationWindow:
 
 
 def _heading_error(dwell: Dwell) -> float:
-    """Heading that the INS starts with, less that of the table, rad."""
+    """Initial heading of the INS minus that of the table, rad."""
     return float(rotation_vector_enu(dwell.windows[0].C_nb[:1], dwell.C_nb_table[0])[0, 2])
 
 
@@ -353,38 +358,40 @@ def _aligned_prior(
     site: Site,
     noise: NoiseModel,
     prior: PriorKnowledge,
-    accelerometers: KnownAccelerometers,
+    accelerometers: AccelerometerBiases,
 ) -> tuple[FloatArray, FloatArray]:
-    """Mean (p,) and root (p, p) of the covariance of the parameters after an alignment."""
+    """Prior mean (p,) of the parameters after an alignment, and root (p, p) of their covariance."""
     earth_rate = earth_rate_enu(site.latitude)
-    level = noise.velocity_random_walk / site.gravity / math.sqrt(align_s)
-    heading = noise.angle_random_walk / earth_rate[1] / math.sqrt(align_s)
+    level_sigma = noise.velocity_random_walk / site.gravity / math.sqrt(align_s)
+    heading_sigma = noise.angle_random_walk / earth_rate[1] / math.sqrt(align_s)
     root = parameters.prior_root(prior, 1, earth_rate)
     root[parameters.ACCELEROMETER_BIAS, parameters.ACCELEROMETER_BIAS] = np.diag(accelerometers.sigma)
-    attitude = np.arange(len(root))[parameters.COMMON :][parameters.ATTITUDE]
-    root[attitude, attitude] = level, level, heading
+    attitude = np.arange(len(root))[parameters.COMMON_COUNT :][parameters.ATTITUDE]
+    root[attitude, attitude] = level_sigma, level_sigma, heading_sigma
     mean = np.zeros(len(root))
     mean[parameters.ACCELEROMETER_BIAS] = accelerometers.bias
-    tie = np.zeros_like(root)
-    tie[attitude] = _aligned_attitude(C_nb, earth_rate, site.gravity, len(root))
-    return mean + tie @ mean, root + tie @ root
+    coupling = np.zeros_like(root)
+    coupling[attitude] = _aligned_attitude(C_nb, earth_rate, site.gravity, len(root))
+    return mean + coupling @ mean, root + coupling @ root
 
 
 def _aligned_attitude(C_nb: FloatArray, earth_rate: FloatArray, gravity: float, count: int) -> FloatArray:
-    """First attitude error (3, count) that a unit of each parameter makes: level, gyrocompassed."""
+    """Initial attitude error (3, count) after levelling and gyrocompassing, for a unit of each parameter."""
     _, rate_n, rate_u = earth_rate
-    driven = parameters.inputs(C_nb, C_nb.T @ earth_rate, count)
-    east_rate, tilt_n, tilt_e = driven[0], driven[3] / gravity, -driven[4] / gravity
+    unit_inputs = parameters.inputs(C_nb, C_nb.T @ earth_rate, count)
+    east_rate, tilt_n, tilt_e = unit_inputs[0], unit_inputs[3] / gravity, -unit_inputs[4] / gravity
     return np.stack([tilt_e, tilt_n, (rate_u * tilt_n - east_rate) / rate_n])
 
 
-def _without_accelerometer(
-    direction: FloatArray, shown: float, sigma: float, site: Site, accelerometers: KnownAccelerometers
+def _correct_for_accelerometer(
+    direction: FloatArray, apparent: float, sigma: float, site: Site, accelerometers: AccelerometerBiases
 ) -> AxisBias:
-    """Add what the accelerometer bias along ``direction`` takes from the bias that is shown."""
+    """Correct the apparent bias for the accelerometer bias along ``direction``."""
     factor = earth_rate_enu(site.latitude)[2] / site.gravity
-    hidden, spread = accelerometers.along(direction)
-    return _axis_bias(direction, shown + factor * hidden, math.hypot(sigma, factor * spread))
+    accelerometer_bias, accelerometer_sigma = accelerometers.along(direction)
+    return _axis_bias(
+        direction, apparent + factor * accelerometer_bias, math.hypot(sigma, factor * accelerometer_sigma)
+    )
 
 
 def _axis_bias(direction: FloatArray, bias: float, sigma: float) -> AxisBias:

@@ -1,10 +1,10 @@
-"""Time counted by the INS against the arrival of its frames: finds wrong periods and a wrong time scale.
+"""Compares the time counted by the INS with the arrival of its frames, to find wrong periods and time scales.
 
-A period of the epochs that is wrong by 4 % scales all times, and with them the biases of the level gyros,
-without a misfit. One of the increments scales the rates and specific forces. Crystals differ by some 100 ppm,
-so that a larger difference of the rates is an error of the station file. Frames arrive late, never early: the
-least delay of each part of a dwell counts, and a line through these that neither single steps of a clock nor
-bursts of late frames move (Theil and Sen).
+If the period of the epochs is wrong by 4 %, all times and with them the biases of the level gyros have a
+wrong scale, without a misfit. A wrong period of the increments scales the rates and specific forces. Crystals
+differ by some 100 ppm, so a larger difference of the rates is an error of the station file. Frames arrive
+late, never early. Therefore a line is fitted to the earliest arrival in each part of a dwell, robust against
+single steps of a clock and bursts of late frames (Theil and Sen).
 """
 
 from __future__ import annotations
@@ -19,28 +19,28 @@ from gyrobench.drivers.ins.signal_map import SignalMap
 
 #: Parts of a dwell, and fewest epochs in each.
 _PARTS, _MIN_EPOCHS = 12, 4
-#: Rates of two sound clocks differ by less: two crystals with 200 ppm between them, and margin.
+#: Largest difference of the rates of two correct clocks: 200 ppm between two crystals, and margin.
 _MAX_RATE_ERROR = 5e-4
-#: Arrival stamped when it is polled may drift by this within a dwell, s.
-_POLL_S = 0.25
-#: Jitter tilts the line by less than this multiple of its range over the dwell.
-_SCATTERS = 2.0
-#: Fewest resets of the clock in a dwell that may be a wrong rate.
+#: Largest drift within a dwell of arrival times that are stamped by polling, s.
+_MAX_POLL_DRIFT_S = 0.25
+#: Largest effect of jitter on the slope of the line, as a multiple of its range over the dwell.
+_MAX_SCATTER_FACTOR = 2.0
+#: Fewest resets of the clock in a dwell that may be due to a wrong rate.
 _MIN_RESETS = 4
 
 
 def clock_fault(ins_time_s: FloatArray, arrival_s: FloatArray, segment: IntArray, signals: SignalMap) -> str:
-    """What is wrong if the time of the INS does not run as its frames arrive, and what to do; else empty.
+    """Message if the time of the INS does not agree with the arrival of its frames; else empty.
 
     ``ins_time_s``, ``arrival_s``, ``segment``: shape (n,), of the epochs of a dwell, ``segment`` with the
-    number of resets before. Where the station maps neither time nor count of epochs, or the frames have no
-    times of arrival, nothing is compared.
+    number of resets before. Nothing is compared if the station maps neither time nor count of epochs, or the
+    frames have no times of arrival.
     """
     if signals.time_s is None and signals.epoch_counter is None:
         return ""
-    known = np.isfinite(ins_time_s) & np.isfinite(arrival_s)
-    time_s, arrival_s = ins_time_s[known], arrival_s[known]
-    rate = _rate_over_resets(time_s, arrival_s, segment[known])
+    is_valid = np.isfinite(ins_time_s) & np.isfinite(arrival_s)
+    time_s, arrival_s = ins_time_s[is_valid], arrival_s[is_valid]
+    rate = _rate_over_resets(time_s, arrival_s, segment[is_valid])
     if rate == 1.0 and _is_spread(arrival_s):
         line = _line(time_s, arrival_s)
         rate = 1.0 + line.rate_error if line.is_wrong else 1.0
@@ -55,10 +55,10 @@ def clock_fault(ins_time_s: FloatArray, arrival_s: FloatArray, segment: IntArray
 
 
 def increments_fault(sent: FloatArray, arrival_s: FloatArray, period_s: float) -> str:
-    """What is wrong if increments do not arrive at the declared period, and what to do; else empty.
+    """Message if increments do not arrive at the declared period; else empty.
 
-    ``sent``, shape (2, n): samples sent so far, counted in two ways; lost samples disturb the first and
-    jitter the second, a wrong period both. ``arrival_s``: shape (n,).
+    ``sent``, shape (2, n): samples sent so far, counted in two ways; lost samples disturb the first count,
+    jitter the second, and a wrong period both. ``arrival_s``: shape (n,).
     """
     if not _is_spread(arrival_s[np.isfinite(arrival_s)]):
         return ""
@@ -71,27 +71,27 @@ def increments_fault(sent: FloatArray, arrival_s: FloatArray, period_s: float) -
 
 
 def _is_spread(arrival_s: FloatArray) -> bool:
-    """Whether frames arrived often enough: in a few bursts, or without stamps, they say nothing of a rate."""
+    """Whether frames arrived at enough different times to determine a rate."""
     return int(np.count_nonzero(np.diff(arrival_s))) + 1 >= _PARTS * _MIN_EPOCHS
 
 
-def _period_text(what: str, key: str, period_s: float, rate: float) -> str:
+def _period_text(name: str, key: str, period_s: float, rate: float) -> str:
     return (
-        f"the INS sends {what} every {period_s * rate:.3g} s by the arrival of its frames, {key} is "
+        f"the INS sends {name} every {period_s * rate:.3g} s by the arrival of its frames, {key} is "
         f"{period_s:g} s. Correct {key.split('.')[-1]}, or the output rate of the INS"
     )
 
 
 def _rate_over_resets(time_s: FloatArray, arrival_s: FloatArray, segment: IntArray) -> float:
-    """Arrival over time of the INS where that is the same from reset to reset of its clock; else 1.
+    """Rate of arrival over the time of the INS, if it is the same from reset to reset of its clock; else 1.
 
-    A time at another rate contradicts the count of epochs again and again, which looks like resets.
+    A time at another rate contradicts the count of epochs repeatedly, which looks like resets.
     """
     _, first = np.unique(segment, return_index=True)
-    changes_s, passed_s = np.diff(time_s[first]), np.diff(arrival_s[first])
-    if len(changes_s) < _MIN_RESETS or not (passed_s > 0.0).all():
+    changes_s, arrival_changes_s = np.diff(time_s[first]), np.diff(arrival_s[first])
+    if len(changes_s) < _MIN_RESETS or not (arrival_changes_s > 0.0).all():
         return 1.0
-    rates = changes_s / passed_s
+    rates = changes_s / arrival_changes_s
     rate = float(np.median(rates))
     return 1.0 / rate if rate > 0.0 and np.ptp(rates) < abs(rate - 1.0) else 1.0
 
@@ -100,21 +100,21 @@ def _rate_over_resets(time_s: FloatArray, arrival_s: FloatArray, segment: IntArr
 class _Line:
     """Line of arrival over time of the INS."""
 
-    rate_error: float  #: Its slope less 1.
-    scatter_s: float  #: Range of the earliest frames of the parts about it.
+    rate_error: float  #: Slope minus 1.
+    scatter_s: float  #: Range of the earliest arrivals in the parts about the line.
     span_s: float  #: Time from the first part to the last by arrival, without steps of its clock.
 
     @property
     def is_wrong(self) -> bool:
-        """Whether two sound clocks do not differ as much."""
-        margin = (_POLL_S + _SCATTERS * self.scatter_s) / self.span_s
+        """Whether the rate error is larger than that of two correct clocks."""
+        margin = (_MAX_POLL_DRIFT_S + _MAX_SCATTER_FACTOR * self.scatter_s) / self.span_s
         return abs(self.rate_error) > _MAX_RATE_ERROR + margin
 
 
 def _line(time_s: FloatArray, arrival_s: FloatArray) -> _Line:
-    """The median slope of all pairs of parts, or of adjacent ones, whichever is nearer to 1.
+    """Line with the median slope of all pairs of parts, or of adjacent ones, whichever is nearer to 1.
 
-    The first is the more accurate one; the second a single step of either clock does not move.
+    The first is more accurate; the second is robust against a single step of either clock.
     """
     parts = np.array_split(np.arange(len(time_s)), _PARTS)
     rate, scatter_s, span_s = 1.0, 0.0, 0.0
@@ -122,16 +122,18 @@ def _line(time_s: FloatArray, arrival_s: FloatArray) -> _Line:
     for _ in range(2):  # which frame of a part is the earliest depends on the rate
         delay_s = arrival_s - rate * time_s
         earliest = np.array([part[np.argmin(delay_s[part])] for part in parts])
-        at_s, came_s = time_s[earliest], arrival_s[earliest]
-        pairs = [(a, b) for a, b in combinations(range(_PARTS), 2) if at_s[a] != at_s[b]]
+        ins_times_s, arrival_times_s = time_s[earliest], arrival_s[earliest]
+        pairs = [(a, b) for a, b in combinations(range(_PARTS), 2) if ins_times_s[a] != ins_times_s[b]]
         slopes = {
-            pair: (came_s[pair[1]] - came_s[pair[0]]) / (at_s[pair[1]] - at_s[pair[0]]) for pair in pairs
+            pair: (arrival_times_s[pair[1]] - arrival_times_s[pair[0]])
+            / (ins_times_s[pair[1]] - ins_times_s[pair[0]])
+            for pair in pairs
         }
         adjacent = [slope for (a, b), slope in slopes.items() if b == a + 1]
         if not adjacent:
-            return _Line(0.0, 0.0, 1.0)  # a clock of the INS that stands still
+            return _Line(0.0, 0.0, 1.0)  # the clock of the INS does not run
         rate = float(np.median(list(slopes.values())))
         errors = rate - 1.0, float(np.median(adjacent)) - 1.0
-        scatter_s = float(np.ptp(came_s - rate * at_s))
-        span_s = _PARTS * float(np.median(np.abs(np.diff(came_s))))
+        scatter_s = float(np.ptp(arrival_times_s - rate * ins_times_s))
+        span_s = _PARTS * float(np.median(np.abs(np.diff(arrival_times_s))))
     return _Line(min(errors, key=abs), scatter_s, span_s)

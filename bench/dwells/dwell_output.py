@@ -1,4 +1,4 @@
-"""Output of the INS in one dwell: decoded, compared with the signal map, and cut into its windows at rest."""
+"""Decodes the INS's output of a dwell, checks it against the signal map, and cuts it into windows at rest."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from gyrobench.drivers.ins.readout import InsMode
 _MAX_TURN_ERROR, _TURN_SIGMAS = math.radians(0.05), 5.0
 
 
-def decoded_navigation(
+def decode_dwell(
     marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
 ) -> tuple[NavigationData, list[str]]:
-    """Decode a dwell, and flag what frames and temperature sensors do wrong.
+    """Decode a dwell; returns its navigation data and flags for faulty frames and temperature sensors.
 
-    Raises MeasurementError if the dwell never came to a window.
+    Raises MeasurementError if the dwell has no window.
     """
     if not marks.windows:
         raise MeasurementError("the INS never navigated at rest in this dwell")
@@ -46,9 +46,10 @@ def decoded_navigation(
 def check_signal_map(
     marks: DwellMarks, frames: FrameBlock, navigation: NavigationData, setup: MeasurementSetup
 ) -> bool:
-    """Check latitude, clock, signs and axes; returns whether wrong ones of the velocities would have shown.
+    """Check latitude, clock, signs and axes; returns whether signs and axes of the velocities were tested.
 
-    Raises SignalMapError if the dwell contradicts them, MeasurementError if a jump of its output does.
+    Raises SignalMapError if the dwell contradicts the signal map or the latitude, MeasurementError if that
+    may be due to a jump of the output.
     """
     if fault := latitude_fault(navigation.latitude, setup.site):
         raise SignalMapError(fault)
@@ -59,7 +60,7 @@ def check_signal_map(
     try:
         return setup.signs is not None and setup.signs.check(marks, frames, navigation)
     except SignalMapError:
-        # A jump of the output parts tilt and velocity as a wrong sign does.
+        # A jump of the output separates tilt and velocity just as a wrong sign does.
         windows = _windows(marks, navigation)
         faults = setup.output_faults(windows, setup.noise_in(windows))
         if jumps := [fault.text for fault in faults if not fault.may_be_noise]:
@@ -70,8 +71,7 @@ def check_signal_map(
 def dwell_at_rest(marks: DwellMarks, navigation: NavigationData, setup: MeasurementSetup) -> Dwell:
     """Navigation in the windows of a dwell, with the attitude of the table.
 
-    Raises MeasurementError if the INS was not navigating all the time, restarted, or what it sent can't be
-    used.
+    Raises MeasurementError if the INS was not navigating all the time, restarted, or sent unusable data.
     """
     _check_navigating(navigation, navigation.between(*marks.span))
     return Dwell(
@@ -109,7 +109,7 @@ def turn_fault(dwell: Dwell, setup: MeasurementSetup) -> str:
 
 
 def _windows(marks: DwellMarks, navigation: NavigationData) -> tuple[NavigationWindow, ...]:
-    return tuple(rest_output(navigation, mark).checked() for mark in marks.windows)
+    return tuple(rest_output(navigation, mark).as_window() for mark in marks.windows)
 
 
 def rest_output(navigation: NavigationData, mark: WindowMark) -> RestOutput:
@@ -128,7 +128,10 @@ def rest_output(navigation: NavigationData, mark: WindowMark) -> RestOutput:
 
 
 def _check_navigating(navigation: NavigationData, inside: slice) -> None:
-    """Turns count as well: an INS that realigns in a turn starts with other errors after it."""
+    """Raise MeasurementError unless the INS navigated without a break, in the turns as well.
+
+    An INS that realigns in a turn continues with different errors.
+    """
     if not np.isin(navigation.mode[inside], (InsMode.NAVIGATE, InsMode.UNKNOWN)).all():
         raise MeasurementError(
             "the INS left navigation during the dwell or its turn. Check its status in the raw CAN log"

@@ -1,4 +1,4 @@
-"""One dwell: marks and frames in, a row of the dwell table out; or a dwell that checks a calibration."""
+"""Measures one dwell: from its marks and frames to a row of the dwell table, or to a check dwell."""
 
 from __future__ import annotations
 
@@ -19,12 +19,7 @@ from gyrobench.bench.bias.paper import estimate_paper
 from gyrobench.bench.bias.statistics import Chi2Test
 from gyrobench.bench.bias.vertical_pairs import exceeds_declared
 from gyrobench.bench.bias.window_filter import EPOCH_S
-from gyrobench.bench.dwells.dwell_output import (
-    check_signal_map,
-    decoded_navigation,
-    dwell_at_rest,
-    turn_fault,
-)
+from gyrobench.bench.dwells.dwell_output import check_signal_map, decode_dwell, dwell_at_rest, turn_fault
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.dwells.output_checks import OutputFault
 from gyrobench.bench.dwells.setup_check import SetupEvidence, drift_fault, raise_setup_fault
@@ -38,53 +33,54 @@ from gyrobench.bench.runs.marks import DwellMarks
 from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.navigation_data import EpochCounts, NavigationData
 
-#: Below this p-value the fit fails: one in a hundred thousand good dwells.
+#: A dwell whose goodness of fit has a smaller p-value is flagged: one in a hundred thousand good dwells.
 _MIN_FIT_P_VALUE = 1e-5
-#: The same for biases that differ between the windows: one in ten thousand.
+#: The same for the test that the biases of all windows are equal: one in ten thousand.
 _MIN_STEADY_P_VALUE = 1e-4
-#: Attitude that is noisier than declared by this factor comes in steps of its sensors.
-_COARSER = 5.0
+#: If the attitude is noisier than declared by this factor, it moves in steps of the gyros' pulses.
+_COARSE_ATTITUDE_FACTOR = 5.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class MeasuredDwell:
-    """A row for the table, what is behind it where there is a result, and how the frames came."""
+    """Result of one dwell: its table row, the estimate behind the row, and the counts of irregular epochs."""
 
     row: DwellRow
-    estimate: StateSpaceEstimate | None  #: By the full error model, without its information.
-    #: What it shows of the parameters that the dwells of a plateau share.
+    #: By the full error model, with ``information`` removed; None if the dwell gave no result.
+    estimate: StateSpaceEstimate | None
+    #: Information on the parameters that the dwells of a plateau share.
     joint_information: JointInformation | None
-    #: Navigation at rest, an epoch a second, for the noise; empty where its output is disturbed, and where
-    #: :mod:`gyrobench.bench.dwells.run_dwells` does not keep it.
+    #: Navigation at rest, one epoch per second, for the noise estimate; empty if its output is disturbed, or
+    #: if :mod:`gyrobench.bench.dwells.run_dwells` does not keep it.
     windows: tuple[RestMotion, ...]
-    counts: EpochCounts  #: How the frames came.
-    #: Those flags that a repeated dwell would have as well: noise larger than declared explains them, or the
-    #: INS is at fault.
+    counts: EpochCounts  #: Irregular epochs.
+    #: Flags that a repeated dwell would have as well: the noise is larger than declared, or the INS is at
+    #: fault.
     persistent_flags: tuple[str, ...]
-    #: What of signal map or latitude is wrong; every further dwell would be invalid too.
+    #: Fault of signal map or latitude, which makes every further dwell invalid too; empty if there is none.
     setup_fault: str
-    #: What it shows of scale and latitude; None where the output jumps.
+    #: Evidence on scale and latitude; None if the output jumps.
     evidence: SetupEvidence | None
-    are_signs_tested: bool  #: Whether wrong signs or axes of the velocities would have shown in it.
+    are_signs_tested: bool  #: Whether the dwell would have revealed wrong signs or axes of the velocities.
 
     @property
     def flags(self) -> tuple[str, ...]:
-        """What was wrong; empty where nothing was."""
+        """Faults of the dwell; empty if there are none."""
         return self.row.flags
 
     @property
     def is_disturbed(self) -> bool:
-        """Whether something disturbed it, so that a repeated dwell may be better."""
+        """Whether the dwell was disturbed, so that a repeated dwell may be better."""
         return self.estimate is None or not set(self.flags).issubset(self.persistent_flags)
 
-    def flagged(self, flag: str) -> MeasuredDwell:
-        """The same with one flag more."""
+    def with_flag(self, flag: str) -> MeasuredDwell:
+        """Copy of the dwell with one more flag."""
         return replace(self, row=replace(self.row, flags=(*self.flags, flag)))
 
 
 @dataclass(eq=False)
-class _Reading:
-    """What the frames of a dwell show before anything is estimated, as far as they could be read."""
+class _DwellDecoder:
+    """Decodes the frames of a dwell; keeps what was read, and the flags, even if decoding fails."""
 
     flags: list[str]
     counts: EpochCounts = field(default_factory=EpochCounts)
@@ -94,14 +90,14 @@ class _Reading:
 
     def decode(self, marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> NavigationData:
         """Decode the frames and compare them with the signal map; raises MeasurementError."""
-        navigation, decoding_flags = decoded_navigation(marks, frames, setup)
+        navigation, decoding_flags = decode_dwell(marks, frames, setup)
         self.flags += decoding_flags
         self.are_signs_tested = check_signal_map(marks, frames, navigation, setup)
         self.counts = navigation.counts
         self.temperatures = dwell_temperatures(navigation, *marks.span)
         return navigation
 
-    def end(self, error: MeasurementError) -> None:
+    def fail(self, error: MeasurementError) -> None:
         """Flag the dwell with the reason why it can't be used."""
         self.flags.append(str(error))
         self.setup_fault = str(error) if isinstance(error, SignalMapError) else ""
@@ -110,16 +106,16 @@ class _Reading:
 def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> MeasuredDwell:
     """Measure the gyro biases of one dwell.
 
-    A dwell that can't give a result gives a row without biases, flagged with the reason.
+    If the dwell gives no result, its row has no biases and a flag with the reason.
     """
-    reading = _Reading(list(marks.disturbances))
+    decoder = _DwellDecoder(list(marks.disturbances))
     estimate, paper, joint_information = None, None, None
     persistent_flags: tuple[str, ...] = ()
     windows: tuple[RestMotion, ...] = ()
     evidence: SetupEvidence | None = None
-    flags = reading.flags
+    flags = decoder.flags
     try:
-        navigation = reading.decode(marks, frames, setup)
+        navigation = decoder.decode(marks, frames, setup)
         dwell = dwell_at_rest(marks, navigation, setup)
         if fault := turn_fault(dwell, setup):
             flags.append(fault)
@@ -127,7 +123,7 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
         faults = setup.output_faults(dwell.windows, noise)
         evidence = None if flags else setup.evidence(dwell, noise, faults)
         raise_setup_fault(evidence)
-        paper = _paper(dwell, setup.site, noise)
+        paper = _paper_estimate(dwell, setup.site, noise)
         estimated = estimate_dwell(dwell, setup, noise, faults)
         estimate, persistent_flags = estimated.estimate, estimated.persistent_flags
         if estimate.information:
@@ -140,17 +136,17 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
             persistent_flags = (*persistent_flags, drift)
         flags += persistent_flags
     except MeasurementError as error:
-        reading.end(error)
+        decoder.fail(error)
     return MeasuredDwell(
-        _row(marks, reading.temperatures, estimate, paper, flags),
+        _row(marks, decoder.temperatures, estimate, paper, flags),
         estimate,
         joint_information,
         windows,
-        reading.counts,
+        decoder.counts,
         persistent_flags,
-        reading.setup_fault,
+        decoder.setup_fault,
         evidence,
-        reading.are_signs_tested,
+        decoder.are_signs_tested,
     )
 
 
@@ -159,21 +155,25 @@ class EstimatedDwell:
     """Biases of a dwell, and its flags."""
 
     estimate: StateSpaceEstimate
-    disturbances: tuple[str, ...]  #: What disturbed it.
+    disturbances: tuple[str, ...]  #: Flags that a repeated dwell may not have again.
     persistent_flags: tuple[str, ...]  #: See :class:`MeasuredDwell`.
 
 
 def estimate_dwell(
     dwell: Dwell, setup: MeasurementSetup, noise: NoiseModel, faults: Sequence[OutputFault] | None = None
 ) -> EstimatedDwell:
-    """Estimate the biases of a dwell; ``faults``: of its output, where they are known."""
+    """Estimate the biases of a dwell; ``faults`` of its output are searched for unless given."""
     estimate = _estimate(dwell, setup, noise)
     faults = setup.output_faults(dwell.windows, noise) if faults is None else faults
     disturbances = [fault.text for fault in faults if not fault.may_be_noise]
     persistent_flags = _contradictions(estimate)
     pulse_rad = math.sqrt(12.0) * noise.heading_white
     is_flagged = bool(disturbances or persistent_flags)
-    if is_flagged and setup.noise and noise.heading_white > _COARSER * setup.noise.heading_white:
+    if (
+        is_flagged
+        and setup.noise
+        and noise.heading_white > _COARSE_ATTITUDE_FACTOR * setup.noise.heading_white
+    ):
         persistent_flags.insert(
             0,
             f"the resolution of the gyros limits this dwell: the attitude moves in steps of about "
@@ -190,33 +190,34 @@ def estimate_dwell(
 
 
 def _estimate(dwell: Dwell, setup: MeasurementSetup, noise: NoiseModel) -> StateSpaceEstimate:
-    """Biases with the latitude as declared, unless another alone explains what would be flagged.
+    """Estimate the biases with the declared latitude, or with another one if only that avoids a flag.
 
-    All dwells of a run decide on the latitude: until then the vertical bias is uncertain by its whole error.
+    All dwells of a run together decide on the latitude. Until then, the uncertainty of the vertical bias
+    includes the effect of the whole latitude error.
     """
     estimate = estimate_state_space(dwell, setup.site, noise, setup.prior)
     error, prior = abs(estimate.latitude_error), setup.prior
-    is_sound = not (_contradictions(estimate) or estimate.probable_step)
-    if is_sound or not exceeds_declared(error, estimate.latitude_sigma, prior.latitude):
+    is_consistent = not (_contradictions(estimate) or estimate.probable_step)
+    if is_consistent or not exceeds_declared(error, estimate.latitude_sigma, prior.latitude):
         return estimate
-    other = estimate_state_space(dwell, setup.site, noise, replace(prior, latitude=error))
-    if _contradictions(other) or other.probable_step:
+    refit = estimate_state_space(dwell, setup.site, noise, replace(prior, latitude=error))
+    if _contradictions(refit) or refit.probable_step:
         return estimate
     _, north_rate, _ = earth_rate_enu(setup.site.latitude)
     up_radps = error * north_rate * dwell.windows[0].C_nb[0, 2]
-    latitude = other.parts["latitude"]
-    added = replace(latitude, columns=np.column_stack([latitude.columns, up_radps]))
+    latitude = refit.parts["latitude"]
+    widened = replace(latitude, columns=np.column_stack([latitude.columns, up_radps]))
     return replace(
-        other,
-        covariance=other.covariance + np.outer(up_radps, up_radps),
-        parts=ErrorParts({**other.parts, "latitude": added}),
+        refit,
+        covariance=refit.covariance + np.outer(up_radps, up_radps),
+        parts=ErrorParts({**refit.parts, "latitude": widened}),
     )
 
 
 def _contradictions(estimate: StateSpaceEstimate) -> list[str]:
-    """What contradicts the estimate; noise larger than declared would explain it too."""
+    """Flags of an estimate that the error model does not explain; larger noise than declared might."""
     flags = []
-    if estimate.damping.shows(_MIN_STEADY_P_VALUE):
+    if estimate.damping.is_significant(_MIN_STEADY_P_VALUE):
         flags.append(estimate.damping.text)
     if estimate.fit.p_value < _MIN_FIT_P_VALUE:
         flags.append(lack_of_fit_text(estimate.fit))
@@ -228,8 +229,8 @@ def _contradictions(estimate: StateSpaceEstimate) -> list[str]:
     return flags
 
 
-def _paper(dwell: Dwell, site: Site, noise: NoiseModel) -> BiasEstimate | None:
-    """Estimate by the paper's method, which does not apply to every dwell."""
+def _paper_estimate(dwell: Dwell, site: Site, noise: NoiseModel) -> BiasEstimate | None:
+    """Estimate by the paper's method; None if it does not apply to the dwell."""
     try:
         return estimate_paper(dwell, site.gravity, noise)
     except MeasurementError:
@@ -237,7 +238,7 @@ def _paper(dwell: Dwell, site: Site, noise: NoiseModel) -> BiasEstimate | None:
 
 
 def lack_of_fit_text(fit: Chi2Test) -> str:
-    """Message where error model and noise do not explain the data."""
+    """Flag of a dwell whose data the error model and the noise do not explain."""
     return (
         f"the residuals are {fit.ratio:.2f} times as large as the noise explains "
         f"(p = {fit.p_value:.1g}): the unit was disturbed, or its noise is not as declared"
@@ -284,24 +285,25 @@ def _row(
 
 @dataclass(frozen=True, eq=False)
 class AlignedNavigation:
-    """Navigation straight from an alignment, and the noise of the INS in it."""
+    """Navigation directly after an alignment, and the noise of the INS in it."""
 
-    dwell: Dwell  #: An epoch a second.
-    noise: NoiseModel  #: Declared, or as estimated from all epochs.
+    dwell: Dwell  #: One epoch per second.
+    noise: NoiseModel  #: Declared, or estimated from all epochs.
 
 
 @dataclass(frozen=True, eq=False)
 class CheckDwell:
-    """One dwell of a calibration check: an alignment, and the navigation straight after it."""
+    """One dwell of a calibration check: an alignment, and the navigation directly after it."""
 
-    marks: DwellMarks  #: Where and when.
-    navigation: AlignedNavigation | None  #: None where it can't be used.
-    temperatures: DwellTemperatures  #: Of the navigation.
-    aligning_c: Triple  #: Mean temperatures of the gyros over the alignment.
-    counts: EpochCounts  #: How the frames came.
-    flags: tuple[str, ...]  #: What was wrong; empty where nothing was.
-    setup_fault: str = ""  #: What of signal map or latitude is wrong.
-    are_signs_tested: bool = False  #: Whether wrong signs or axes of the velocities would have shown in it.
+    marks: DwellMarks
+    navigation: AlignedNavigation | None  #: None if it can't be used.
+    temperatures: DwellTemperatures  #: During the navigation.
+    alignment_c: Triple  #: Mean temperatures of the gyros over the alignment.
+    counts: EpochCounts  #: Irregular epochs.
+    flags: tuple[str, ...]  #: Faults of the dwell; empty if there are none.
+    setup_fault: str = ""  #: Fault of signal map or latitude.
+    #: Whether the dwell would have revealed wrong signs or axes of the velocities.
+    are_signs_tested: bool = False
 
     @property
     def dwell(self) -> int:
@@ -335,15 +337,15 @@ class CheckDwell:
 
 
 def measure_check_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> CheckDwell:
-    """Measure one alignment and the navigation straight after it.
+    """Measure one alignment and the navigation directly after it.
 
-    A dwell that can't be used is flagged with the reason.
+    If the dwell can't be used, it has a flag with the reason.
     """
-    reading = _Reading(list(marks.disturbances))
-    navigation, aligning_c, flags = None, NOT_MEASURED, reading.flags
+    decoder = _DwellDecoder(list(marks.disturbances))
+    navigation, alignment_c, flags = None, NOT_MEASURED, decoder.flags
     try:
-        data = reading.decode(marks, frames, setup)
-        aligning_c = _aligning_c(data, marks.span[0], reading.temperatures)
+        data = decoder.decode(marks, frames, setup)
+        alignment_c = _mean_alignment_c(data, marks.span[0], decoder.temperatures)
         dwell = dwell_at_rest(marks, data, setup)
         navigation = _navigation(dwell, setup)
         faults = setup.output_faults(dwell.windows, navigation.noise)
@@ -355,16 +357,16 @@ def measure_check_dwell(marks: DwellMarks, frames: FrameBlock, setup: Measuremen
         if fit.p_value < _MIN_FIT_P_VALUE:
             flags.append(lack_of_fit_text(fit))
     except MeasurementError as error:
-        reading.end(error)
+        decoder.fail(error)
     return CheckDwell(
         marks,
         navigation,
-        reading.temperatures,
-        aligning_c,
-        reading.counts,
+        decoder.temperatures,
+        alignment_c,
+        decoder.counts,
         tuple(flags),
-        reading.setup_fault,
-        reading.are_signs_tested,
+        decoder.setup_fault,
+        decoder.are_signs_tested,
     )
 
 
@@ -377,10 +379,10 @@ def _navigation(dwell: Dwell, setup: MeasurementSetup) -> AlignedNavigation:
     return AlignedNavigation(replace(dwell, windows=thinned), setup.noise_in(dwell.windows))
 
 
-def _aligning_c(data: NavigationData, first_frame: int, temperatures: DwellTemperatures) -> Triple:
-    """Temperatures of the alignment; where the INS does not send them, those of the navigation."""
+def _mean_alignment_c(data: NavigationData, end_frame: int, temperatures: DwellTemperatures) -> Triple:
+    """Mean gyro temperatures over the alignment; if the INS does not send them, over the navigation."""
     try:
-        aligning_c = dwell_temperatures(data, 0, first_frame).gyro_c
+        alignment_c = dwell_temperatures(data, 0, end_frame).gyro_c
     except MeasurementError:
         return temperatures.gyro_c
-    return temperatures.gyro_c if any(map(math.isnan, aligning_c)) else aligning_c
+    return temperatures.gyro_c if any(map(math.isnan, alignment_c)) else alignment_c

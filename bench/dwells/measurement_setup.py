@@ -1,4 +1,4 @@
-"""What turns the frames of a dwell into biases, the same for all dwells of a run."""
+"""Settings for turning frames into biases: decoding, table, site, noise and prior knowledge of a station."""
 
 from __future__ import annotations
 
@@ -37,21 +37,21 @@ from gyrobench.drivers.ins.signal_map import SignalMap
 
 @dataclass(frozen=True)
 class MeasurementSetup:
-    """What turns frames into biases, the same for all dwells of a run."""
+    """Settings for turning frames into biases, the same for all dwells of a run."""
 
-    decode: Callable[[FrameBlock], NavigationData]  #: Frames to navigation data, as the station maps them.
+    decode: Callable[[FrameBlock], NavigationData]  #: Decodes frames by the signal map of the station.
     table: TwoAxisTable  #: Kinematics of the table with the unit on it.
-    site: Site  #: Where the bench stands.
+    site: Site  #: Location of the bench.
     noise: NoiseModel | None  #: Declared noise of the INS; None to estimate it in each dwell.
-    prior: PriorKnowledge  #: What is known of the INS beforehand.
+    prior: PriorKnowledge  #: Prior knowledge of the INS.
     #: velocity_lsb_mps, heading_lsb_rad: Resolution of the INS's output.
     velocity_lsb_mps: float
     heading_lsb_rad: float
-    resolution: tuple[ResolutionLimit, ...]  #: Which estimates it limits, and by how much.
+    resolution: tuple[ResolutionLimit, ...]  #: Estimates that the resolution limits, and by how much.
     signs: SignCheck | None = None  #: Test of the signal map's signs and axes.
     signals: SignalMap | None = None  #: As declared; without it the rate of the INS's clock is not tested.
     gyro_temperature_c: float | None = None  #: Standard uncertainty of the gyros' temperature sensors, K.
-    #: Frames to increments; None where none are mapped.
+    #: Decodes increments; gives None if none are mapped.
     decode_increments: Callable[[FrameBlock], Increments | None] = lambda _: None
     table_repeatability: float = ARCSEC_TO_RAD  #: Of the table's return to an angle, rad.
     #: Local gravity, m/s^2, None for normal gravity of the site; its standard uncertainty.
@@ -66,16 +66,16 @@ class MeasurementSetup:
         end = after.first_frame if after.turn_end_frame is None else after.turn_end_frame
         rows = np.searchsorted(navigation.row, [begin - first_frame, end - first_frame])
         begin_s, end_s = navigation.ins_time_s[np.minimum(rows, len(navigation.row) - 1)]
-        return TurnPath.steady(begin_s, end_s, self.table.path(*angles))
+        return TurnPath.at_constant_rate(begin_s, end_s, self.table.path(*angles))
 
     def output_faults(self, windows: tuple[NavigationWindow, ...], noise: NoiseModel) -> list[OutputFault]:
-        """Find output that is impossible at rest."""
-        return output_faults(windows, noise, self.site.gravity, *self._steps)
+        """Find faults of the output: changes that are impossible at rest."""
+        return output_faults(windows, noise, self.site.gravity, *self._resolutions)
 
     def evidence(
         self, dwell: Dwell, noise: NoiseModel, faults: Sequence[OutputFault]
     ) -> SetupEvidence | None:
-        """Evidence of the set-up in a dwell; None where faults of the output hide it."""
+        """Evidence of a dwell on scale and latitude; None if faults of the output hide it."""
         if any(not fault.may_be_noise for fault in faults):
             return None
         return setup_evidence(dwell, self.site, noise, self.prior, self.heading_lsb_rad)
@@ -83,32 +83,32 @@ class MeasurementSetup:
     @property
     def budget_inputs(self) -> BudgetInputs:
         """Inputs of the uncertainty budgets."""
-        velocity, heading = (step / math.sqrt(12.0) for step in self._steps)
+        velocity, heading = (step / math.sqrt(12.0) for step in self._resolutions)
         return BudgetInputs(velocity, heading, self.gyro_temperature_c)
 
     @property
-    def _steps(self) -> tuple[float, float]:
+    def _resolutions(self) -> tuple[float, float]:
         return self.velocity_lsb_mps, self.heading_lsb_rad
 
     def noise_in(self, windows: tuple[NavigationWindow, ...]) -> NoiseModel:
-        """Noise of the INS in these windows: estimated from them, or declared and not exceeded by them.
+        """Noise of the INS in these windows: as declared, or estimated if undeclared or exceeded.
 
-        Raises MeasurementError if it is to be estimated, and is not observable in these windows.
+        Raises MeasurementError if the noise must be estimated, but is not observable in these windows.
         """
         noise = self.noise
         if noise is None:
             noise = estimate_noise(windows, self.site.gravity).noise_model()
-        elif exceeds_noise(windows, noise, self.site.gravity, *self._steps):
-            noise = estimate_noise(windows, self.site.gravity).exceeding(noise)
+        elif exceeds_noise(windows, noise, self.site.gravity, *self._resolutions):
+            noise = estimate_noise(windows, self.site.gravity).raised_model(noise)
         return noise.at_least(*self.rounding(windows))
 
     def rounding(self, rests: Sequence[RestOutput]) -> tuple[float, float]:
         """See :func:`gyrobench.bench.dwells.output_checks.rounding`."""
-        return rounding(rests, *self._steps)
+        return rounding(rests, *self._resolutions)
 
 
 def measurement_setup(station: Station) -> MeasurementSetup:
-    """Decoding, kinematics and noise of a station.
+    """Make the settings from a station.
 
     Raises DocumentError if the DBC file is wrong, or lacks signals that the station file maps.
     """

@@ -1,8 +1,8 @@
-"""All coefficients of the sensors at each plateau, from its dwells and its rotations together.
+"""All coefficients of the sensors at each plateau, estimated from its dwells and its rotations together.
 
-The dwells of a plateau show gyro biases and, through their half turns, parts of the matrices
-(:mod:`gyrobench.bench.calibration.joint_coefficients`). Rotations between rests show all coefficients, from
-the increments of the INS. Where it sends none they follow from its navigation output
+The dwells of a plateau determine the gyro biases and, through their half turns, parts of the matrices
+(:mod:`gyrobench.bench.calibration.joint_coefficients`). Rotations between rests determine all coefficients
+from the increments of the INS; if the INS sends no increments, they are computed from its navigation output
 (:mod:`gyrobench.bench.dwells.rotated_dwell`).
 """
 
@@ -28,16 +28,16 @@ from gyrobench.bench.calibration.coefficients import (
 from gyrobench.bench.calibration.joint_coefficients import joint_coefficients
 from gyrobench.bench.calibration.results import coefficient_rows
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
-from gyrobench.bench.dwells.run_rotations import OF_GYROS, PlateauRotations, enclosing
+from gyrobench.bench.dwells.run_rotations import GYRO_TEMPERATURE_FIELDS, PlateauRotations, combined_range
 from gyrobench.bench.foundations.arrays import FloatArray, Triple, triple
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 from gyrobench.bench.runs.tables.coefficient_table import COMMON_SOURCES, PlateauCoefficientRow
 
-#: Temperatures of plateaus, K, between which coefficients show their slopes, and degree of the curve.
-_MIN_APART_C, _SLOPE_DEGREE = 2.0, 2
-#: Dwells and rotations contradict each other where chance gives the difference less often than this.
+#: Smallest spacing of plateau temperatures from which slopes are estimated, K, and degree of the curve.
+_MIN_SPACING_C, _SLOPE_DEGREE = 2.0, 2
+#: Dwells and rotations contradict each other if their difference has a smaller p-value.
 _MIN_P_VALUE = 1e-3
-#: Positions whose mean specific force is a smaller part of gravity show biases without it.
+#: Largest mean specific force of the positions, relative to gravity, without effect on the mean biases.
 _MAX_MEAN_UP = 0.05
 
 
@@ -47,28 +47,28 @@ class PlateauCalibration:
 
     number: int  #: Number of the plateau, from 1.
     cycle: int
-    chamber_set_c: float  #: NaN where the chamber is not controlled.
-    #: gyro_c, case_c: As of the rotations, or where there are none of the dwells.
+    chamber_set_c: float  #: NaN if the chamber is not controlled.
+    #: gyro_c, case_c: Mean temperatures during the rotations; without rotations, during the dwells.
     gyro_c: Triple
     case_c: float
-    #: Of dwells and rotations together, without its parts; None without either.
+    #: From dwells and rotations together, without its parts; None without either.
     estimate: CoefficientEstimate | None
     #: Variances of the estimate by source, shape (21,) each, SI.
     variances: Mapping[str, FloatArray]
-    finding: str = ""  #: Why the rotations give nothing, or that they contradict the dwells.
-    note: str = ""  #: What the rotations show beside the coefficients.
-    #: As uncertain as if the INS sent specific forces; None where it does.
+    finding: str = ""  #: Reason why the rotations give no result, or that they contradict the dwells.
+    note: str = ""  #: Results of the rotations in addition to the coefficients.
+    #: Estimate with the covariance it would have if the INS sent specific force; None if it does.
     with_force: CoefficientEstimate | None = None
-    rotations: PlateauRotations | None = None  #: None where there are none.
+    rotations: PlateauRotations | None = None  #: None if there are none.
     #: Shape (2, 4). Lowest and highest temperatures of gyros and case in dwells and rotations.
     range_c: FloatArray = field(default_factory=lambda: np.full((2, 4), np.nan))
     #: Declared standard uncertainties, SI, by key of :data:`gyrobench.bench.bias.budget.SOURCES`.
     inputs: Mapping[str, float] = field(default_factory=dict)
 
-    def shown(self, k: int) -> tuple[float, float]:
-        """Value of one of :data:`COEFFICIENTS` and standard uncertainty, SI, without what plateaus share.
+    def independent_value(self, k: int) -> tuple[float, float]:
+        """Value of one of :data:`COEFFICIENTS` and its uncertainty, SI, without errors that plateaus share.
 
-        NaN where not observed.
+        NaN if not observed.
         """
         if self.estimate is None or not self.estimate.is_observed[k]:
             return math.nan, math.nan
@@ -76,13 +76,16 @@ class PlateauCalibration:
         return float(self.estimate.values[k]), math.sqrt(self.estimate.covariance[k, k] - shared)
 
     def change_c(self, coefficient: SensorCoefficient, sensor: int) -> float:
-        """Range of a temperature, 0 to 2 of the gyros, 3 of the case, while a coefficient was measured."""
+        """Range of a temperature while a coefficient was measured.
+
+        ``sensor``: 0 to 2 for those of the gyros, 3 for that of the case.
+        """
         is_bias = coefficient.kind == "bias" or self.rotations is None or self.rotations.calibration is None
         low_c, high_c = (self if is_bias or self.rotations is None else self.rotations).range_c
         return float(high_c[sensor] - low_c[sensor])
 
     def with_temperature_change(self, variances: FloatArray) -> PlateauCalibration:
-        """The same with the change of the temperature as a source of independent variances (21,)."""
+        """Copy with the change of temperature as an additional error source with variances (21,)."""
         if self.estimate is None:
             return self
         estimate = replace(self.estimate, covariance=self.estimate.covariance + np.diag(variances))
@@ -90,11 +93,11 @@ class PlateauCalibration:
 
     @property
     def correlations(self) -> FloatArray:
-        """Correlation coefficients (21, 21); NaN where not observed."""
+        """Correlation coefficients (21, 21); NaN if not observed."""
         if self.estimate is None:
             return np.full((COUNT, COUNT), np.nan)
-        seen = np.outer(self.estimate.is_observed, self.estimate.is_observed)
-        return np.where(seen, self.estimate.correlations, np.nan)
+        both_observed = np.outer(self.estimate.is_observed, self.estimate.is_observed)
+        return np.where(both_observed, self.estimate.correlations, np.nan)
 
     @property
     def budgets(self) -> list[tuple[SensorCoefficient, Budget]]:
@@ -119,12 +122,12 @@ class PlateauCalibration:
         ]
 
     def rows(self) -> list[PlateauCoefficientRow]:
-        """Rows of ``coefficients.csv``; without values where there is no estimate."""
+        """Rows of ``coefficients.csv``; without values if there is no estimate."""
         estimate = self.estimate or CoefficientEstimate(np.zeros(COUNT), np.eye(COUNT), np.zeros(COUNT, bool))
         with_force = np.full(COUNT, np.nan)
         if self.with_force is not None:
             with_force = self.with_force.sigmas * [each.per_si for each in estimate.coefficients]
-        rates = NOT_MEASURED  # also where the rotations give nothing
+        rates = NOT_MEASURED  # also if the rotations give no result
         if self.rotations is not None and self.rotations.calibration is not None:
             rates = self.rotations.gyro_rate_c_per_h
         return [
@@ -153,59 +156,66 @@ def calibrate_plateaus(
     rotations: Sequence[PlateauRotations],
     setup: MeasurementSetup,
 ) -> list[PlateauCalibration]:
-    """Coefficients plateau by plateau, in the order of time.
+    """Estimate the coefficients of each plateau, in the order of time.
 
     Parameters
     ----------
     solutions : sequence of JointSolution
         Of the plateaus with dwells.
     rows : iterable of DwellRow
-        Of these dwells.
+        Of the dwells in the solutions.
     rotations : sequence of PlateauRotations
         In the order of time.
     """
     by_number = {row.dwell: row for row in rows}
-    places: list[tuple[int, JointSolution | None, PlateauRotations | None]] = []
+    plateaus_in_time: list[tuple[int, JointSolution | None, PlateauRotations | None]] = []
     for solution in solutions:
         measured = [by_number[each.number] for each in solution.dwells]
-        found = _of_plateau(rotations, solution.dwells[0], measured)
-        rotations = [each for each in rotations if each is not found]
-        places.append((measured[0].dwell, solution, found))
-    places += [(each.marks.dwell, None, each) for each in rotations]
+        matching = _matching_rotations(rotations, solution.dwells[0], measured)
+        rotations = [each for each in rotations if each is not matching]
+        plateaus_in_time.append((measured[0].dwell, solution, matching))
+    plateaus_in_time += [(each.marks.dwell, None, each) for each in rotations]
     plateaus = [
-        _plateau(number, solution, found, by_number, setup)
-        for number, (_, solution, found) in enumerate(sorted(places, key=lambda each: each[0]), 1)
+        _calibrate_plateau(number, solution, matching, by_number, setup)
+        for number, (_, solution, matching) in enumerate(
+            sorted(plateaus_in_time, key=lambda each: each[0]), 1
+        )
     ]
     return with_temperature_change(plateaus)
 
 
 def with_temperature_change(plateaus: Sequence[PlateauCalibration]) -> list[PlateauCalibration]:
-    """The coefficients with what they may change by while the temperature changes within their plateau.
+    """Add the uncertainty due to the change of temperature within each plateau.
 
-    Each belongs to some time of the plateau, which its mean temperature does not name. Slopes are those of a
-    constant, line or parabola over all plateaus, as their uncertainties demand: neighbours in temperature may
-    differ by more, as on ramps up and down, or by noise.
+    Each coefficient was measured at some time of the plateau, at a temperature other than the mean. Slopes
+    are those of a constant, line or parabola over all plateaus, of the lowest degree that the uncertainties
+    allow. Differences of neighbouring temperatures would be less reliable, on ramps up and down and because
+    of noise.
     """
     variances = np.zeros((len(plateaus), COUNT))
     for k, coefficient in enumerate(COEFFICIENTS):
         sensor = AXES.index(coefficient.axis[0]) if coefficient.sensor == "gyro" else 3
-        at_c = np.array([(*each.gyro_c, each.case_c)[sensor] for each in plateaus])
-        values, sigmas = np.reshape([each.shown(k) for each in plateaus], (-1, 2)).T
-        known = np.isfinite(at_c) & np.isfinite(values)
-        apart = int(np.count_nonzero(np.diff(np.sort(at_c[known])) > _MIN_APART_C))
-        if apart:
-            degree = min(apart, _SLOPE_DEGREE)
-            curve = lowest_polynomial(at_c[known], values[known], sigmas[known], degree)
-            changes = curve.deriv()(at_c) * [each.change_c(coefficient, sensor) for each in plateaus]
-            variances[:, k] = np.where(known & np.isfinite(changes), changes**2 / 12.0, 0.0)
-    return [each.with_temperature_change(its) for each, its in zip(plateaus, variances, strict=True)]
+        temperatures_c = np.array([(*each.gyro_c, each.case_c)[sensor] for each in plateaus])
+        values, sigmas = np.reshape([each.independent_value(k) for each in plateaus], (-1, 2)).T
+        is_known = np.isfinite(temperatures_c) & np.isfinite(values)
+        distinct = int(np.count_nonzero(np.diff(np.sort(temperatures_c[is_known])) > _MIN_SPACING_C))
+        if distinct:
+            degree = min(distinct, _SLOPE_DEGREE)
+            curve = lowest_polynomial(temperatures_c[is_known], values[is_known], sigmas[is_known], degree)
+            changes = curve.deriv()(temperatures_c) * [
+                each.change_c(coefficient, sensor) for each in plateaus
+            ]
+            variances[:, k] = np.where(is_known & np.isfinite(changes), changes**2 / 12.0, 0.0)
+    return [each.with_temperature_change(own) for each, own in zip(plateaus, variances, strict=True)]
 
 
-def _of_plateau(
+def _matching_rotations(
     rotations: Sequence[PlateauRotations], first: JointDwell, rows: Sequence[DwellRow]
 ) -> PlateauRotations | None:
-    """The rotations at the set point and the temperatures of these dwells; of several those as steady."""
-    gyro_c, rates = (np.mean([getattr(row, name) for row in rows], axis=0) for name in OF_GYROS)
+    """Rotations at the set point and the temperatures of these dwells, with the most similar slopes."""
+    gyro_c, rates = (
+        np.mean([getattr(row, name) for row in rows], axis=0) for name in GYRO_TEMPERATURE_FIELDS
+    )
     near = [
         (float(np.nan_to_num(np.abs(rates - each.gyro_rate_c_per_h)).max()), number)
         for number, each in enumerate(rotations)
@@ -215,7 +225,7 @@ def _of_plateau(
     return rotations[min(near)[1]] if near else None
 
 
-def _plateau(
+def _calibrate_plateau(
     number: int,
     solution: JointSolution | None,
     rotations: PlateauRotations | None,
@@ -228,10 +238,10 @@ def _plateau(
     gyro_c, case_c = NOT_MEASURED, math.nan
     cycle, set_c = 0, None
     if solution is not None:
-        of_dwells = joint_coefficients(solution, setup.prior)
-        if rotations is not None and rotations.notes and _is_lopsided(solution):
-            of_dwells = _without_biases(of_dwells)
-        estimates.append(of_dwells)
+        dwell_estimate = joint_coefficients(solution, setup.prior)
+        if rotations is not None and rotations.notes and _has_mean_force(solution):
+            dwell_estimate = _without_biases(dwell_estimate)
+        estimates.append(dwell_estimate)
         cycle, set_c = solution.dwells[0].cycle, solution.dwells[0].chamber_set_c
         gyro_c = triple(np.mean([each.gyro_c for each in solution.dwells], axis=0))
         case_c = float(np.mean([rows[each.number].case_c for each in solution.dwells]))
@@ -244,10 +254,10 @@ def _plateau(
             estimates.append(rotations.calibration)
             gyro_c, case_c = rotations.gyro_c, rotations.case_c
             if rotations.with_force is not None:
-                with_force = _combined([*estimates[:-1], rotations.with_force])
-    if len(estimates) > 1 and (p_value := _agreement(*estimates)) < _MIN_P_VALUE:
+                with_force = _combine([*estimates[:-1], rotations.with_force])
+    if len(estimates) > 1 and (p_value := _agreement_p_value(*estimates)) < _MIN_P_VALUE:
         findings.append(f"dwells and rotations contradict each other (p = {p_value:.1g})")
-    estimate = _combined(estimates) if estimates else None
+    estimate = _combine(estimates) if estimates else None
     variances = {name: np.diag(part).copy() for name, part in estimate.parts.items()} if estimate else {}
     chamber_set_c = math.nan if set_c is None else set_c
     inputs = {"latitude": setup.prior.latitude, "table_return": setup.table_repeatability} | {
@@ -256,31 +266,31 @@ def _plateau(
     return PlateauCalibration(
         number, cycle, chamber_set_c, gyro_c, case_c, _without_parts(estimate), variances,
         "; ".join(findings), "; ".join(rotations.notes if rotations else ()), _without_parts(with_force),
-        rotations, enclosing(ranges), inputs,
+        rotations, combined_range(ranges), inputs,
     )  # fmt: skip
 
 
-def _is_lopsided(solution: JointSolution) -> bool:
-    """Whether the mean of the dwells' biases holds a part that follows the specific force."""
+def _has_mean_force(solution: JointSolution) -> bool:
+    """Whether the mean of the dwells' biases contains a part proportional to the specific force."""
     ups = [POSITIONS[each.position_name].C_nb()[2] for each in solution.dwells]
     return bool(np.linalg.norm(np.mean(ups, axis=0)) > _MAX_MEAN_UP)
 
 
 def _without_biases(estimate: CoefficientEstimate) -> CoefficientEstimate:
-    """The same estimate that says nothing of the gyro biases."""
+    """Estimate without information on the gyro biases."""
     wide = np.diag([each.size**2 * (k < 3) for k, each in enumerate(COEFFICIENTS)])
     is_observed = estimate.is_observed & (np.arange(COUNT) >= 3)
     parts = {**estimate.parts, "assumed_size": estimate.parts.get("assumed_size", 0.0) + wide}
     return replace(estimate, covariance=estimate.covariance + wide, is_observed=is_observed, parts=parts)
 
 
-def _combined(estimates: Sequence[CoefficientEstimate]) -> CoefficientEstimate:
-    """Mean of estimates from separate data, by their covariances but for gravity, which none shows."""
+def _combine(estimates: Sequence[CoefficientEstimate]) -> CoefficientEstimate:
+    """Mean of estimates from separate data, weighted by their covariances without the part of gravity."""
     if len(estimates) == 1:
         return estimates[0]
     sizes = np.array([each.size for each in COEFFICIENTS])
-    shown = [each.covariance - each.parts.get("gravity", 0.0) for each in estimates]
-    weights = [np.linalg.inv(each / np.outer(sizes, sizes)) for each in shown]
+    covariances = [each.covariance - each.parts.get("gravity", 0.0) for each in estimates]
+    weights = [np.linalg.inv(each / np.outer(sizes, sizes)) for each in covariances]
     covariance = np.linalg.inv(sum(weights))
     sums = sum(weight @ (each.values / sizes) for weight, each in zip(weights, estimates, strict=True))
     is_observed = np.any([each.is_observed for each in estimates], axis=0)
@@ -289,21 +299,21 @@ def _combined(estimates: Sequence[CoefficientEstimate]) -> CoefficientEstimate:
         gain = covariance @ weight * np.outer(sizes, 1.0 / sizes)
         for name, part in each.parts.items():
             parts[name] = parts.get(name, 0.0) + gain @ part @ gain.T
-    whole = covariance * np.outer(sizes, sizes) + parts.get("gravity", 0.0)
-    return CoefficientEstimate(sizes * (covariance @ sums), whole, is_observed, parts=parts)
+    with_gravity = covariance * np.outer(sizes, sizes) + parts.get("gravity", 0.0)
+    return CoefficientEstimate(sizes * (covariance @ sums), with_gravity, is_observed, parts=parts)
 
 
 def _without_parts(estimate: CoefficientEstimate | None) -> CoefficientEstimate | None:
-    """The same estimate without its covariances by source, of which a plateau keeps the variances."""
+    """Estimate without its covariances by source, of which a plateau keeps only the variances."""
     return None if estimate is None else replace(estimate, parts={})
 
 
-def _agreement(one: CoefficientEstimate, other: CoefficientEstimate) -> float:
-    """Probability of at least this difference of two estimates from separate data."""
-    both = one.is_observed & other.is_observed
-    difference = (one.values - other.values)[both]
-    covariance = (one.covariance + other.covariance)[np.ix_(both, both)]
+def _agreement_p_value(first: CoefficientEstimate, second: CoefficientEstimate) -> float:
+    """P-value of the difference of two estimates from separate data."""
+    is_in_both = first.is_observed & second.is_observed
+    difference = (first.values - second.values)[is_in_both]
+    covariance = (first.covariance + second.covariance)[np.ix_(is_in_both, is_in_both)]
     roots = np.sqrt(np.diag(covariance))
     scaled = difference / roots
     chi2 = float(scaled @ np.linalg.solve(covariance / np.outer(roots, roots), scaled))
-    return chi2_p_value(int(both.sum()), chi2)
+    return chi2_p_value(int(is_in_both.sum()), chi2)

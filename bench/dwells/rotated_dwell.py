@@ -1,7 +1,8 @@
 """Increments of a dwell with rotations: as the INS sent them, or from its navigation output.
 
-The change of attitude and velocity from epoch to epoch is what its sensors measured, but for the vertical
-specific force, which an INS of fixed altitude does not show. Gravity stands in its place, and shows nothing.
+The change of attitude and velocity from epoch to epoch gives the increments of the sensors, except the
+vertical specific force, which an INS of fixed altitude does not output. Gravity replaces it, which adds no
+information.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import numpy as np
 
 from gyrobench.bench.calibration.increment_recording import MIN_REST_TOTAL_S, IncrementRecording, Rest
 from gyrobench.bench.dwells.clock_check import increments_fault
-from gyrobench.bench.dwells.dwell_output import check_signal_map, decoded_navigation, rest_output
+from gyrobench.bench.dwells.dwell_output import check_signal_map, decode_dwell, rest_output
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.dwells.temperatures import dwell_temperatures
 from gyrobench.bench.foundations.arrays import FloatArray, Triple
@@ -27,24 +28,24 @@ from gyrobench.drivers.ins.navigation_data import Increments, NavigationData
 
 #: Epochs whose matrices are in memory at once.
 _BLOCK = 4096
-#: Part of the usual interval by which the time between two epochs may differ from it.
+#: Largest deviation of the time between two epochs from the median, as a share of it.
 _MAX_STEP_ERROR = 0.5
-#: Sum, rad or m/s, from which increments are compared with attitude and velocity, by how much of it they may
-#: differ, as by gaps, and largest angle between two attitudes, rad.
-_MIN_TURN, _MAX_AWAY, _MAX_STEP = 0.5, 0.5, 2.0
-#: Time between the epochs of that comparison, s, where the INS has no fewer.
-_CHECKED_S = 0.2
+#: Smallest sum of increments, rad or m/s, that is compared with attitude and velocity; largest deviation as a
+#: share of the sum, which allows for gaps; and largest rotation between two epochs, rad.
+_MIN_SUM, _MAX_DEVIATION, _MAX_ROTATION = 0.5, 0.5, 2.0
+#: Shortest time between the epochs of that comparison, s.
+_CHECK_INTERVAL_S = 0.2
 
 
 @dataclass(frozen=True, eq=False)
 class RotatedDwell:
-    """What the INS measured in a dwell with rotations."""
+    """Increments and temperatures measured in a dwell with rotations."""
 
     marks: DwellMarks
-    pieces: list[IncrementRecording]  #: Increments without a gap.
-    gyro_c: Triple  #: Mean temperatures of the gyros; NaN where not measured.
-    gyro_rate_c_per_h: Triple  #: Their slopes.
-    case_c: float  #: Mean temperature of the case; NaN where not measured.
+    pieces: list[IncrementRecording]  #: Recordings without a gap.
+    gyro_c: Triple  #: Mean temperatures of the gyros; NaN if not measured.
+    gyro_rate_c_per_h: Triple  #: Slopes of the gyro temperatures.
+    case_c: float  #: Mean temperature of the case; NaN if not measured.
 
     @property
     def range_c(self) -> FloatArray:
@@ -56,11 +57,11 @@ class RotatedDwell:
 
 
 def measure_rotations(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> RotatedDwell:
-    """Increments and temperatures of a dwell.
+    """Increments and temperatures of a dwell with rotations.
 
-    Raises MeasurementError if what the INS sent can't be used.
+    Raises MeasurementError if the output of the INS can't be used.
     """
-    navigation, _ = decoded_navigation(marks, frames, setup)
+    navigation, _ = decode_dwell(marks, frames, setup)
     check_signal_map(marks, frames, navigation, setup)
     first, end = marks.span
     temperatures = dwell_temperatures(navigation, first, end)
@@ -85,10 +86,10 @@ def measure_rotations(marks: DwellMarks, frames: FrameBlock, setup: MeasurementS
                 velocity,
                 has_vertical=is_sent,
                 table=table,
-                # Up to the end of a rest the table stands as it was read there.
+                # The attitude of the table read at a rest applies until the end of the rest.
                 table_from=np.array([0, *(end for _, end in ends[:-1])]),
                 rounding=(0.0, 0.0) if is_sent else (angle_rounding, velocity_rounding),
-                known_rests=rests,
+                given_rests=rests,
             )
             pieces.append(recording)
     return RotatedDwell(
@@ -105,40 +106,42 @@ def _increments(
     """
     sent = setup.decode_increments(frames)
     if sent is None or not len(sent.row):
-        return navigated_increments(navigation, setup.site), False
+        return increments_from_navigation(navigation, setup.site), False
     inside = slice(*np.searchsorted(sent.row, marks.span))
     arrival_s = frames.timestamp_s[sent.row[inside]]
     if fault := increments_fault(sent.sent[:, inside], arrival_s, sent.interval_s):
         raise SignalMapError(fault)
-    _check_axes(sent, navigated_increments(navigation, setup.site, _CHECKED_S), marks)
+    _check_axes(sent, increments_from_navigation(navigation, setup.site, _CHECK_INTERVAL_S), marks)
     return sent, True
 
 
 def _check_axes(sent: Increments, navigated: Increments, marks: DwellMarks) -> None:
     """Raise MeasurementError if increments have other axes, signs or units than attitude and velocity.
 
-    Coefficients of axes that are exchanged in angle and velocity alike fit the increments as well.
+    Without this test, coefficients would fit increments whose axes are exchanged in angle and velocity alike.
     """
     rests = [(each.first_frame, each.end_frame) for each in marks.windows]
-    between = [(before[1], after[0]) for before, after in itertools.pairwise(rests)]
-    for name, spans in (("velocity", rests), ("angle", between)):
+    turns = [(before[1], after[0]) for before, after in itertools.pairwise(rests)]
+    for name, spans in (("velocity", rests), ("angle", turns)):
         for span in spans:
-            found, expected = (
+            sent_sum, navigated_sum = (
                 getattr(each, name)[slice(*np.searchsorted(each.row, span))].sum(axis=0)
                 for each in (sent, navigated)
             )
-            if name == "angle" and _fastest(sent, span) * navigated.interval_s > _MAX_STEP:
-                continue  # further between two epochs than attitudes show
-            away = np.linalg.norm(found - expected)
-            if np.linalg.norm(expected) > _MIN_TURN and away > _MAX_AWAY * np.linalg.norm(expected):
+            if name == "angle" and _max_rate(sent, span) * navigated.interval_s > _MAX_ROTATION:
+                continue  # attitudes do not determine so large a rotation between two epochs
+            deviation = np.linalg.norm(sent_sum - navigated_sum)
+            if np.linalg.norm(navigated_sum) > _MIN_SUM and deviation > _MAX_DEVIATION * np.linalg.norm(
+                navigated_sum
+            ):
                 raise MeasurementError(
-                    f"the {name} increments add up to {_triple_text(found)}, by attitude and velocity "
-                    f"{_triple_text(expected)}. Check axes, signs and units of ins.signals.increments"
+                    f"the {name} increments add up to {_triple_text(sent_sum)}, by attitude and velocity "
+                    f"{_triple_text(navigated_sum)}. Check axes, signs and units of ins.signals.increments"
                 )
 
 
-def _fastest(sent: Increments, span: tuple[int, int]) -> float:
-    """Largest rate, rad/s."""
+def _max_rate(sent: Increments, span: tuple[int, int]) -> float:
+    """Largest angular rate in a span of frames, rad/s."""
     angle = sent.angle[slice(*np.searchsorted(sent.row, span))]
     return float(np.linalg.norm(angle, axis=1).max(initial=0.0)) / sent.interval_s
 
@@ -147,54 +150,60 @@ def _triple_text(values: FloatArray) -> str:
     return "({:.4g}, {:.4g}, {:.4g})".format(*values)
 
 
-def navigated_increments(navigation: NavigationData, site: Site, least_s: float = 0.0) -> Increments:
-    """What the sensors of an INS measured from epoch to epoch, by its attitude and velocity.
+def increments_from_navigation(
+    navigation: NavigationData, site: Site, min_interval_s: float = 0.0
+) -> Increments:
+    """Increments of the sensors of an INS from epoch to epoch, from its attitude and velocity.
 
-    With ``least_s`` epochs up to this time apart, s, count as one. The navigation frame turns with the Earth
-    and with the velocity that the INS computes; to that belong the Coriolis acceleration and, in place of the
-    vertical specific force, gravity.
+    ``min_interval_s``: epochs are thinned to about this interval, s. The navigation frame rotates with the
+    Earth and with the velocity that the INS computes, hence the Coriolis acceleration. Gravity replaces the
+    vertical specific force.
     """
-    some = slice(None, None, max(1, int(least_s / np.median(np.diff(navigation.ins_time_s)) + 1e-6)))
-    time_s, velocity = navigation.ins_time_s[some], navigation.velocity_enu_mps[some, :2]
-    row, attitude = navigation.row[some], navigation.attitude[some]
+    every_nth = slice(
+        None, None, max(1, int(min_interval_s / np.median(np.diff(navigation.ins_time_s)) + 1e-6))
+    )
+    time_s, velocity = navigation.ins_time_s[every_nth], navigation.velocity_enu_mps[every_nth, :2]
+    row, attitude = navigation.row[every_nth], navigation.attitude[every_nth]
     interval_s = float(np.median(np.diff(time_s)))
     north = 0.5 * (velocity[1:, 1] + velocity[:-1, 1])
-    # Where the INS takes itself to be: in hours its drift changes the Earth's rate that it subtracts.
+    # Latitude that the INS computes: over hours its drift changes the Earth rate that the INS subtracts.
     latitude = site.latitude + np.cumsum(north) * interval_s / curvature_radii(site.latitude, site.height)[0]
     parts = [
-        _sums(attitude[begin:end], velocity[begin:end], latitude[begin : end - 1], interval_s, site)
+        _body_increments(
+            attitude[begin:end], velocity[begin:end], latitude[begin : end - 1], interval_s, site
+        )
         for begin in range(0, max(len(latitude), 1), _BLOCK)
         for end in [begin + _BLOCK + 1]
     ]
-    angle, sums = (np.concatenate(each) for each in zip(*parts, strict=True))
-    # Rotation vectors and velocities hold coning and sculling, which increments of sensors do not.
-    last = np.maximum(np.arange(len(angle)) - 1, 0)
-    coning = np.cross(angle[last], angle) / 12.0
-    sculling = (np.cross(angle[last], sums) + np.cross(sums[last], angle)) / 12.0
-    steady = np.abs(np.diff(time_s) / interval_s - 1.0) < _MAX_STEP_ERROR
+    angle, velocity_change = (np.concatenate(each) for each in zip(*parts, strict=True))
+    # Rotation vectors and velocities contain coning and sculling; increments of sensors do not.
+    before = np.maximum(np.arange(len(angle)) - 1, 0)
+    coning = np.cross(angle[before], angle) / 12.0
+    sculling = (np.cross(angle[before], velocity_change) + np.cross(velocity_change[before], angle)) / 12.0
+    is_regular = np.abs(np.diff(time_s) / interval_s - 1.0) < _MAX_STEP_ERROR
     return Increments(
         row=row[1:],
         angle=angle - coning,
-        velocity=sums - sculling,
-        is_consecutive=steady,
+        velocity=velocity_change - sculling,
+        is_consecutive=is_regular,
         interval_s=interval_s,
         sent=np.tile(np.arange(len(angle), dtype=float), (2, 1)),
     )
 
 
-def _sums(
+def _body_increments(
     C_nb: FloatArray, velocity: FloatArray, latitude: FloatArray, interval_s: float, site: Site
 ) -> tuple[FloatArray, FloatArray]:
-    """Turn and change of velocity (n, 3) in body axes between n + 1 epochs, latitude (n,)."""
+    """Rotation and change of velocity (n, 3) in body axes between n + 1 epochs; ``latitude`` (n,)."""
     east, north = (0.5 * (velocity[1:] + velocity[:-1])).T
     meridian, across = curvature_radii(site.latitude, site.height)
     transport = np.stack([-north / meridian, east / across, east * np.tan(site.latitude) / across], axis=-1)
     earth = EARTH_RATE * np.stack([np.zeros_like(latitude), np.cos(latitude), np.sin(latitude)], axis=-1)
-    turned, half = (rotation_matrices(part * (earth + transport) * interval_s) for part in (1.0, 0.5))
-    angle = rotation_vectors(C_nb[:-1].transpose(0, 2, 1) @ turned @ C_nb[1:])
+    full, half = (rotation_matrices(part * (earth + transport) * interval_s) for part in (1.0, 0.5))
+    angle = rotation_vectors(C_nb[:-1].transpose(0, 2, 1) @ full @ C_nb[1:])
     force = np.cross(2.0 * earth + transport, np.stack([east, north, np.zeros_like(east)], axis=-1))
     force[:, :2] += np.diff(velocity, axis=0) / interval_s
     force[:, 2] = site.gravity
-    in_body = (C_nb[:-1].transpose(0, 2, 1) @ (half @ (force * interval_s)[:, :, np.newaxis]))[:, :, 0]
-    turning = np.cross(angle, in_body)
-    return angle, in_body - 0.5 * turning + np.cross(angle, turning) / 12.0
+    change = (C_nb[:-1].transpose(0, 2, 1) @ (half @ (force * interval_s)[:, :, np.newaxis]))[:, :, 0]
+    rotation_term = np.cross(angle, change)
+    return angle, change - 0.5 * rotation_term + np.cross(angle, rotation_term) / 12.0

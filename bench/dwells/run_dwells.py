@@ -1,9 +1,9 @@
 """The dwells of a run: collected as they are measured, or measured again from its folder.
 
-What several dwells show together flags each of them. A run of a thousand hours has thousands of dwells: their
-rows and what the joint solution needs are small; the navigation for the noise estimate is kept of some only,
-evenly spread over the run. The folder has the marks of each dwell in the journal, and its frames in the raw
-CAN log.
+A fault that only several dwells together reveal flags each of them. A run of a thousand hours has thousands
+of dwells. Their rows and their input to the joint solution are small, but the navigation for the noise
+estimate is kept only for some of them, evenly spread over the run. The marks of each dwell are in the
+journal of the run folder, its frames in the raw CAN log.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from gyrobench.bench.bias.damping import Damping
 from gyrobench.bench.characteristics.allan_test import RateRecord
 from gyrobench.bench.dwells.measure_dwell import CheckDwell, MeasuredDwell, measure_check_dwell, measure_dwell
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
-from gyrobench.bench.dwells.rotated_dwell import navigated_increments
+from gyrobench.bench.dwells.rotated_dwell import increments_from_navigation
 from gyrobench.bench.dwells.setup_check import setup_fault
 from gyrobench.bench.dwells.temperatures import stuck_sensors
 from gyrobench.bench.foundations.errors import RunFolderError
@@ -29,55 +29,55 @@ from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.runs.marks import DwellMarks
 from gyrobench.drivers.frames import FrameBlock, concatenate
 
-#: The noise estimate does not improve with more dwells than this.
-_MAX_WITH_NAVIGATION = 128
+#: More dwells than this do not improve the noise estimate.
+_MAX_KEPT_NAVIGATIONS = 128
 
 
 def add_dwell(dwells: list[MeasuredDwell], measured: MeasuredDwell) -> None:
     """Add the next dwell of a run.
 
-    A temperature sensor that turns out to be stuck flags the dwells since it is, earlier ones too.
+    If a temperature sensor is stuck, all dwells since it got stuck are flagged.
     """
     dwells.append(measured)
     for index, flag in stuck_sensors([each.row for each in dwells]):
         if flag not in dwells[index].flags:
-            dwells[index] = dwells[index].flagged(flag)
+            dwells[index] = dwells[index].with_flag(flag)
     _flag_damping(dwells)
     _flag_setup(dwells)
-    _keep_navigation_of_some(dwells)
+    _thin_navigation(dwells)
 
 
-#: The velocity of an INS is damped where the rate of all dwells together has less than this probability.
+#: An INS damps its velocity if the mean rate of all dwells has a smaller p-value.
 _MIN_DAMPING_P_VALUE = 1e-5
 
 
 def _flag_damping(dwells: list[MeasuredDwell]) -> None:
-    """Flag all dwells of an INS that damps its velocity: few dwells show it by themselves."""
-    known = [each for each in dwells if each.estimate and not each.is_disturbed]
-    # By the tilt, and where the attitude is too coarse for that, by the error model alone.
-    by_tilt = [each.evidence.velocities.damping for each in known if each.evidence]
-    by_model = [each.estimate.damping for each in known if each.estimate]
-    found = [Damping.mean(each) for each in (by_tilt, by_model) if each]
-    damping = next((each for each in found if each.shows(_MIN_DAMPING_P_VALUE)), None)
+    """Flag all dwells of an INS that damps its velocity; few dwells reveal it by themselves."""
+    valid = [each for each in dwells if each.estimate and not each.is_disturbed]
+    # By the tilt; if the attitude is too coarse for that, by the error model.
+    by_tilt = [each.evidence.velocities.damping for each in valid if each.evidence]
+    by_model = [each.estimate.damping for each in valid if each.estimate]
+    means = [Damping.mean(each) for each in (by_tilt, by_model) if each]
+    damping = next((each for each in means if each.is_significant(_MIN_DAMPING_P_VALUE)), None)
     if damping is None:
         return
     for index, dwell in enumerate(dwells):
         if dwell.estimate and not any(flag.startswith(Damping.FLAG) for flag in dwell.flags):
             persistent = (*dwell.persistent_flags, damping.text)
-            dwells[index] = replace(dwell.flagged(damping.text), persistent_flags=persistent)
+            dwells[index] = replace(dwell.with_flag(damping.text), persistent_flags=persistent)
 
 
 def _flag_setup(dwells: list[MeasuredDwell]) -> None:
-    """Flag all dwells of a set-up that they contradict together."""
+    """Flag all dwells if together they contradict the signal map or the latitude."""
     fault = setup_fault([each.evidence for each in dwells if each.evidence])
     if not fault:
         return
     for index, dwell in enumerate(dwells):
         if not dwell.setup_fault:
-            dwells[index] = replace(dwell.flagged(fault), setup_fault=fault)
+            dwells[index] = replace(dwell.with_flag(fault), setup_fault=fault)
 
 
-def _keep_navigation_of_some(dwells: list[MeasuredDwell]) -> None:
+def _thin_navigation(dwells: list[MeasuredDwell]) -> None:
     spacing, last = _spacing(len(dwells)), len(dwells) - 1
     first = 0 if spacing != _spacing(last) else last
     for index in range(first, len(dwells)):
@@ -86,12 +86,11 @@ def _keep_navigation_of_some(dwells: list[MeasuredDwell]) -> None:
 
 
 def _spacing(count: int) -> int:
-    """Smallest power of two that leaves few enough."""
-    return 1 << max(0, (max(count, 1) - 1) // _MAX_WITH_NAVIGATION).bit_length()
+    """Smallest power of two n for which every n-th of ``count`` dwells is at most the number to keep."""
+    return 1 << max(0, (max(count, 1) - 1) // _MAX_KEPT_NAVIGATIONS).bit_length()
 
 
-#: Longest segments of a noise record are thinned to this number of samples: the integral of the rate loses
-#: nothing between them.
+#: A noise record is thinned to about this number of samples; the integral of the rate loses nothing by it.
 _MAX_NOISE_SAMPLES = 50_000
 
 
@@ -100,14 +99,14 @@ def measure_recorded(
 ) -> tuple[list[MeasuredDwell], list[CheckDwell]]:
     """Measure every finished dwell of a run again; check dwells are returned separately.
 
-    The journal lists the frames of each dwell; the frames themselves come from the raw log, one part of it at
-    a time. Of a dwell that was finished twice, the last time counts; parts of the log that belong to no
-    finished dwell, as a kill leaves them, are passed over. Raises RunFolderError if the journal or the log
-    can't be read, or the log lacks the frames of a dwell.
+    The journal lists the frames of each dwell; the frames come from the raw log, one part at a time. If a
+    dwell was finished twice, the last time counts. Parts of the log that belong to no finished dwell, as a
+    kill leaves them, are skipped. Raises RunFolderError if the journal or the log can't be read, or the log
+    lacks the frames of a dwell.
     """
     dwells: list[MeasuredDwell] = []
     check_dwells: list[CheckDwell] = []
-    for marks, frames in _recorded(folder):
+    for marks, frames in _recorded_dwells(folder):
         if marks.purpose is DwellPurpose.CALIBRATION_CHECK:
             check_dwells.append(measure_check_dwell(marks, frames, setup))
         else:
@@ -115,7 +114,7 @@ def measure_recorded(
     return dwells, check_dwells
 
 
-def _recorded(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
+def _recorded_dwells(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
     finished = [marks for marks in finished_marks(folder) if marks.purpose.gives_bias]
     parts = [marks.log_part for marks in finished if marks.windows]
     if len(set(parts)) < len(parts):
@@ -125,7 +124,7 @@ def _recorded(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
 
 
 def rotated_dwells(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
-    """Finished dwells with rotations that nothing disturbed, in order; raises as :func:`measure_recorded`."""
+    """Finished, undisturbed dwells with rotations, in order; raises as :func:`measure_recorded`."""
     for marks in rotated_marks(folder):
         yield marks, read_frames(folder, marks)
 
@@ -136,7 +135,7 @@ def rotated_marks(folder: RunFolder) -> list[DwellMarks]:
 
 
 def noise_records(folder: RunFolder, setup: MeasurementSetup) -> list[RateRecord]:
-    """Gyro rates of the finished noise records that nothing disturbed; raises as :func:`measure_recorded`."""
+    """Gyro rates of the finished, undisturbed noise records; raises as :func:`measure_recorded`."""
     return [
         _rate_record(marks, read_frames(folder, marks), setup)
         for marks in _undisturbed(folder, DwellPurpose.NOISE)
@@ -148,8 +147,8 @@ def _undisturbed(folder: RunFolder, purpose: DwellPurpose) -> list[DwellMarks]:
 
 
 def _rate_record(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> RateRecord:
-    """Integrated rates of the gyros over the window of a noise record, in pieces where epochs are missing."""
-    increments = navigated_increments(setup.decode(frames), setup.site)
+    """Integrated rates of the gyros over the window of a noise record, split where epochs are missing."""
+    increments = increments_from_navigation(setup.decode(frames), setup.site)
     first, end = marks.span
     inside = (increments.row > first) & (increments.row < end)
     angle, follows = increments.angle[inside], increments.is_consecutive[inside]
@@ -160,7 +159,7 @@ def _rate_record(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup)
 
 
 def finished_marks(folder: RunFolder) -> list[DwellMarks]:
-    """Marks of the finished dwells in the journal, each number once, in the order of time.
+    """Marks of the finished dwells in the journal, one for each dwell, in the order of time.
 
     Raises RunFolderError if the journal is damaged.
     """
@@ -168,21 +167,21 @@ def finished_marks(folder: RunFolder) -> list[DwellMarks]:
 
 
 def marks_in(entries: Iterable[Mapping[str, Any]], folder: RunFolder) -> list[DwellMarks]:
-    """:func:`finished_marks` of entries that were read already."""
-    found: dict[int, DwellMarks] = {}
+    """:func:`finished_marks` of journal entries that are already read."""
+    by_dwell: dict[int, DwellMarks] = {}
     for entry in entries:
         if entry.get("event") == "data_given_up":
             given_up = entry.get("dwells")
             if not isinstance(given_up, list):
                 raise RunFolderError(f"{folder.journal}: damaged: data_given_up lacks its list of dwells")
-            found = {dwell: marks for dwell, marks in found.items() if dwell not in given_up}
+            by_dwell = {dwell: marks for dwell, marks in by_dwell.items() if dwell not in given_up}
         elif entry.get("event") == "dwell_finished":
             try:
                 marks = DwellMarks.from_json(entry.get("marks", {}))
             except RunFolderError as error:
                 raise RunFolderError(f"{folder.journal}: {error}") from error
-            found[marks.dwell] = marks
-    return sorted(found.values(), key=lambda marks: marks.start_s)
+            by_dwell[marks.dwell] = marks
+    return sorted(by_dwell.values(), key=lambda marks: marks.start_s)
 
 
 def read_dwell_frames(folder: RunFolder, dwell: int) -> FrameBlock:
@@ -197,20 +196,21 @@ def read_dwell_frames(folder: RunFolder, dwell: int) -> FrameBlock:
 
 
 def read_frames(folder: RunFolder, marks: DwellMarks) -> FrameBlock:
-    """Frames of a dwell by its marks, none if the INS never navigated in it.
+    """Frames of a dwell by its marks; empty if the INS never navigated in it.
 
     Raises RunFolderError if the log lacks them.
     """
     if not marks.windows:
         return concatenate([])
     for _, frames in read_can_log(folder.can, {marks.log_part}):
-        return _frames(folder, marks, frames)
+        return _needed_frames(folder, marks, frames)
     raise RunFolderError(
         f"{folder.can}: lacks part {marks.log_part}, which dwell {marks.dwell} needs. Restore it"
     )
 
 
-def _frames(folder: RunFolder, marks: DwellMarks, logged: FrameBlock) -> FrameBlock:
+def _needed_frames(folder: RunFolder, marks: DwellMarks, logged: FrameBlock) -> FrameBlock:
+    """Data frames of a dwell from those of its part of the log."""
     frames, needed = logged.data_frames(), marks.frame_count
     if len(frames) < needed:
         raise RunFolderError(

@@ -1,4 +1,4 @@
-"""The results of a run: computed at its end, or recomputed from its raw CAN log."""
+"""Evaluates all dwells of a run together, at its end or again from its raw CAN log, and writes the tables."""
 
 from __future__ import annotations
 
@@ -59,17 +59,17 @@ _SHARED_SOURCES = [name for name, source in SOURCES.items() if source.is_common]
 class RunResults:
     """Results of a run."""
 
-    #: As given; biases of vertical gyros without the effect of a wrong latitude, or flagged with it.
+    #: The dwells evaluated; biases of vertical gyros are corrected for a wrong latitude, or flagged for it.
     dwells: list[MeasuredDwell] = field(default_factory=list)
     bins: list[BiasBin] = field(default_factory=list)  #: Bias per gyro, position and temperature.
-    #: Gives the uncertainty budgets of dwells and bins; they are many, and made one by one.
+    #: Generates the uncertainty budgets of dwells and bins one by one, since they are many.
     budgets: Callable[[], Iterator[BiasBudget]] = lambda: iter(())
     joint: list[JointSolution] = field(default_factory=list)  #: One for each plateau.
     #: Rate Up fixed in the navigation frame, from all plateaus whose dwells agree; None without any.
     up_rate: UpRate | None = None
     declared_latitude: float = math.nan  #: Standard uncertainty of the latitude, rad.
-    noise: NoiseEstimate | None = None  #: Of the INS, from its output; None where it is not observable.
-    #: Biases that a calibration check measured, beside the calibrated ones.
+    noise: NoiseEstimate | None = None  #: Of the INS, from its output; None if it is not observable.
+    #: Biases measured by a calibration check, compared with the calibrated ones.
     calibration_check: list[CalibrationCheckRow] = field(default_factory=list)
     #: Coefficients of the sensors at each plateau.
     coefficients: list[PlateauCalibration] = field(default_factory=list)
@@ -87,9 +87,9 @@ def evaluate(
     planned: Sequence[PlannedDwell] = (),
     calibration_check: Sequence[CalibrationCheckRow] = (),
 ) -> RunResults:
-    """Evaluate the dwells of one run; those with flags are left out.
+    """Evaluate the dwells of one run without those that have flags.
 
-    The noise is an exception: dwells whose flags are persistent count for it.
+    The noise estimate is an exception: it includes dwells whose flags are all persistent.
 
     Parameters
     ----------
@@ -100,11 +100,11 @@ def evaluate(
     limits : AcceptanceLimits, optional
         Limits of acceptance; without them the unit is not judged.
     planned : sequence of PlannedDwell
-        What was to be measured; see :func:`planned_dwells`.
+        Dwells that were planned; see :func:`planned_dwells`.
     calibration_check : sequence of CalibrationCheckRow
         Of the run's check dwells.
     """
-    noise = _noise([dwell for dwell in dwells if not dwell.is_disturbed], setup)
+    noise = _pooled_noise([dwell for dwell in dwells if not dwell.is_disturbed], setup)
     dwells = _without_held_heading(dwells, setup)
     good = [dwell for dwell in dwells if dwell.estimate and not dwell.row.flags]
     joint = [solve_jointly(plateau, setup.prior) for plateau in group_plateaus(_joint_dwells(good))]
@@ -113,11 +113,11 @@ def evaluate(
     rows = [dwell.row for dwell in evaluated if dwell.estimate and not dwell.row.flags]
     bins = bin_biases(rows, bin_width_c)
     parts = [BudgetedDwell(each.row, each.estimate.parts) for each in evaluated if each.estimate]
-    of_bins = bin_budgets(parts, bins, setup.budget_inputs)
+    budgets_of_bins = bin_budgets(parts, bins, setup.budget_inputs)
     return RunResults(
         dwells=evaluated,
-        bins=with_budgets(bins, of_bins),
-        budgets=lambda: chain(dwell_budgets(parts, setup.budget_inputs), of_bins),
+        bins=with_budgets(bins, budgets_of_bins),
+        budgets=lambda: chain(dwell_budgets(parts, setup.budget_inputs), budgets_of_bins),
         joint=joint,
         up_rate=rate,
         declared_latitude=setup.prior.latitude,
@@ -139,11 +139,11 @@ def _errors(dwells: Iterable[MeasuredDwell]) -> dict[int, Mapping[str, ErrorPart
 
 
 def planned_dwells(plan: Plan) -> list[PlannedDwell]:
-    """Dwells of a plan that measure biases, in order, at the temperatures estimated for their beginning."""
-    first: dict[int, PlannedStep] = {}
+    """Dwells of a plan that measure biases, in order, with the temperatures estimated for their start."""
+    first_steps: dict[int, PlannedStep] = {}
     for step in plan.steps:
         if step.dwell is not None and step.purpose is DwellPurpose.CALIBRATION:
-            first.setdefault(step.dwell, step)
+            first_steps.setdefault(step.dwell, step)
     return [
         PlannedDwell(
             dwell=dwell,
@@ -152,13 +152,13 @@ def planned_dwells(plan: Plan) -> list[PlannedDwell]:
             chamber_set_c=math.nan if step.before.set_point_c is None else step.before.set_point_c,
             gyro_c=(step.before.gyro_c, step.before.gyro_c, step.before.gyro_c),
         )
-        for dwell, step in first.items()
+        for dwell, step in first_steps.items()
         if step.before.position is not None
     ]
 
 
 def write_results(folder: RunFolder, results: RunResults) -> None:
-    """Write the tables of a run beyond that of its dwells.
+    """Write all tables of a run except the dwell table.
 
     Raises RunFolderError if a file can't be written.
     """
@@ -203,7 +203,7 @@ def _joint_dwells(dwells: Sequence[MeasuredDwell]) -> list[JointDwell]:
     ]
 
 
-def _noise(dwells: Sequence[MeasuredDwell], setup: MeasurementSetup) -> NoiseEstimate | None:
+def _pooled_noise(dwells: Sequence[MeasuredDwell], setup: MeasurementSetup) -> NoiseEstimate | None:
     try:
         return estimate_noise([window for dwell in dwells for window in dwell.windows], setup.site.gravity)
     except MeasurementError:
@@ -222,7 +222,7 @@ def _without_held_heading(
         f"the INS holds its heading with a time constant of about {held_s:.2g} s, by the noise of all "
         "dwells, so that the biases of the vertical gyros are wrong. Switch that aid off, and measure again"
     )
-    return [dwell.flagged(flag) for dwell in dwells]
+    return [dwell.with_flag(flag) for dwell in dwells]
 
 
 def evaluate_run(
@@ -236,8 +236,8 @@ def evaluate_run(
 ) -> RunResults:
     """Compute the results of all dwells of a run, and write them into its folder.
 
-    ``check_dwells`` are compared with ``calibration``, or where that is empty with the run's own dwells.
-    ``rotations``: as measured during the run; where they are not those of the journal, the log is read.
+    ``check_dwells`` are compared with ``calibration``, or with the run's own dwells if that is empty.
+    ``rotations``: as measured during the run; if they are not those of the journal, the log is read.
     Raises RunFolderError if the tables can't be written.
     """
     check = calibration_check_rows(check_dwells, calibration or [dwell.row for dwell in dwells], setup)
@@ -246,10 +246,12 @@ def evaluate_run(
         dwells, setup, procedure.bin_width_c, procedure.acceptance, planned_dwells(plan), check
     )
     rows = [dwell.row for dwell in results.dwells]
-    turned = _rotations(folder, setup, rotations or RunRotations()).calibrated(setup)
+    rotations_of_run = _rotations(folder, setup, rotations or RunRotations()).calibrate(setup)
     flagged = {row.dwell for row in rows if row.flags}
-    sound = [each for each in results.joint if flagged.isdisjoint(dwell.number for dwell in each.dwells)]
-    coefficients = calibrate_plateaus(sound, rows, turned, with_latitude_uncertainty(setup, results.up_rate))
+    consistent = [each for each in results.joint if flagged.isdisjoint(dwell.number for dwell in each.dwells)]
+    coefficients = calibrate_plateaus(
+        consistent, rows, rotations_of_run, with_latitude_uncertainty(setup, results.up_rate)
+    )
     with_spins = procedure.tests.scale_factor_stability is not None
     records = noise_records(folder, setup) if procedure.tests.allan_variance else []
     spins = [spin_record(*each, setup) for each in rotated_dwells(folder)] if with_spins else []
@@ -263,20 +265,20 @@ def evaluate_run(
     return results
 
 
-def _rotations(folder: RunFolder, setup: MeasurementSetup, known: RunRotations) -> RunRotations:
-    """Those of all dwells with rotations, read from the log where others are known."""
-    if known.dwells == [marks.dwell for marks in rotated_marks(folder)]:
-        return known
-    found = RunRotations()
+def _rotations(folder: RunFolder, setup: MeasurementSetup, so_far: RunRotations) -> RunRotations:
+    """Rotations of all dwells; measured again from the log if ``so_far`` lacks dwells of the journal."""
+    if so_far.dwells == [marks.dwell for marks in rotated_marks(folder)]:
+        return so_far
+    remeasured = RunRotations()
     for marks, frames in rotated_dwells(folder):
-        found.add(marks, frames, setup)
-    return found
+        remeasured.add(marks, frames, setup)
+    return remeasured
 
 
 def recompute_run(path: Path, is_sealed: bool = True) -> RunFolder:
     """Measure a run again from its raw log, and write its tables.
 
-    ``is_sealed``: whether they are sealed; if not, with the report that is written next.
+    ``is_sealed``: whether to seal the tables now; otherwise they are sealed with the report written next.
 
     Raises RunFolderError if the folder is not a run folder, or its log can't be read. Raises DocumentError if
     the procedure, station or DBC file in it is wrong.

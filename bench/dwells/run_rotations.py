@@ -1,4 +1,4 @@
-"""Coefficients of the sensors by the rotations of each plateau, and the spins of a run."""
+"""Calibrates the sensors by the rotations of each plateau, and evaluates the spins of a run."""
 
 from __future__ import annotations
 
@@ -26,156 +26,166 @@ from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.runs.marks import DwellMarks
 from gyrobench.drivers.frames import FrameBlock
 
-#: Slopes of a gyro's temperature by which dwells with rotations of one plateau may differ: after the soaks of
-#: the shipped procedures they are up to 4 K/h.
-_MAX_RATE_APART_C_PER_H = 5.0
+#: Largest difference of the temperature slopes of a gyro between dwells with rotations of one plateau: after
+#: the soaks of the shipped procedures slopes are up to 4 K/h.
+_MAX_RATE_DIFFERENCE_C_PER_H = 5.0
 _NO_COEFFICIENTS = "the rotations give no coefficients: {}"
-#: Mean temperatures of the gyros and their slopes, of dwells and rotations alike.
-OF_GYROS = ("gyro_c", "gyro_rate_c_per_h")
+#: Fields of dwells and of rotations with the mean temperatures of the gyros and their slopes.
+GYRO_TEMPERATURE_FIELDS = ("gyro_c", "gyro_rate_c_per_h")
 
 
 @dataclass(frozen=True, eq=False)
 class PlateauRotations:
-    """What the rotations of one plateau show."""
+    """Result of the rotations measured on one plateau."""
 
     marks: DwellMarks  #: Of the first dwell with rotations.
-    #: gyro_c, case_c: Mean temperatures of the gyros and of the case, degC; NaN where not measured.
+    #: gyro_c, case_c: Mean temperatures of the gyros and of the case, degC; NaN if not measured.
     gyro_c: Triple = NOT_MEASURED
     case_c: float = math.nan
-    gyro_rate_c_per_h: Triple = NOT_MEASURED  #: Their slopes.
+    gyro_rate_c_per_h: Triple = NOT_MEASURED  #: Slopes of the gyro temperatures.
     #: Lowest and highest temperatures (2, 4) of gyros and case.
     range_c: FloatArray = field(default_factory=lambda: np.full((2, 4), np.nan))
-    calibration: Calibration | None = None  #: None where there is a ``finding``, which says why.
+    calibration: Calibration | None = None  #: None if there is none; ``finding`` has the reason.
     finding: str = ""
-    #: As uncertain as if the INS sent specific forces; None where it does.
+    #: Estimate with the covariance it would have if the INS sent specific force; None if it does.
     with_force: CoefficientEstimate | None = None
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """Why they give nothing, or what they contradict; empty where nothing is wrong."""
+        """Reason why there is no calibration, or contradictions in the data; empty if nothing is wrong."""
         if self.calibration is None:
             return (self.finding,) if self.finding else ()
         return tuple(f"rotations: {each}" for each in self.calibration.findings)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What they show beside the coefficients."""
+        """Results of the rotations in addition to the coefficients."""
         return () if self.calibration is None else self.calibration.notes
 
 
 class RunRotations:
-    """Dwells with rotations, measured one by one in the order of time; increments of one plateau are held."""
+    """Measures dwells with rotations one by one in the order of time.
+
+    Only the increments of the present plateau are kept in memory.
+    """
 
     def __init__(self) -> None:
-        self.dwells: list[int] = []  #: Numbers of those added.
-        self._before: list[PlateauRotations] = []
-        self._last: list[DwellMarks] = []  # of the last set point
+        self.dwells: list[int] = []  #: Numbers of the dwells added.
+        self._earlier_plateaus: list[PlateauRotations] = []
+        self._plateau_marks: list[DwellMarks] = []  # of the present set point
         self._groups: list[list[RotatedDwell]] = []
         self._finding = ""
 
     def add(self, marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> tuple[str, ...]:
-        """Add the next dwell; with the first one of another set point those before are calibrated.
+        """Add the next dwell; if it is at another set point, the dwells before are calibrated.
 
-        Returns what turned out to be wrong with it, or with those before, and what these show beside the
-        coefficients.
+        Returns the findings about this dwell and about the plateaus just calibrated, and notes about these.
         """
-        found: tuple[str, ...] = ()
-        if self._last and plateau_key(self._last[0]) != plateau_key(marks):
-            is_known, known = bool(self._finding), len(self._before)
-            self._before, self._last, self._groups, self._finding = self.calibrated(setup), [], [], ""
-            if not is_known:
-                found = tuple(text for each in self._before[known:] for text in (*each.findings, *each.notes))
-        self._last.append(marks)
+        texts: tuple[str, ...] = ()
+        if self._plateau_marks and plateau_key(self._plateau_marks[0]) != plateau_key(marks):
+            had_finding, earlier_count = bool(self._finding), len(self._earlier_plateaus)
+            self._earlier_plateaus = self.calibrate(setup)
+            self._plateau_marks, self._groups, self._finding = [], [], ""
+            if not had_finding:
+                texts = tuple(
+                    text
+                    for each in self._earlier_plateaus[earlier_count:]
+                    for text in (*each.findings, *each.notes)
+                )
+        self._plateau_marks.append(marks)
         self.dwells.append(marks.dwell)
         if self._finding:
-            return found
+            return texts
         try:
             dwell = measure_rotations(marks, frames, setup)
         except MeasurementError as error:
             self._groups, self._finding = [], _NO_COEFFICIENTS.format(error)
-            return (*found, self._finding)
-        if not (self._groups and _is_alike(self._groups[-1], dwell)):
+            return (*texts, self._finding)
+        if not (self._groups and _belongs_to(self._groups[-1], dwell)):
             self._groups.append([])
         self._groups[-1].append(dwell)
-        return found
+        return texts
 
-    def calibrated(self, setup: MeasurementSetup) -> list[PlateauRotations]:
-        """Coefficients of all set points; of one those on a ramp to it are kept apart."""
-        found = [_calibrated_rotations(group, setup) for group in self._groups]
+    def calibrate(self, setup: MeasurementSetup) -> list[PlateauRotations]:
+        """Calibrate all plateaus; rotations on a ramp to a set point form a separate plateau."""
+        present = [_calibrate_group(group, setup) for group in self._groups]
         if self._finding:
-            found = [PlateauRotations(self._last[0], finding=self._finding)]
-        return [*self._before, *found]
+            present = [PlateauRotations(self._plateau_marks[0], finding=self._finding)]
+        return [*self._earlier_plateaus, *present]
 
 
-def _is_alike(group: Sequence[RotatedDwell], dwell: RotatedDwell) -> bool:
-    """Whether a dwell has the temperatures of a group and their slopes; those not measured count as alike."""
-    gyro_c, rates = (np.mean([getattr(each, name) for each in group], axis=0) for name in OF_GYROS)
-    is_apart = np.abs(gyro_c - dwell.gyro_c) > MAX_FROM_MEAN_K
-    return not (is_apart | (np.abs(rates - dwell.gyro_rate_c_per_h) > _MAX_RATE_APART_C_PER_H)).any()
+def _belongs_to(group: Sequence[RotatedDwell], dwell: RotatedDwell) -> bool:
+    """Whether a dwell has the temperatures and slopes of a group; those not measured count as equal."""
+    gyro_c, rates = (
+        np.mean([getattr(each, name) for each in group], axis=0) for name in GYRO_TEMPERATURE_FIELDS
+    )
+    is_different = np.abs(gyro_c - dwell.gyro_c) > MAX_FROM_MEAN_K
+    return not (is_different | (np.abs(rates - dwell.gyro_rate_c_per_h) > _MAX_RATE_DIFFERENCE_C_PER_H)).any()
 
 
-def _calibrated_rotations(dwells: Sequence[RotatedDwell], setup: MeasurementSetup) -> PlateauRotations:
+def _calibrate_group(dwells: Sequence[RotatedDwell], setup: MeasurementSetup) -> PlateauRotations:
     options = _options(setup)
     gyro_c, gyro_rate_c_per_h = (
-        triple(np.mean([getattr(each, name) for each in dwells], axis=0)) for name in OF_GYROS
+        triple(np.mean([getattr(each, name) for each in dwells], axis=0)) for name in GYRO_TEMPERATURE_FIELDS
     )
     case_c = float(np.mean([each.case_c for each in dwells]))
-    range_c = enclosing([each.range_c for each in dwells])
+    range_c = combined_range([each.range_c for each in dwells])
     rotations = PlateauRotations(dwells[0].marks, gyro_c, case_c, gyro_rate_c_per_h, range_c)
     try:
-        found = _calibrated([piece for each in dwells for piece in each.pieces], setup.site, options)
+        calibration = _calibrate([piece for each in dwells for piece in each.pieces], setup.site, options)
         with_force = None
-        if not all(each.has_vertical for each in found.recordings):
-            with_force = _with_force(found, setup.site)
+        if not all(each.has_vertical for each in calibration.recordings):
+            with_force = _with_force(calibration, setup.site)
     except MeasurementError as error:
         return replace(rotations, finding=_NO_COEFFICIENTS.format(error))
-    parts = covariances_by_source(found, setup.site)
-    # The increments themselves are no longer needed, nor what was estimated beside the coefficients.
-    found = replace(
-        found,
-        values=found.values[:COUNT],
-        covariance=found.covariance[:COUNT, :COUNT],
-        is_observed=found.is_observed[:COUNT],
+    parts = covariances_by_source(calibration, setup.site)
+    # Drop the increments and the parameters other than the coefficients, which are no longer needed.
+    calibration = replace(
+        calibration,
+        values=calibration.values[:COUNT],
+        covariance=calibration.covariance[:COUNT, :COUNT],
+        is_observed=calibration.is_observed[:COUNT],
         coefficients=COEFFICIENTS,
         recordings=(),
         sections=(),
         trajectories=(),
         parts=parts,
     )
-    return replace(rotations, calibration=found, with_force=with_force)
+    return replace(rotations, calibration=calibration, with_force=with_force)
 
 
 def compile_calibration(setup: MeasurementSetup) -> None:
-    """Compile what a calibration by rotations needs, or load it from numba's cache."""
+    """Compile the kernels of a calibration by rotations, or load them from numba's cache."""
     angle_rad = np.interp(
         np.arange(1801), *np.array([(0, 800, 1000, 1800), (0, 0, 0.5 * np.pi, 0.5 * np.pi)])
     )
     attitude = rotation_matrices(np.outer(angle_rad, [1.0, 0.0, 0.0]))
     noise = np.random.default_rng(0).normal(0.0, 1e-7, (2, 1800, 3))
     angle, velocity = noise + ideal_increments(attitude, setup.site)
-    _calibrated(
-        [IncrementRecording(STEP_S, angle, velocity, known_rests=(Rest(0, 800), Rest(1000, 1800)))],
+    _calibrate(
+        [IncrementRecording(STEP_S, angle, velocity, given_rests=(Rest(0, 800), Rest(1000, 1800)))],
         setup.site,
         _options(setup),
     )
 
 
 def spin_record(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> SpinRecord:
-    """Scale factors of the gyros by the whole turns of one dwell alone.
+    """Scale factors of the gyros from the whole turns of a single dwell.
 
-    Their biases are those of the rests: a bias that followed whole turns would take in an asymmetry.
+    The gyro biases are estimated from the rests only: estimated from whole turns they would absorb an
+    asymmetry of the scale factor.
     """
     at_s = 0.5 * (marks.start_s + marks.end_s)
     try:
         dwell = measure_rotations(marks, frames, setup)
         options = replace(_options(setup), whole_turns=None, g_sensitivity=False)
-        found = _calibrated(dwell.pieces, setup.site, options)
-        spun = spin_scale_factors(found, setup.site, setup.table_repeatability)
-        if contradiction := gravity_contradiction(found, spun):
+        calibration = _calibrate(dwell.pieces, setup.site, options)
+        scale_factors = spin_scale_factors(calibration, setup.site, setup.table_repeatability)
+        if contradiction := gravity_contradiction(calibration, scale_factors):
             raise MeasurementError(contradiction)
     except MeasurementError as error:
         return SpinRecord(marks.run, at_s, NOT_MEASURED, (), str(error).rstrip("."))
-    return SpinRecord(marks.run, at_s, dwell.gyro_c, tuple(spun))
+    return SpinRecord(marks.run, at_s, dwell.gyro_c, tuple(scale_factors))
 
 
 def _options(setup: MeasurementSetup) -> CalibrationOptions:
@@ -190,28 +200,30 @@ def _options(setup: MeasurementSetup) -> CalibrationOptions:
         g_sensitivity=None,
         latitude_sigma=setup.prior.latitude,
         bias_drift=BIAS_DRIFT,
-        are_explained=False,
+        tries_explanations=False,
     )
 
 
-def _calibrated(pieces: Sequence[IncrementRecording], site: Site, options: CalibrationOptions) -> Calibration:
+def _calibrate(pieces: Sequence[IncrementRecording], site: Site, options: CalibrationOptions) -> Calibration:
     if not pieces:
         raise MeasurementError("too many increments are missing in the rotations. Check the CAN bus")
     return calibrate(pieces, site, options)
 
 
-def _with_force(found: Calibration, site: Site) -> CoefficientEstimate:
-    """The same estimate as uncertain as it would be if the vertical specific force were measured."""
-    sections = [replace(each, epochs=replace(each.epochs, has_vertical=True)) for each in found.sections]
-    known = found.trajectories, found.common, found.noise, site, found.options
-    information = Information.of(sections, *known)
+def _with_force(calibration: Calibration, site: Site) -> CoefficientEstimate:
+    """Estimate with the covariance it would have if the vertical specific force were measured."""
+    sections = [
+        replace(each, epochs=replace(each.epochs, has_vertical=True)) for each in calibration.sections
+    ]
+    fixed = calibration.trajectories, calibration.common, calibration.noise, site, calibration.options
+    information = Information.of(sections, *fixed)
     _, covariance, is_observed = information.solve()
-    by_site = sum(part[:COUNT, :COUNT] for part in found.by_site.values())
-    values = found.values[:COUNT]
-    return CoefficientEstimate(values, covariance[:COUNT, :COUNT] + by_site, is_observed[:COUNT])
+    site_covariances = sum(part[:COUNT, :COUNT] for part in calibration.site_covariances.values())
+    values = calibration.values[:COUNT]
+    return CoefficientEstimate(values, covariance[:COUNT, :COUNT] + site_covariances, is_observed[:COUNT])
 
 
-def enclosing(ranges_c: Sequence[FloatArray]) -> FloatArray:
-    """Lowest and highest temperatures (2, 4) of several such ranges, those not measured left out."""
+def combined_range(ranges_c: Sequence[FloatArray]) -> FloatArray:
+    """Lowest and highest temperatures (2, 4) of several such ranges; NaN is ignored."""
     low_c, high_c = np.moveaxis(np.array(ranges_c), 1, 0)
     return np.array([np.fmin.reduce(low_c), np.fmax.reduce(high_c)])

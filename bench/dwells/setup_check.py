@@ -1,19 +1,19 @@
-"""Scale and axes of the velocities and sign of the latitude, tested on what the INS itself navigates.
+"""Tests scale and axes of the velocities and the sign of the latitude with the navigation of the INS itself.
 
-Signs and axes are tested before, see :mod:`gyrobench.bench.dwells.sign_check`. More mistakes of a station
-file let a dwell look good:
+Signs and axes are tested before, see :mod:`gyrobench.bench.dwells.sign_check`. With other mistakes in a
+station file a dwell still looks good:
 
-* Velocities with a wrong scale make the biases of the level gyros wrong by the same factor; in axes turned
-  about Up, as wander azimuth or grid axes, part of one level bias becomes part of the other. The
-  regression on the tilt shows both, and a drift of the accelerometers
+* If the velocities have a wrong scale, the biases of the level gyros are wrong by the same factor. If their
+  axes are rotated about Up, as wander azimuth or grid axes, parts of the level biases are exchanged. The
+  regression on the tilt detects both, and a drift of the accelerometers
   (:mod:`gyrobench.bench.dwells.velocity_regression`).
-* The heading turns by ``V_E tan(latitude)/R``. What another latitude makes of it looks like a bias with a
-  slope, so that of an INS which sends its latitude it is compared with the station's.
-* A latitude of the wrong hemisphere turns the Coriolis acceleration, and the rate of the heading, round.
-  The full error model is fitted with both latitudes. It shows in proportion to what it does to the biases:
-  little in a unit with accelerometer biases of some micro-g.
+* The heading turns by ``V_E tan(latitude)/R``. The effect of a wrong latitude on it looks like a bias with a
+  slope, so the latitude of an INS that sends it is compared with that of the station.
+* A latitude of the wrong hemisphere reverses the Coriolis acceleration and the rate of the heading. The full
+  error model is fitted with both latitudes. The evidence is as large as the effect on the biases: small in a
+  unit with accelerometer biases of some micro-g.
 
-What one dwell leaves open, all dwells of a run decide together.
+If one dwell does not decide, all dwells of a run together do.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrobench.bench.bias.bias_filter import chi2_at, estimate_state_space
+from gyrobench.bench.bias.bias_filter import dwell_chi2, estimate_state_space
 from gyrobench.bench.bias.dwell import Dwell
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
@@ -37,22 +37,22 @@ from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES
 
 #: A scale, or an angle in rad, is wrong if it is off by more than this number of standard uncertainties,
-#: which noise exceeds with a probability of 3e-5, and by more than this.
+#: which noise exceeds with a probability of 3e-5, and by more than this value.
 _MIN_SIGMAS, _MIN_ERROR = 4.2, 0.03
-#: Accelerometers drift more than expected below this probability.
+#: Accelerometers drift more than expected if the p-value is smaller.
 _MIN_DRIFT_P_VALUE = 1e-5
-#: Other differences of the matrix from the identity reduce the evidence for one cause by at most this factor.
-_MAX_LEFT = 4.0
-#: Angles tried at once, and the final step, rad.
+#: Other deviations of the matrix from the identity reduce the evidence for a fault by at most this factor.
+_MAX_GAIN_REDUCTION = 4.0
+#: Angles per step of the search, and its final width, rad.
 _ANGLES, _ANGLE_STEP = 73, 1e-5
-#: Epochs of a window for the two latitudes.
+#: Epochs of a window in the comparison of the two latitudes.
 _LATITUDE_EPOCHS = 60
-#: The opposite latitude is right if chi2 is less by this much there, and explained by the noise.
+#: The opposite latitude is correct if it reduces chi2 by at least this much, and the noise explains the rest.
 _MIN_CHI2_GAIN, _MAX_CHI2_PER_DATUM = 30.0, 1.5
-#: Latitudes of INS and station differ by more than an INS drifts while it navigates on the bench, rad.
-_MAX_LATITUDE_APART = math.radians(0.05)
+#: Largest difference of the latitudes of INS and station, rad: more than an INS drifts on the bench.
+_MAX_LATITUDE_DIFFERENCE = math.radians(0.05)
 _VELOCITIES = ("ins.signals.velocity_east", "ins.signals.velocity_north")
-#: What multiplies a velocity by each factor.
+#: Mistakes that multiply a velocity by each factor.
 _UNITS = {
     0.5: "half the scale", 2.0: "twice the scale", 10.0: "ten times the scale", 0.1: "a tenth of the scale",
     1.0 / 0.514444: "knots taken for m/s", 0.514444: "m/s taken for knots",
@@ -61,22 +61,22 @@ _UNITS = {
     100.0: "cm/s taken for m/s", 0.01: "m/s taken for cm/s",
     1000.0: "mm/s taken for m/s", 0.001: "m/s taken for mm/s",
 }  # fmt: skip
-_MAX_NAMED_SIGMAS, _MAX_NAMED_SHARE = 2.0, 0.02
+_MAX_UNIT_SIGMAS, _MAX_UNIT_SHARE = 2.0, 0.02
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SetupEvidence:
-    """What one dwell shows of the set-up."""
+    """Evidence of one dwell on the scale of the velocities and the latitude."""
 
     velocities: VelocityRegression
     latitude: float  #: Declared, rad.
-    opposite_gain: float  #: By how much chi2 is less at the opposite latitude.
+    opposite_gain: float  #: Reduction of chi2 at the opposite latitude.
 
 
 def setup_evidence(
     dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge, heading_step_rad: float
 ) -> SetupEvidence | None:
-    """What a dwell without jumps of the output shows; None where that is nothing.
+    """Evidence of a dwell without jumps of the output; None if it has none.
 
     ``heading_step_rad``: resolution of the attitude.
     """
@@ -86,19 +86,19 @@ def setup_evidence(
     return SetupEvidence(velocities, site.latitude, _opposite_gain(dwell, site, noise, prior))
 
 
-def setup_fault(several: Sequence[SetupEvidence]) -> str:
-    """What is wrong with the set-up by the dwells together, and what to do; empty where nothing is."""
-    if not several:
+def setup_fault(dwells: Sequence[SetupEvidence]) -> str:
+    """Message about a fault of the set-up that the dwells together reveal; empty if there is none."""
+    if not dwells:
         return ""
-    return _velocity_fault(several) or _latitude_fault(several)
+    return _velocity_fault(dwells) or _latitude_fault(dwells)
 
 
 def latitude_fault(sent: float, site: Site) -> str:
-    """What is wrong if the INS sends another latitude than the station's, both rad; empty if it does not.
+    """Message if the latitude that the INS sends is not that of the station, both rad; else empty.
 
-    Smaller errors show in the data, see :mod:`gyrobench.bench.dwells.latitude`.
+    For smaller errors see :mod:`gyrobench.bench.dwells.latitude`.
     """
-    if not abs(sent - site.latitude) > _MAX_LATITUDE_APART:  # NaN where it sends none
+    if not abs(sent - site.latitude) > _MAX_LATITUDE_DIFFERENCE:  # NaN where it sends none
         return ""
     return (
         f"the INS uses a latitude of {math.degrees(sent):.4f} deg, location.latitude_deg is "
@@ -107,13 +107,13 @@ def latitude_fault(sent: float, site: Site) -> str:
 
 
 def raise_setup_fault(evidence: SetupEvidence | None) -> None:
-    """Raises SignalMapError where one dwell by itself contradicts the set-up."""
+    """Raise SignalMapError if one dwell by itself contradicts the set-up."""
     if evidence and (fault := setup_fault([evidence])):
         raise SignalMapError(fault)
 
 
 def drift_fault(velocities: VelocityRegression) -> str:
-    """That the accelerometers drift more in a dwell than expected; empty if they do not."""
+    """Flag if the accelerometers drift more in a dwell than expected; else empty."""
     expected = np.linalg.norm(velocities.drift_sigma, axis=0)
     # That of a vertical axis is not observable, and adds nothing.
     if chi2_p_value(2, float(((velocities.drift / expected) ** 2).sum())) > _MIN_DRIFT_P_VALUE:
@@ -128,26 +128,26 @@ def drift_fault(velocities: VelocityRegression) -> str:
     )
 
 
-def measured_scale(several: Sequence[SetupEvidence]) -> tuple[float, float]:
+def measured_scale(dwells: Sequence[SetupEvidence]) -> tuple[float, float]:
     """Scale of the velocities by the dwells together, and its standard uncertainty."""
-    return _scale(*_pooled(several), np.ones(2))
+    return _scale(*_pooled(dwells), np.ones(2))
 
 
-def _pooled(several: Sequence[SetupEvidence]) -> tuple[FloatArray, FloatArray]:
-    """Matrix (4,) of several dwells, and its information (4, 4)."""
-    matrices = np.array([each.velocities.matrix for each in several])
-    inverses = np.linalg.inv(np.array([each.velocities.covariance for each in several]))
+def _pooled(dwells: Sequence[SetupEvidence]) -> tuple[FloatArray, FloatArray]:
+    """Mean matrix (4,) of several dwells, and its information (4, 4)."""
+    matrices = np.array([each.velocities.matrix for each in dwells])
+    inverses = np.linalg.inv(np.array([each.velocities.covariance for each in dwells]))
     information = inverses.sum(axis=0)
     matrix = np.linalg.solve(information, np.einsum("nij,nj->i", inverses, matrices))
     chi2 = float(np.einsum("ni,nij,nj->", matrices - matrix, inverses, matrices - matrix))
-    return matrix, information / max(1.0, chi2 / max(4 * (len(several) - 1), 1))
+    return matrix, information / max(1.0, chi2 / max(4 * (len(dwells) - 1), 1))
 
 
-def _scale(matrix: FloatArray, information: FloatArray, chosen: FloatArray) -> tuple[float, float]:
-    """Common scale of the velocities chosen by ones (2,), if nothing else is wrong, and its uncertainty."""
-    along = np.diag(chosen).ravel()
-    weight = float(along @ information @ along)
-    return 1.0 + float(along @ information @ (matrix - np.eye(2).ravel())) / weight, weight**-0.5
+def _scale(matrix: FloatArray, information: FloatArray, is_scaled: FloatArray) -> tuple[float, float]:
+    """Common scale of the velocities marked by ones (2,), if nothing else is wrong, and its uncertainty."""
+    direction = np.diag(is_scaled).ravel()
+    weight = float(direction @ information @ direction)
+    return 1.0 + float(direction @ information @ (matrix - np.eye(2).ravel())) / weight, weight**-0.5
 
 
 def _rotation(angle: float | FloatArray) -> FloatArray:
@@ -157,71 +157,71 @@ def _rotation(angle: float | FloatArray) -> FloatArray:
 
 
 def _angle(matrix: FloatArray, information: FloatArray) -> tuple[float, float, float]:
-    """Angle about Up if nothing else is wrong, and its uncertainty, rad; by how much chi2 is less there."""
+    """Rotation angle about Up if nothing else is wrong, its uncertainty, rad, and the reduction of chi2."""
 
     def chi2(angle: FloatArray) -> FloatArray:
-        away = _rotation(angle) - matrix
-        return np.asarray(np.einsum("ni,ij,nj->n", away, information, away))
+        residuals = _rotation(angle) - matrix
+        return np.asarray(np.einsum("ni,ij,nj->n", residuals, information, residuals))
 
     angle, width = 0.0, math.pi
     while width > _ANGLE_STEP:
-        tried = angle + width * np.linspace(-1.0, 1.0, _ANGLES)
-        angle, width = float(tried[np.argmin(chi2(tried))]), 4.0 * width / _ANGLES
+        angles = angle + width * np.linspace(-1.0, 1.0, _ANGLES)
+        angle, width = float(angles[np.argmin(chi2(angles))]), 4.0 * width / _ANGLES
     change = _rotation(angle + 0.5 * math.pi)
-    right, found = chi2(np.array([0.0, angle]))
-    return angle, float(change @ information @ change) ** -0.5, float(right - found)
+    unrotated, rotated = chi2(np.array([0.0, angle]))
+    return angle, float(change @ information @ change) ** -0.5, float(unrotated - rotated)
 
 
-def _velocity_fault(several: Sequence[SetupEvidence]) -> str:
-    matrix, information = _pooled(several)
-    found = [(*_scale(matrix, information, chosen), chosen) for chosen in (np.ones(2), *np.eye(2))]
-    value, sigma, chosen = max(found, key=lambda each: abs(each[0] - 1.0) / each[1])
+def _velocity_fault(dwells: Sequence[SetupEvidence]) -> str:
+    matrix, information = _pooled(dwells)
+    scales = [(*_scale(matrix, information, is_scaled), is_scaled) for is_scaled in (np.ones(2), *np.eye(2))]
+    value, sigma, is_scaled = max(scales, key=lambda each: abs(each[0] - 1.0) / each[1])
     angle, angle_sigma, angle_gain = _angle(matrix, information)
     gain = ((value - 1.0) / sigma) ** 2
-    is_turned = angle_gain > gain
-    if is_turned:
+    is_rotation = angle_gain > gain
+    if is_rotation:
         gain = angle_gain
     # Disturbed accelerometers make a matrix that is neither a scale nor a rotation.
-    away = matrix - np.eye(2).ravel()
-    left = float(away @ information @ away) - gain
-    gain /= min(max(1.0, left / 3.0), _MAX_LEFT)
-    if gain <= _MIN_SIGMAS**2 or (abs(angle) if is_turned else abs(value - 1.0)) <= _MIN_ERROR:
+    deviation = matrix - np.eye(2).ravel()
+    unexplained = float(deviation @ information @ deviation) - gain
+    gain /= min(max(1.0, unexplained / 3.0), _MAX_GAIN_REDUCTION)
+    if gain <= _MIN_SIGMAS**2 or (abs(angle) if is_rotation else abs(value - 1.0)) <= _MIN_ERROR:
         return ""
-    if is_turned:
+    if is_rotation:
         return (
             f"{' and '.join(_VELOCITIES)} are turned by {math.degrees(angle):.3g} ± "
-            f"{math.degrees(angle_sigma):.1g} deg about Up against what the tilt of the INS leads to, as in "
-            "wander azimuth or grid axes: parts of the biases of the level gyros are exchanged. Map signals "
-            "of the velocities East and North, or set the INS to send those"
+            f"{math.degrees(angle_sigma):.1g} deg about Up relative to those that follow from the tilt of "
+            "the INS, as in wander azimuth or grid axes: parts of the biases of the level gyros are "
+            "exchanged. Map signals of the velocities East and North, or set the INS to send those"
         )
-    names = [name for name, of in zip(_VELOCITIES, chosen, strict=True) if of]
+    names = [name for name, is_wrong in zip(_VELOCITIES, is_scaled, strict=True) if is_wrong]
     has = "have" if len(names) > 1 else "has"
     return (
-        f"{' and '.join(names)} {has} a wrong scale: {value:.3g} ± {sigma:.1g} times what the tilt of the "
-        f"INS leads to{_named(value, sigma)}. The biases of the level gyros are wrong by the same factor. "
-        "Correct the scale or unit in the DBC or the station file"
+        f"{' and '.join(names)} {has} a wrong scale: {value:.3g} ± {sigma:.1g} times the velocity that "
+        f"follows from the tilt of the INS{_unit_text(value, sigma)}. The biases of the level gyros are "
+        "wrong by the same factor. Correct the scale or unit in the DBC or the station file"
     )
 
 
-def _named(value: float, sigma: float) -> str:
-    """Units that fit a scale."""
-    limit = max(_MAX_NAMED_SIGMAS * sigma, _MAX_NAMED_SHARE * abs(value))
+def _unit_text(value: float, sigma: float) -> str:
+    """Mistakes of units that fit a scale, for a message."""
+    limit = max(_MAX_UNIT_SIGMAS * sigma, _MAX_UNIT_SHARE * abs(value))
     near = sorted((abs(value - ratio), text) for ratio, text in _UNITS.items() if abs(value - ratio) < limit)
     return f", as {' or '.join(text for _, text in near)}" if near else ""
 
 
-def _latitude_fault(several: Sequence[SetupEvidence]) -> str:
-    gain, latitude_deg = sum(each.opposite_gain for each in several), math.degrees(several[0].latitude)
+def _latitude_fault(dwells: Sequence[SetupEvidence]) -> str:
+    gain, latitude_deg = sum(each.opposite_gain for each in dwells), math.degrees(dwells[0].latitude)
     if gain < _MIN_CHI2_GAIN:
         return ""
     return (
         f"location.latitude_deg has the wrong sign: at {-latitude_deg:g} deg, not {latitude_deg:g} deg, "
-        f"the error model leaves {gain:.3g} less of the chi2 of the navigation. Correct the station file"
+        f"the chi2 of the navigation is lower by {gain:.3g}. Correct the station file"
     )
 
 
 def _opposite_gain(dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge) -> float:
-    """By how much chi2 is less at the opposite latitude; 0 where neither latitude explains the data.
+    """Reduction of chi2 at the opposite latitude; 0 if neither latitude explains the data.
 
     A bias step fits neither latitude, but may reduce chi2 at the opposite one.
     """
@@ -232,15 +232,15 @@ def _opposite_gain(dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnow
     except MeasurementError:
         return 0.0
     thinned, opposite = replace(dwell, windows=windows), replace(site, latitude=-site.latitude)
-    declared, other = (chi2_at(thinned, place, noise, prior) for place in (site, opposite))
-    count, gain = 3 * sum(len(each.time_s) for each in windows), declared - other
-    if min(declared, other) > _MAX_CHI2_PER_DATUM * count:
+    chi2, opposite_chi2 = (dwell_chi2(thinned, each, noise, prior) for each in (site, opposite))
+    count, gain = 3 * sum(len(each.time_s) for each in windows), chi2 - opposite_chi2
+    if min(chi2, opposite_chi2) > _MAX_CHI2_PER_DATUM * count:
         return 0.0
     return 0.0 if gain > 0.0 and _has_step(dwell, opposite, noise, prior) else gain
 
 
 def _has_step(dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge) -> bool:
-    """Whether a bias steps if the dwell was measured at this site; unknown without a turn."""
+    """Whether a bias steps in the dwell, if it was measured at this site; false without a turn."""
     try:
         return estimate_state_space(dwell, site, noise, prior).probable_step is not None
     except MeasurementError:

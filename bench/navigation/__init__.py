@@ -1,5 +1,5 @@
-"""Frames, the six positions, the axes of the table, Earth rate and gravity.
+"""Frames, the six positions, the axes of the table, Earth rate, gravity and the error model of an INS.
 
-A direction of the navigation frame is an array (East, North, Up); ``C_nb`` (..., 3, 3) has the
-body's x, y and z axes, resolved in that frame, as its columns.
+A vector of the navigation frame is an array (East, North, Up). The columns of ``C_nb`` (..., 3, 3) are the
+body's x, y and z axes, resolved in that frame.
 """

@@ -14,7 +14,7 @@ _SEMI_MAJOR_AXIS = 6378137.0
 _FLATTENING = 1.0 / 298.257223563
 #: Square of the first eccentricity of the ellipsoid.
 _ECCENTRICITY_SQUARED = _FLATTENING * (2.0 - _FLATTENING)
-#: Mean radius of the Earth, m, where the difference between North and East does not matter.
+#: Mean radius of the Earth, m, used if the difference between North and East does not matter.
 MEAN_RADIUS = 6371008.8
 #: Normal gravity at the equator, m/s^2.
 _EQUATOR_GRAVITY = 9.7803253359

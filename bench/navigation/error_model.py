@@ -1,8 +1,9 @@
-"""How the errors of an INS at rest develop: the paper's (3) and (4) with the terms that it drops.
+"""Linear error model of an INS at rest: the paper's equations (3) and (4) with the terms that it neglects.
 
 The state is ``(phi_E, phi_N, phi_U, dV_E, dV_N, dL)``: attitude error in rad, velocity error in
-m/s and latitude error in rad, at fixed altitude. Beyond the paper it holds the transport rate (the
-Schuler loop), Coriolis, and the Earth rate that changes with the latitude error.
+m/s and latitude error in rad, at fixed altitude. In addition to the paper's terms, the model has the
+transport rate (the Schuler loop), the Coriolis acceleration, and the change of the Earth rate with the
+latitude error.
 
 References
 ----------
@@ -22,10 +23,10 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.earth import curvature_radii, earth_rate_enu, gravity
 
-#: Components of the state and of the input.
+#: Numbers of components of the state and of the input.
 STATES, INPUTS = 6, 5
 
-#: Highest latitude, rad, at which the Earth's horizontal rate is enough to gyrocompass with.
+#: Highest latitude, rad, at which the Earth's horizontal rate is large enough for gyrocompassing.
 MAX_LATITUDE = np.deg2rad(85.0)
 
 _INPUT = np.zeros((STATES, INPUTS))
@@ -36,9 +37,10 @@ _TERMS = 16
 
 @dataclass(frozen=True)
 class Site:
-    """Where the bench is.
+    """Location of the bench.
 
-    Raises MeasurementError: near a pole the Earth's rotation is all but vertical: gyrocompassing fails there.
+    Raises MeasurementError near a pole: the Earth's rotation is nearly vertical there, so gyrocompassing
+    fails.
     """
 
     #: latitude, height: Geodetic latitude in rad, height above the ellipsoid in m.
@@ -60,17 +62,17 @@ class Site:
 
 @dataclass(frozen=True, eq=False)
 class Intervals:
-    """The error model integrated over n times."""
+    """The error model integrated over n intervals of time."""
 
-    transition: FloatArray  #: Shape (n, 6, 6). State after for a state before.
-    #: Shape (n, 6, 5). State after for a constant input: gyro error East, North, Up in rad/s, acceleration
-    #: error East, North in m/s^2.
+    transition: FloatArray  #: Shape (n, 6, 6). Final state for a unit of each component of the initial state.
+    #: Shape (n, 6, 5). Final state for a unit of each constant input: gyro error East, North, Up in rad/s,
+    #: acceleration error East, North in m/s^2.
     response: FloatArray
-    covariance: FloatArray  #: Shape (n, 6, 6). State after for white noise of the rates and accelerations.
+    covariance: FloatArray  #: Shape (n, 6, 6). Of the final state, by white noise of rates and accelerations.
 
 
 def dynamics(site: Site) -> FloatArray:
-    """Matrix (6, 6) that gives the derivative of the state."""
+    """System matrix (6, 6): the derivative of the state is this times the state."""
     _, rate_n, rate_u = earth_rate_enu(site.latitude)
     meridian, across = curvature_radii(site.latitude, site.height)
     tangent = np.tan(site.latitude)
@@ -90,9 +92,9 @@ def dynamics(site: Site) -> FloatArray:
 def integrate(
     site: Site, durations: FloatArray, angle_random_walk: float, velocity_random_walk: float
 ) -> Intervals:
-    """Integrate the model over times at rest.
+    """Integrate the model over intervals at rest.
 
-    ``durations`` (n,): times, s; power series in them, good to 1e-7 up to a quarter of an hour.
+    ``durations`` (n,): s; the power series in them are accurate to 1e-7 up to a quarter of an hour.
     ``angle_random_walk``, ``velocity_random_walk``: noise of each gyro and accelerometer, rad/sqrt(s) and
     m/s/sqrt(s).
     """
@@ -106,7 +108,7 @@ def integrate(
 
 
 def unit_walks(site: Site, durations: FloatArray) -> FloatArray:
-    """Covariances (2, n, 6, 6) that angle and velocity random walk of size one add over times (n,), s."""
+    """Covariances (2, n, 6, 6) due to unit angle and velocity random walk over durations (n,), s."""
     powers = np.power.outer(durations, np.arange(_TERMS))
     return np.stack([np.tensordot(powers, _series(site, *unit)[2], 1) for unit in ((1.0, 0.0), (0.0, 1.0))])
 

@@ -1,4 +1,4 @@
-"""Where a unit is calibrated, as station files and import maps state it."""
+"""Location of the calibration, as stated in station files and import maps."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from gyrobench.bench.foundations.arrays import STANDARD_GRAVITY
 from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.navigation.error_model import MAX_LATITUDE, Site
 
-#: Standard uncertainty of normal gravity, m/s^2: a usual anomaly of 30 mGal.
+#: Standard uncertainty of normal gravity, m/s^2: a typical anomaly of 30 mGal.
 NORMAL_GRAVITY_SIGMA = 3e-4
-#: Largest difference of gravity from normal gravity, m/s^2, above that of laboratories by far, and one that
-#: does not matter.
-_MAX_ANOMALY, _SAME_GRAVITY = 5e-3, 1e-4
+#: Largest difference of gravity from normal gravity, m/s^2, which is far above that in laboratories, and a
+#: difference that does not matter.
+_MAX_ANOMALY, _GRAVITY_TOLERANCE = 5e-3, 1e-4
 _MAX_LATITUDE_DEG = round(math.degrees(MAX_LATITUDE), 6)
 
 
 class Location(StrictModel):
-    """Where the bench is."""
+    """Location of the bench."""
 
     renamed_keys: ClassVar[Mapping[str, str]] = MappingProxyType(
         {"gravity_sigma_mps2": "gravity_uncertainty_mps2"}
@@ -59,7 +59,7 @@ class Location(StrictModel):
 
     @property
     def gravity_sigma(self) -> float:
-        """Standard uncertainty of gravity, m/s^2: as stated, else by the digits of the number."""
+        """Standard uncertainty of gravity, m/s^2: as stated, otherwise from the digits of the number."""
         if self.gravity_uncertainty_mps2 is not None:
             return self.gravity_uncertainty_mps2
         if self.gravity_mps2 is None:
@@ -69,7 +69,7 @@ class Location(StrictModel):
 
     @field_validator("latitude_deg")
     @classmethod
-    def _can_gyrocompass(cls, latitude_deg: float) -> float:
+    def _check_latitude(cls, latitude_deg: float) -> float:
         if not abs(latitude_deg) <= _MAX_LATITUDE_DEG:
             raise ValueError(
                 f"gyrocompassing fails at {latitude_deg:g} deg; allowed: -{_MAX_LATITUDE_DEG:g} to "
@@ -78,20 +78,22 @@ class Location(StrictModel):
         return latitude_deg
 
     @model_validator(mode="after")
-    def _has_its_gravity(self) -> Self:
-        if (known := self.gravity_mps2) is None:
+    def _check_gravity(self) -> Self:
+        if (stated := self.gravity_mps2) is None:
             return self
         normal, allowed = self.site.gravity, 2.0 * self.gravity_sigma
-        away = abs(known - normal)
-        place = f"normal gravity at {self.latitude_deg:g} deg and {self.height_m:g} m is {normal:.5f} m/s^2"
-        if known == STANDARD_GRAVITY and away > max(allowed, _SAME_GRAVITY):
+        deviation = abs(stated - normal)
+        normal_text = (
+            f"normal gravity at {self.latitude_deg:g} deg and {self.height_m:g} m is {normal:.5f} m/s^2"
+        )
+        if stated == STANDARD_GRAVITY and deviation > max(allowed, _GRAVITY_TOLERANCE):
             raise ValueError(
-                f"{known} m/s^2 is standard gravity, which defines the unit g; {place}. Leave gravity_mps2 "
-                "out, or enter the gravity measured there"
+                f"{stated} m/s^2 is standard gravity, which defines the unit g; {normal_text}. Leave "
+                "gravity_mps2 out, or enter the gravity measured there"
             )
-        if away > _MAX_ANOMALY + allowed:
+        if deviation > _MAX_ANOMALY + allowed:
             raise ValueError(
-                f"gravity_mps2 is {known}; {place}, from which places differ by up to {_MAX_ANOMALY:g} "
-                "m/s^2. Correct gravity, latitude or height, or leave gravity_mps2 out"
+                f"gravity_mps2 is {stated}; {normal_text}, from which places differ by up to "
+                f"{_MAX_ANOMALY:g} m/s^2. Correct gravity, latitude or height, or leave gravity_mps2 out"
             )
         return self

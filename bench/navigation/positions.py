@@ -1,6 +1,6 @@
-"""The six positions in which the gyros are measured, and the attitude of each.
+"""The six positions in which the gyros are measured, and their attitudes.
 
-The table below reproduces every sign of the paper's equations (10) and (12) to (16).
+The directions below reproduce all signs of the paper's equations (10) and (12) to (16).
 
 References
 ----------
@@ -26,7 +26,7 @@ PositionName = Literal["z_up", "z_down", "y_up", "y_down", "x_up", "x_down"]
 AXES = ("x", "y", "z")
 _HALF_TURN_TOLERANCE_DEG = 0.5
 
-_PlacedT = TypeVar("_PlacedT")
+_DwellT = TypeVar("_DwellT")
 
 _DIRECTIONS = {
     "E": (1.0, 0.0, 0.0),
@@ -43,7 +43,7 @@ class Position:
     """One of the six positions."""
 
     name: str  #: Key of the position in files: "z_up", "x_down", ...
-    directions: str  #: Where body x, y and z point at azimuth 0, as three letters out of E, W, N, S, U, D.
+    directions: str  #: Directions of body x, y and z at azimuth 0, as three letters out of E, W, N, S, U, D.
 
     @property
     def up_axis(self) -> int:
@@ -52,7 +52,7 @@ class Position:
 
     @property
     def up_sign(self) -> int:
-        """+1 where the vertical body axis points up, -1 where it points down."""
+        """+1 if the vertical body axis points up, -1 if it points down."""
         return 1 if "U" in self.directions else -1
 
     def C_nb(self, azimuth_rad: float = 0.0) -> FloatArray:  # noqa: N802
@@ -88,17 +88,17 @@ def gyro_label(gyro: str) -> str:
 
 
 def half_turn_pairs(
-    placed: Iterable[_PlacedT],
-    azimuth_deg: Callable[[_PlacedT], float],
-    fit: Callable[[_PlacedT, _PlacedT], bool] = lambda _one, _other: True,
-) -> list[tuple[_PlacedT, _PlacedT | None]]:
-    """Pair each with the first unpaired one half a turn from it that fits; None for those left over."""
-    pairs: list[tuple[_PlacedT, _PlacedT | None]] = []
-    unpaired: list[_PlacedT] = []
-    for each in placed:
+    dwells: Iterable[_DwellT],
+    azimuth_deg: Callable[[_DwellT], float],
+    are_comparable: Callable[[_DwellT, _DwellT], bool] = lambda _first, _second: True,
+) -> list[tuple[_DwellT, _DwellT | None]]:
+    """Pair each dwell with the first unpaired comparable one half a turn from it; None if there is none."""
+    pairs: list[tuple[_DwellT, _DwellT | None]] = []
+    unpaired: list[_DwellT] = []
+    for each in dwells:
         for other in unpaired:
-            away_deg = (azimuth_deg(each) - azimuth_deg(other)) % 360.0 - 180.0
-            if abs(away_deg) < _HALF_TURN_TOLERANCE_DEG and fit(other, each):
+            deviation_deg = (azimuth_deg(each) - azimuth_deg(other)) % 360.0 - 180.0
+            if abs(deviation_deg) < _HALF_TURN_TOLERANCE_DEG and are_comparable(other, each):
                 unpaired.remove(other)
                 pairs.append((other, each))
                 break

@@ -1,13 +1,13 @@
-"""Position error of a rotational INS: what the gyros' residual biases do in a day of navigation.
+"""Position error of a rotational INS in a day of navigation, due to the residual biases of its gyros.
 
-A dual-axis rotational INS carries its sensors in two gimbals and turns them from one attitude to the
-next. A bias that stays the same in the body is turned with it and averages out; one that changes
-with attitude does not, and drives the position away.
+A dual-axis rotational INS carries its sensors in two gimbals and turns them from one attitude to the next. A
+bias that is constant in body axes rotates with the body and averages out. A bias that changes with attitude
+does not, and makes the position drift.
 
-The schemes here are assumptions. A 16-position scheme is what Chen et al. compare theirs with, but its
-table of turns was not available: :data:`HALF_TURNS` turns by 180 deg about one of two axes at a time and
-repeats all turns in the other sense, so that errors of the gyros' scale factors average out too, but not
-those of their misalignments (:data:`RETRACED_HALF_TURNS` cancels both). Dwell and rate are chosen.
+The schemes here are assumptions. Chen et al. compare their scheme with one of 16 positions, whose table of
+turns was not available. :data:`HALF_TURNS` turns by 180 deg about one of two axes at a time and repeats all
+turns in the opposite direction, so that errors of the gyros' scale factors average out, but not those of
+their misalignments; :data:`RETRACED_HALF_TURNS` cancels both. Dwell and rate are chosen freely.
 
 References
 ----------
@@ -34,7 +34,8 @@ from gyrobench.bench.navigation.error_model import INPUTS, STATES, Site, integra
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 from gyrobench.bench.navigation.table_axes import TwoAxisTable
 
-#: Time since the start (n,), s, and Up in body axes (n, 3), to the gyros' residual bias (n, 3), deg/h.
+#: Function of the time since the start (n,), s, and Up in body axes (n, 3); returns the gyros' residual bias
+#: (n, 3), deg/h.
 ResidualBias = Callable[[FloatArray, FloatArray], FloatArray]
 
 #: One nautical mile, m.
@@ -44,8 +45,8 @@ DAY_S = 86_400.0
 
 _DWELL_STEP_S = 60.0
 _TURN_STEPS = 6
-#: Direction cosines of Up below this are rounding.
-_LEVEL = 1e-9
+#: Direction cosines of Up up to this are rounding.
+_MIN_COSINE = 1e-9
 _EAST_VELOCITY, _LATITUDE = 3, 5
 #: Outer axis East, inner axis Up, body axes East, North, Up with both angles at zero.
 GIMBALS = TwoAxisTable(np.array([1.0, 0.0, 0.0]), UP, np.eye(3))
@@ -53,16 +54,16 @@ GIMBALS = TwoAxisTable(np.array([1.0, 0.0, 0.0]), UP, np.eye(3))
 
 @dataclass(frozen=True)
 class RotationScheme:
-    """Turns of the gimbals, one after the other and then from the beginning.
+    """Sequence of turns of the gimbals, which is repeated.
 
-    Raises MeasurementError if the turns do not lead back to the angles that they began with.
+    Raises MeasurementError if the turns do not lead back to the initial angles.
     """
 
     #: Axis and angle of each turn. The outer axis points East, the inner one Up while the outer angle is
     #: zero.
     turns_deg: tuple[tuple[Literal["outer", "inner"], float], ...]
-    #: Rest before each turn. With 300 s sixteen dwells last a Schuler period, and what should average out
-    #: resonates.
+    #: Rest before each turn. With 300 s sixteen dwells would last a Schuler period, and errors would resonate
+    #: instead of averaging out.
     dwell_s: ClassVar[float] = 180.0
     rate_dps: ClassVar[float] = 10.0  #: Rate of the turns.
 
@@ -81,28 +82,28 @@ class RotationScheme:
         return list(sums)
 
 
-def _both_senses(turns: tuple[tuple[Literal["outer", "inner"], float], ...]) -> RotationScheme:
+def _both_directions(turns: tuple[tuple[Literal["outer", "inner"], float], ...]) -> RotationScheme:
     return RotationScheme((*turns, *((axis, -angle) for axis, angle in turns)))
 
 
 #: Sixteen half turns: the inner axis stays vertical, in four attitudes of two positions. At 45 deg N a gyro
 #: misalignment of 1 arcsec becomes up to 3.7 nmi in 24 h; by :data:`RETRACED_HALF_TURNS` 0.2 nmi.
-HALF_TURNS = _both_senses(
+HALF_TURNS = _both_directions(
     (*((("inner", 180.0), ("outer", 180.0)) * 2), *((("inner", -180.0), ("outer", -180.0)) * 2))
 )
 
-_FORTH: tuple[tuple[Literal["outer", "inner"], float], ...] = (
+_FORWARD: tuple[tuple[Literal["outer", "inner"], float], ...] = (
     ("inner", 180.0),
     ("outer", 180.0),
     ("inner", -180.0),
     ("outer", -180.0),
 ) * 2
 #: Sixteen half turns of which the last eight retrace the first eight, so that misalignments of the gyros
-#: average out like their scale factors: each turn sweeps the same way back.
-RETRACED_HALF_TURNS = RotationScheme((*_FORTH, *((axis, -angle) for axis, angle in reversed(_FORTH))))
+#: average out like their scale factors.
+RETRACED_HALF_TURNS = RotationScheme((*_FORWARD, *((axis, -angle) for axis, angle in reversed(_FORWARD))))
 
 #: Thirty-two turns through all six positions, each at azimuths half a turn apart: sixteen attitudes.
-SIX_POSITIONS = _both_senses(
+SIX_POSITIONS = _both_directions(
     (
         ("inner", 180.0), ("outer", 180.0), ("inner", -180.0), ("inner", 90.0),
         ("inner", 180.0), ("outer", -180.0), ("inner", -180.0), ("outer", 90.0),
@@ -136,12 +137,13 @@ class PositionError:
 def rotate_for(
     duration_s: float, scheme: RotationScheme, residual_bias: ResidualBias, site: Site
 ) -> PositionError:
-    """Navigate with gyros that have a residual bias, turning the sensors by a scheme.
+    """Navigate with gyros that have a residual bias, while the sensors are turned by a scheme.
 
-    The vehicle rests, the accelerometers are without error, and the navigation starts without one.
+    The vehicle rests; neither the accelerometers nor the initial navigation have errors.
 
-    ``duration_s``: rounded up to whole steps. ``residual_bias``: gets the middle of each step and Up in body
-    axes then; :func:`bias_by_position` makes one. Raises MeasurementError if a residual bias is not finite.
+    ``duration_s``: rounded up to whole steps. ``residual_bias``: called with the time of the middle of each
+    step and Up in body axes at that time; see :func:`bias_by_position`. Raises MeasurementError if a residual
+    bias is not finite.
     """
     steps_s, attitudes = _steps(duration_s, scheme)
     middle_s = np.cumsum(steps_s) - 0.5 * steps_s
@@ -152,7 +154,7 @@ def rotate_for(
 def rotate_for_each(
     duration_s: float, scheme: RotationScheme, biases_dph: Sequence[Mapping[str, ArrayLike]], site: Site
 ) -> PositionError:
-    """The same for each of k residual biases by position at once; the errors have the shape (n, k)."""
+    """Navigate with each of k residual biases by position, as :func:`rotate_for`; errors (n, k)."""
     steps_s, attitudes = _steps(duration_s, scheme)
     middle_s = np.cumsum(steps_s) - 0.5 * steps_s
     body_dph = [bias_by_position(each)(middle_s, attitudes[:, 2]) for each in biases_dph]
@@ -161,7 +163,7 @@ def rotate_for_each(
 
 @lru_cache(maxsize=8)
 def _steps(duration_s: float, scheme: RotationScheme) -> tuple[FloatArray, FloatArray]:
-    """Lengths (n,) and attitudes (n, 3, 3) of the steps of a time, which is rounded up to whole ones."""
+    """Lengths (n,), s, and attitudes (n, 3, 3) of the steps of a duration, rounded up to whole steps."""
     steps_s, attitudes = _cycle(scheme)
     cycles = int(np.ceil(duration_s / steps_s.sum()))
     steps_s, attitudes = np.tile(steps_s, cycles), np.tile(attitudes, (cycles, 1, 1))
@@ -179,34 +181,34 @@ def navigate_with_drift(steps_s: FloatArray, drift_enu_dph: FloatArray, site: Si
     """
     if not np.isfinite(drift_enu_dph).all():
         raise MeasurementError("rotational INS: the residual bias must be finite at all times")
-    lengths_s, which = np.unique(steps_s, return_inverse=True)
+    lengths_s, duration_index = np.unique(steps_s, return_inverse=True)
     intervals = integrate(site, lengths_s, 0.0, 0.0)
     inputs = np.zeros((len(steps_s), INPUTS, *drift_enu_dph.shape[2:]))
     inputs[:, :3] = DPH_TO_RADPS * drift_enu_dph
-    driven = np.einsum("nij,nj...->ni...", intervals.response[which], inputs)
-    states = np.concatenate([np.zeros((1, STATES, *drift_enu_dph.shape[2:])), driven])
-    transitions, each_state = list(intervals.transition), list(states)
-    for kind, (before, after) in zip(which.tolist(), itertools.pairwise(each_state), strict=True):
-        after += transitions[kind].dot(before)
+    forced = np.einsum("nij,nj...->ni...", intervals.response[duration_index], inputs)
+    states = np.concatenate([np.zeros((1, STATES, *drift_enu_dph.shape[2:])), forced])
+    transitions, state_rows = list(intervals.transition), list(states)
+    for index, (before, after) in zip(duration_index.tolist(), itertools.pairwise(state_rows), strict=True):
+        after += transitions[index].dot(before)
     velocity_east = states[:, _EAST_VELOCITY]
-    means_mps = 0.5 * (velocity_east[:-1] + velocity_east[1:])
+    mean_velocities_mps = 0.5 * (velocity_east[:-1] + velocity_east[1:])
     meridian_m, _ = curvature_radii(site.latitude, site.height)
     return PositionError(
         time_s=np.cumsum(steps_s),
-        east_m=np.cumsum((steps_s * means_mps.T).T, axis=0),
+        east_m=np.cumsum((steps_s * mean_velocities_mps.T).T, axis=0),
         north_m=meridian_m * states[1:, _LATITUDE],
     )
 
 
 def bias_by_position(biases_dph: Mapping[str, ArrayLike]) -> ResidualBias:
-    """Residual bias that depends on the position alone.
+    """Residual bias that depends only on the position.
 
-    On the way from one position to another the biases are weighted by the squares of the direction
-    cosines of Up, which add up to one.
+    Between positions the biases are weighted by the squares of the direction cosines of Up, which add up to
+    one.
 
     ``biases_dph``: bias of the gyros, body axes, by the names of
-    :data:`gyrobench.bench.navigation.positions.POSITIONS`. Where one of two opposite positions is missing the
-    scheme must not pass it. Raises MeasurementError if a name is not that of a position.
+    :data:`gyrobench.bench.navigation.positions.POSITIONS`. If a position is missing, the scheme must not pass
+    through it. Raises MeasurementError if a name is not that of a position.
     """
     unknown = biases_dph.keys() - POSITIONS.keys()
     if unknown:
@@ -220,7 +222,7 @@ def bias_by_position(biases_dph: Mapping[str, ArrayLike]) -> ResidualBias:
     )
 
     def residual_bias(_: FloatArray, up_body: FloatArray) -> FloatArray:
-        weights = np.where(np.abs(up_body) > _LEVEL, up_body**2, 0.0)[:, :, np.newaxis]
+        weights = np.where(np.abs(up_body) > _MIN_COSINE, up_body**2, 0.0)[:, :, np.newaxis]
         parts = np.where(up_body[:, :, np.newaxis] > 0.0, up, down)
         return np.asarray(np.sum(weights * np.where(weights > 0.0, parts, 0.0), axis=1))
 
@@ -229,7 +231,7 @@ def bias_by_position(biases_dph: Mapping[str, ArrayLike]) -> ResidualBias:
 
 @lru_cache(maxsize=8)
 def _cycle(scheme: RotationScheme) -> tuple[FloatArray, FloatArray]:
-    """Lengths (n,) of the steps of one cycle, and the attitude (n, 3, 3) in the middle of each."""
+    """Lengths (n,), s, of the steps of one cycle, and the attitude (n, 3, 3) in the middle of each step."""
     dwell_steps = int(np.ceil(scheme.dwell_s / _DWELL_STEP_S))
     angles, lengths = [], []
     for start, end in itertools.pairwise(scheme.angles_deg()):

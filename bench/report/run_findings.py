@@ -253,7 +253,7 @@ def _noise_text(compared: NoiseComparison, key: str) -> str:
         else "The uncertainties of the biases are too large."
     )
     shown = measured.text(compared.unit, compared.unit_si).removeprefix("hidden by the resolution, ")
-    to_declare = f"{key}: {measured.cautious / compared.unit_si:.2g}"
+    to_declare = f"{key}: {measured.conservative_value / compared.unit_si:.2g}"
     return (
         f"{capitalised(compared.name)}: measured {shown}, declared "
         f"{declared / compared.unit_si:.3g} {compared.unit}. {effect} Declare ins.noise.{to_declare}, and "
@@ -272,7 +272,7 @@ def heading_sentence(noise: NoiseEstimate | None) -> str:
     if noise is None:
         return ""
     heading, gyros = noise.heading.parameter(RANDOM_WALK), noise.angle_random_walk
-    if gyros.square is None or not gyros.is_found:
+    if gyros.square is None or not gyros.is_significant:
         return ""
     # None where its steps hide it, as those of a heading that is held exactly.
     limit = (

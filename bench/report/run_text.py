@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from statistics import median
 from types import MappingProxyType
 
-from gyrobench.bench.bias.bins import BiasBin, PositionComparison, not_connected
+from gyrobench.bench.bias.bins import BiasBin, PositionComparison, disconnected_bins
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.statistics import uniformity_p_value
 from gyrobench.bench.bias.verdicts import Acceptance, RunVerdict
@@ -60,7 +60,7 @@ def equality_sentence(comparisons: Sequence[PositionComparison]) -> str:
 
 def power_cycle_sentence(bins: Iterable[BiasBin]) -> str:
     """Where positions of different power cycles are not compared; empty if nowhere."""
-    apart = not_connected(bins)
+    apart = disconnected_bins(bins)
     if not apart:
         return ""
     return (

@@ -251,13 +251,13 @@ def noise_figure(estimate: NoiseEstimate, declared: NoiseModel | None) -> Figure
 def _draw_channel(
     axes: Axes, channel: ChannelNoise, unit: float, label: str, colour: str, marker: str
 ) -> None:
-    fit, is_seen = channel.fit, channel.is_seen
-    if not is_seen.any():
+    fit, has_motion = channel.fit, channel.has_motion
+    if not has_motion.any():
         return
-    tau, deviation = channel.allan.tau_s[is_seen], channel.allan.deviation[is_seen] / unit
+    tau, deviation = channel.allan.tau_s[has_motion], channel.allan.deviation[has_motion] / unit
     sigma = None
     if fit:
-        sigma = deviation * np.minimum(1.0 / np.sqrt(2.0 * fit.edf[is_seen]), _WIDEST_BAR)
+        sigma = deviation * np.minimum(1.0 / np.sqrt(2.0 * fit.edf[has_motion]), _WIDEST_BAR)
     axes.errorbar(
         tau,
         deviation,
@@ -273,7 +273,7 @@ def _draw_channel(
         alpha=1.0 if fit else 0.35,
     )
     if fit:
-        axes.plot(tau, np.sqrt(fit.expected[is_seen]) / unit, color=colour, linewidth=_FIT_WIDTH)
+        axes.plot(tau, np.sqrt(fit.expected[has_motion]) / unit, color=colour, linewidth=_FIT_WIDTH)
 
 
 def _draw_walks(
@@ -293,7 +293,7 @@ def _draw_walks(
         return
     tau = np.array([axes.dataLim.x0, axes.dataLim.x1])
     levels = [axes.dataLim.y0, axes.dataLim.y1]
-    found = measured.value if measured.is_found and measured.value is not None else 0.0
+    found = measured.value if measured.is_significant and measured.value is not None else 0.0
     text = measured.text(name, size).replace(", ", "\n")
     for value, label, colour, line in (
         (found, f"random walk\n{text}", _FITTED, "-"),

@@ -168,8 +168,8 @@ def _input_topics(calibration: Calibration) -> Iterator[tuple[str, str]]:
         f"{gravity:.5f} ± {sigma:.1g} m/s^2: {1e6 * sigma / gravity:.2g} ppm of the accelerometer scale "
         "factors, included",
     )
-    if "time" in calibration.by_site:
-        sigmas = 1e6 * np.sqrt(np.diag(calibration.by_site["time"])[:COUNT])
+    if "time" in calibration.site_covariances:
+        sigmas = 1e6 * np.sqrt(np.diag(calibration.site_covariances["time"])[:COUNT])
         by_sensor = {
             each.sensor: sigma
             for each, sigma in zip(COEFFICIENTS, sigmas, strict=True)
@@ -177,8 +177,8 @@ def _input_topics(calibration: Calibration) -> Iterator[tuple[str, str]]:
         }
         parts = [f"{sigma:.2g} ppm of the {sensor} scale factors" for sensor, sigma in by_sensor.items()]
         yield "Time", f"clock and time stamps: {listed(parts)}, included"
-    if "latitude" in calibration.by_site and calibration.is_observed[:3].any():
-        variances = np.diag(calibration.by_site["latitude"])[:3][calibration.is_observed[:3]]
+    if "latitude" in calibration.site_covariances and calibration.is_observed[:3].any():
+        variances = np.diag(calibration.site_covariances["latitude"])[:3][calibration.is_observed[:3]]
         yield (
             "Latitude",
             f"± {calibration.options.latitude_sigma * RAD_TO_ARCMIN:.2g} arcmin: up to "

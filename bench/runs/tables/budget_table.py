@@ -10,7 +10,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-from gyrobench.bench.bias.budget import BiasBudget, Budget, Combined
+from gyrobench.bench.bias.budget import BiasBudget, Budget, CombinedUncertainty
 from gyrobench.bench.bias.error_sources import SOURCES
 from gyrobench.bench.calibration.coefficients import SensorCoefficient
 from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN
@@ -121,7 +121,7 @@ def _rows_of(budget: Budget, unit: str, **result: Any) -> Iterator[BudgetRow]:
 
 
 def _sum(
-    name: str, combined: Combined, unit: str, share: float, note: str, result: Mapping[str, Any]
+    name: str, combined: CombinedUncertainty, unit: str, share: float, note: str, result: Mapping[str, Any]
 ) -> BudgetRow:
     return BudgetRow(
         **result,

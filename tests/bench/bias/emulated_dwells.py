@@ -99,7 +99,9 @@ def emulate(
         tuple(_window(position, rest, noise, random, gyro_c, lsb) for rest in rests),
         tuple(table.attitude(*stop) for stop in stops),
         tuple(
-            TurnPath.steady(before.time_s[-1], after.time_s[0] - place.settle_s, _path(table, start, end))
+            TurnPath.at_constant_rate(
+                before.time_s[-1], after.time_s[0] - place.settle_s, _path(table, start, end)
+            )
             for (before, after), (start, end) in zip(pairwise(rests), pairwise(stops), strict=True)
         ),
     )

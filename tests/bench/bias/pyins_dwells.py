@@ -105,5 +105,5 @@ def simulate(ins: RestingIns) -> Dwell:
         0.0,
         windows,
         (C_before, C_after),
-        (TurnPath.steady(time[counts[0]], time[total - counts[2]], path),),
+        (TurnPath.at_constant_rate(time[counts[0]], time[total - counts[2]], path),),
     )

@@ -14,7 +14,7 @@ from gyrobench.bench.bias.bins import (
     BiasBin,
     bin_biases,
     compare_positions,
-    not_connected,
+    disconnected_bins,
     paper_bins,
     read_bins,
     with_power_cycles,
@@ -314,13 +314,13 @@ def test_positions_of_two_power_cycles_are_compared_through_one_that_both_measur
     assert set(result.largest_pair) <= {"x_up", "z_up", "y_up"}
     assert result.largest_pair[0] == "x_up"
     assert result.largest_difference_dph == pytest.approx(0.02)
-    assert not_connected(bin_biases(rows)) == []
+    assert disconnected_bins(bin_biases(rows)) == []
 
 
 def test_positions_each_of_another_power_cycle_are_not_compared_and_named():
     bins = bin_biases(rows_of_power_cycles({"1": ["z_up"], "2": ["y_up"]}))
     assert compare_positions(bins) == []
-    assert [(each.gyro, each.bin_low_c) for each in not_connected(bins)] == [(g, 20.0) for g in "xyz"]
+    assert [(each.gyro, each.bin_low_c) for each in disconnected_bins(bins)] == [(g, 20.0) for g in "xyz"]
 
 
 @pytest.mark.long

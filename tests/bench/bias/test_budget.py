@@ -10,7 +10,7 @@ from gyrobench.bench.bias.bins import bin_biases
 from gyrobench.bench.bias.budget import (
     BudgetedDwell,
     BudgetInputs,
-    Combined,
+    CombinedUncertainty,
     Contribution,
     bin_budgets,
     coverage_factor,
@@ -110,7 +110,7 @@ def test_the_coverage_factor_is_that_of_gtc(free):
 
 
 def test_declared_contributions_do_not_limit_the_degrees_of_freedom():
-    combined = Combined.of(
+    combined = CombinedUncertainty.of(
         [Contribution("latitude", 1.0, 3.0), Contribution("angle_random_walk", 1.0, 4.0, 8.0)]
     )
     assert combined.sigma == pytest.approx(5.0)

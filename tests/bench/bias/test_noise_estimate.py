@@ -228,7 +228,7 @@ def test_an_attitude_too_coarse_hides_the_angle_random_walk_below_a_limit():
     assert estimate.angle_random_walk.value is None
     assert 0.0006 * DEG_PER_SQRT_H_TO_SI < estimate.angle_random_walk.limit < 0.01 * DEG_PER_SQRT_H_TO_SI
     assert estimate.heading_white.value is None
-    assert estimate.velocity_random_walk.is_found
+    assert estimate.velocity_random_walk.is_significant
     with pytest.raises(MeasurementError, match="angle random walk is not observable"):
         estimate.noise_model()
 
@@ -259,7 +259,7 @@ def test_a_velocity_too_coarse_hides_the_velocity_random_walk_below_a_limit():
 
 def test_accelerometers_without_noise_give_an_upper_limit():
     walk = estimated(vrw_ug_per_sqrt_hz=0.0).velocity_random_walk
-    assert not walk.is_found
+    assert not walk.is_significant
     assert 0.0 < walk.limit < 5.0 * UG_PER_SQRT_HZ_TO_SI
     assert walk.text("ug/sqrt(Hz)", UG_PER_SQRT_HZ_TO_SI).startswith("below ")
 

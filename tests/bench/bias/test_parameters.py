@@ -16,7 +16,7 @@ from gyrobench.bench.navigation.positions import POSITIONS
 
 LATITUDE = np.radians(36.4)
 EARTH = earth_rate_enu(LATITUDE)
-TWO_WINDOWS = parameters.COMMON + 2 * parameters.PER_WINDOW
+TWO_WINDOWS = parameters.COMMON_COUNT + 2 * parameters.PER_WINDOW
 
 
 def covariance(prior, windows=2):
@@ -59,7 +59,7 @@ def test_a_drift_of_the_accelerometers_acts_as_the_bias_of_the_level_gyro_across
 
 def test_a_window_acts_at_its_start_alone():
     inputs = parameters.inputs(np.eye(3), np.ones(3), TWO_WINDOWS)
-    assert not inputs[:, parameters.COMMON :].any()
+    assert not inputs[:, parameters.COMMON_COUNT :].any()
     assert not inputs[:, parameters.GYRO_SLOPE].any()
     assert not inputs[:, parameters.ACCELEROMETER_SLOPE].any()
 
@@ -78,7 +78,7 @@ def test_every_unknown_has_its_own_place():
             slice(parameters.DAMPING, parameters.DAMPING + 1),
         )
     ]
-    assert np.concatenate(places).tolist() == list(range(parameters.COMMON))
+    assert np.concatenate(places).tolist() == list(range(parameters.COMMON_COUNT))
     own = [
         [parameters.HEADING],
         *(
@@ -101,7 +101,7 @@ def test_sizes_of_prior_knowledge_are_standard_deviations_of_the_parameters():
 
 def test_the_sensors_may_tilt_in_a_turn_but_the_first_attitude_is_free():
     sigmas = np.sqrt(np.diag(covariance(nothing(tilt_step=5e-6), windows=3)))
-    own = sigmas[parameters.COMMON :].reshape(3, parameters.PER_WINDOW)
+    own = sigmas[parameters.COMMON_COUNT :].reshape(3, parameters.PER_WINDOW)
     np.testing.assert_allclose(own[1:, parameters.ATTITUDE], 5e-6)
     assert own[0, parameters.ATTITUDE].min() > np.radians(5.0)
 
@@ -109,14 +109,14 @@ def test_the_sensors_may_tilt_in_a_turn_but_the_first_attitude_is_free():
 def test_accelerometers_settle_after_turns_alone():
     sigmas = np.sqrt(np.diag(covariance(nothing(accelerometer_transient=2e-4), windows=3)))
     np.testing.assert_allclose(sigmas[parameters.transients(3)], 2e-4)
-    first = sigmas[parameters.COMMON :][: parameters.PER_WINDOW]
+    first = sigmas[parameters.COMMON_COUNT :][: parameters.PER_WINDOW]
     assert not first[parameters.TRANSIENT].any()
 
 
 def test_what_the_data_decide_is_free():
     sigmas = np.sqrt(np.diag(covariance(nothing(), windows=4)))
     assert sigmas[parameters.GYRO_BIAS].min() > 1000.0 * DPH_TO_RADPS
-    own = sigmas[parameters.COMMON :].reshape(4, parameters.PER_WINDOW)
+    own = sigmas[parameters.COMMON_COUNT :].reshape(4, parameters.PER_WINDOW)
     assert own[:, parameters.VELOCITY].min() > 1.0
     assert own[:, parameters.HEADING].min() > np.radians(5.0)
 

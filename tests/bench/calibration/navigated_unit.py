@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrobench.bench.calibration.coefficients import COUNT, SensorErrors
 from gyrobench.bench.calibration.increment_recording import IncrementRecording, Rest
-from gyrobench.bench.dwells.rotated_dwell import navigated_increments
+from gyrobench.bench.dwells.rotated_dwell import increments_from_navigation
 from gyrobench.bench.navigation.attitude import rotation_matrices
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import POSITIONS
@@ -67,14 +67,14 @@ def recording(unit, place, schedule, angles_deg, random):
         velocity_enu_mps=output.velocity_enu_mps,
         row=np.arange(len(output.time_s)),
     )
-    found = navigated_increments(navigation, site)
+    found = increments_from_navigation(navigation, site)
     rests = tuple(Rest(begin, end - 1) for begin, end in output.windows)
     at_table = np.empty((len(found.angle), 3, 3))
     edges = [0, *(window[0] for window in output.windows[1:]), len(at_table)]
     for angles, (begin, end) in zip(angles_deg, pairwise(edges), strict=True):
         at_table[begin:end] = OFF_NORTH @ Table().attitude(*np.radians(angles)[:, np.newaxis])[0] @ OFF_TABLE
     return IncrementRecording(
-        found.interval_s, found.angle, found.velocity, has_vertical=False, table=at_table, known_rests=rests
+        found.interval_s, found.angle, found.velocity, has_vertical=False, table=at_table, given_rests=rests
     )
 
 

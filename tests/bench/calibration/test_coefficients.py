@@ -52,8 +52,8 @@ def test_errors_are_removed_from_increments(errors):
     rates, forces = random.normal(0.0, 1.0, (2, 50, 3))
     sensed = [measured(errors, *pair) for pair in zip(rates, forces, strict=True)]
     angle, velocity = (np.array(each) * interval_s for each in zip(*sensed, strict=True))
-    freed = errors.removed(angle, velocity, interval_s)
-    np.testing.assert_allclose(freed, [rates * interval_s, forces * interval_s], atol=1e-16)
+    corrected = errors.corrected(angle, velocity, interval_s)
+    np.testing.assert_allclose(corrected, [rates * interval_s, forces * interval_s], atol=1e-16)
 
 
 def test_an_estimate_in_the_gyros_frame_has_the_covariance_of_converted_values(errors):

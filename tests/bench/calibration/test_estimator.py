@@ -427,7 +427,9 @@ def test_a_wrong_latitude_passes_for_no_bias_that_follows_the_specific_force(lat
 @pytest.mark.long
 def test_noise_above_the_declared_one_passes_for_no_bias_that_follows_the_specific_force():
     walks = Noise.angle_random_walk, Noise.velocity_random_walk
-    options = CalibrationOptions(g_sensitivity=None, gravity=SITE.gravity, walks=walks, are_explained=False)
+    options = CalibrationOptions(
+        g_sensitivity=None, gravity=SITE.gravity, walks=walks, tries_explanations=False
+    )
     noisy = Noise(angle_random_walk=1.6 * Noise.angle_random_walk)
     increments = rotated_unit(sample_hz=10.0, dwell_s=149.0).increments()
     logs = [recorded(increments, seed, 10.0, noisy) for seed in range(40)]
@@ -443,7 +445,7 @@ def test_a_wrong_latitude_is_hidden_by_no_true_sensitivity(off_deg):
     unit = rotated_unit(latitude_deg=0.0, dwell_s=149.0, sample_hz=10.0, **still)
     angle, velocity = unit.increments()
     log = recorded((angle + velocity @ SENSITIVITY.T, velocity), 1, 10.0)
-    options = CalibrationOptions(g_sensitivity=None, gravity=SITE.gravity, are_explained=False)
+    options = CalibrationOptions(g_sensitivity=None, gravity=SITE.gravity, tries_explanations=False)
     found = calibrate([log], Site(np.deg2rad(off_deg)), options)
     assert (found.notes, len(found.findings)) == ((), 1)
 

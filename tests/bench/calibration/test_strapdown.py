@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, SensorErrors
-from gyrobench.bench.calibration.strapdown import ATTITUDE, attitudes, integrated
+from gyrobench.bench.calibration.strapdown import ATTITUDE, attitudes, integrate_increments
 from gyrobench.bench.navigation.attitude import rotation_matrices
 from gyrobench.bench.navigation.earth import earth_rate_enu
 from tests.bench.calibration.rotated_unit import Unit
@@ -67,7 +67,7 @@ def test_responses_are_derivatives_however_large_the_errors_are():
     def at(vector, turn):
         start, errors = rotation_matrices(turn), SensorErrors.from_vector(vector)
         columns = [*range(COUNT), *range(ATTITUDE.start, ATTITUDE.stop)]
-        return integrated(*measured, 0.05, ends, start, LATITUDE, unit.gravity, columns, errors)
+        return integrate_increments(*measured, 0.05, ends, start, LATITUDE, unit.gravity, columns, errors)
 
     found = at(errors.vector(), np.zeros(3))
     for number in range(COUNT + 3):

@@ -24,7 +24,7 @@ from tests.bench.bias.emulated_dwells import EAST, UP, emulate, noise_model, sen
 NOISE = noise_model(0.0006)
 ALIGN_S = 600.0
 BIAS_DPH, ACCELEROMETER_UG = (0.012, -0.02, 0.016), (60.0, -40.0, 50.0)
-GYRO_C, ALIGNING_C = (20.0, 21.0, 22.0), (19.0, 20.0, 21.0)
+GYRO_C, ALIGNMENT_C = (20.0, 21.0, 22.0), (19.0, 20.0, 21.0)
 SETUP = MeasurementSetup(
     decode=lambda frames: pytest.fail("nothing is to be decoded here"),
     table=TwoAxisTable(EAST, UP, np.eye(3)),
@@ -63,7 +63,7 @@ def verified(position="z_up", azimuth_deg=0.0, dwell=1, seed=None, flags=(), fai
         ),
         navigation=simulated,
         temperatures=DwellTemperatures() if fails else DwellTemperatures(gyro_c=GYRO_C),
-        aligning_c=(math.nan,) * 3 if fails else ALIGNING_C,
+        alignment_c=(math.nan,) * 3 if fails else ALIGNMENT_C,
         counts=EpochCounts(),
         flags=flags,
     )
@@ -134,7 +134,7 @@ def test_the_slope_alone_stands_beside_the_velocity():
 def test_an_alignment_has_the_temperature_of_the_alignments_and_names_both_dwells():
     alignment, *velocity = rows_of([verified(dwell=3), verified(azimuth_deg=180.0, dwell=4)])
     assert (alignment.method, alignment.dwell, alignment.turned_dwell) == ("alignment", 3, 4)
-    assert (alignment.gyro, alignment.temperature_c) == ("x", ALIGNING_C[0])
+    assert (alignment.gyro, alignment.temperature_c) == ("x", ALIGNMENT_C[0])
     assert [(row.dwell, row.turned_dwell, row.gyro, row.temperature_c) for row in velocity] == [
         (3, None, "y", GYRO_C[1]),
         (4, None, "y", GYRO_C[1]),
@@ -213,7 +213,7 @@ def test_what_was_not_calibrated_is_shown_without_comparison(calibration):
         verified(azimuth_deg=180.0, dwell=2, chamber_set_c=40.0),
         verified(azimuth_deg=180.0, dwell=2, cycle=2),
         verified(azimuth_deg=180.0, dwell=2, run="R3"),
-        replace(verified(azimuth_deg=180.0, dwell=2), aligning_c=(40.0, 41.0, 42.0)),
+        replace(verified(azimuth_deg=180.0, dwell=2), alignment_c=(40.0, 41.0, 42.0)),
     ],
     ids=["quarter turn", "position", "stop", "cycle", "power-on", "temperature"],
 )

@@ -9,7 +9,7 @@ from gyrobench.bench.bias.dwell import NavigationWindow
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.bias.statistics import uniformity_p_value
 from gyrobench.bench.dwells.calibration_check import (
-    KnownAccelerometers,
+    AccelerometerBiases,
     bias_from_alignments,
     bias_from_velocity,
     bias_from_velocity_slope,
@@ -22,8 +22,8 @@ NOISE = noise_model(0.0006)
 # As the simulated accelerometers are, which do not drift.
 PRIOR = PriorKnowledge.from_datasheet(latitude_arcmin=0.02, accelerometer_drift_ug_per_h=2.0)
 BIAS_DPH, ACCELEROMETER_UG = np.array([0.012, -0.02, 0.016]), np.array([60.0, -40.0, 50.0])
-KNOWN = KnownAccelerometers(ACCELEROMETER_UG * UG, np.full(3, 2.0 * UG))
-UNKNOWN = KnownAccelerometers(np.zeros(3), np.full(3, PRIOR.accelerometer_bias))
+KNOWN = AccelerometerBiases(ACCELEROMETER_UG * UG, np.full(3, 2.0 * UG))
+UNKNOWN = AccelerometerBiases(np.zeros(3), np.full(3, PRIOR.accelerometer_bias))
 ALIGN_S = 600.0
 #: A tenth of what a rotational INS of 1 nmi in 24 h bears.
 EXACT_DPH = 1e-4
@@ -173,7 +173,7 @@ def test_the_bias_is_that_at_the_mean_temperature_of_the_navigation():
         gyro_c=lambda time_s: np.outer(20.0 + 10.0 * time_s / 600.0, np.ones(3)),
     )
     loose = replace(PRIOR, bias_slope=0.01 * DPH)
-    flat = KnownAccelerometers(np.zeros(3), np.full(3, 2.0 * UG))
+    flat = AccelerometerBiases(np.zeros(3), np.full(3, 2.0 * UG))
     found = bias_from_velocity(dwell, ALIGN_S, site(), replace(NOISE, angle_random_walk=1e-9), loose, flat)
     assert found.bias_dph == pytest.approx(BIAS_DPH[1] + 0.005, abs=EXACT_DPH)
 

@@ -34,7 +34,7 @@ def test_one_navigation_is_taken_with_temperatures_of_both_its_parts(recorded):
     assert verified.navigation.noise == setup.noise
     assert window.gyro_c is not None
     # The unit warms up.
-    assert all(np.less(verified.aligning_c, verified.temperatures.gyro_c))
+    assert all(np.less(verified.alignment_c, verified.temperatures.gyro_c))
     assert verified.counts.lost == 0
 
 
@@ -77,7 +77,7 @@ def test_an_ins_that_is_silent_while_it_aligns_has_the_temperatures_of_the_navig
     shifted = replace(marks, windows=(replace(marks.windows[0], first_frame=40, end_frame=end - first + 40),))
     verified = measure_check_dwell(shifted, silent, setup)
     assert verified.flags == ()
-    assert verified.aligning_c == verified.temperatures.gyro_c
+    assert verified.alignment_c == verified.temperatures.gyro_c
 
 
 def test_disturbances_stay_and_what_is_there_is_taken(recorded):

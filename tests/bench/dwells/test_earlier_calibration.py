@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from gyrobench.bench.bias.dwell_table import DwellRow, write_dwells
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.dwells.earlier_calibration import (
-    REACH_K,
+    MAX_EXTRAPOLATION_K,
     EarlierCalibration,
     InterpolatedCurve,
     read_calibration,
@@ -132,8 +132,8 @@ def test_accelerometers_follow_the_temperature():
 
 def test_beyond_the_calibration_they_change_by_the_declared_slope():
     declared = PriorKnowledge.from_datasheet(accelerometer_slope_ug_per_c=40.0)
-    known = EarlierCalibration([row()], declared).accelerometers("z_up", (20.0 + REACH_K,) * 3)
-    np.testing.assert_allclose(known.sigma[:2] / UG, math.hypot(SIGMA_UG, 40.0 * REACH_K))
+    known = EarlierCalibration([row()], declared).accelerometers("z_up", (20.0 + MAX_EXTRAPOLATION_K,) * 3)
+    np.testing.assert_allclose(known.sigma[:2] / UG, math.hypot(SIGMA_UG, 40.0 * MAX_EXTRAPOLATION_K))
 
 
 def test_without_a_calibration_near_the_accelerometers_are_as_uncertain_as_beforehand():
@@ -217,17 +217,17 @@ def test_values_that_scatter_beyond_their_uncertainties_are_less_certain():
 
 def test_what_was_measured_at_either_end_of_an_average_is_within_reach():
     averaged = curve([(20.0, 0.001, 0.0003), (24.9, 0.001, 0.0003)])
-    for temperature_c in (20.0 - REACH_K, 24.9 + REACH_K):
+    for temperature_c in (20.0 - MAX_EXTRAPOLATION_K, 24.9 + MAX_EXTRAPOLATION_K):
         assert averaged.at(temperature_c)[0] == pytest.approx(0.001)
-    assert averaged.at(24.9 + REACH_K + 0.1) is None
+    assert averaged.at(24.9 + MAX_EXTRAPOLATION_K + 0.1) is None
 
 
 def test_beyond_the_outermost_temperature_it_goes_a_little_and_is_less_certain():
-    value, sigma = curve(STRAIGHT).at(30.0 + REACH_K)
+    value, sigma = curve(STRAIGHT).at(30.0 + MAX_EXTRAPOLATION_K)
     assert value == pytest.approx(0.006)
-    assert sigma == pytest.approx(math.hypot(0.0002, SLOPE_SIGMA * REACH_K))
-    assert curve(STRAIGHT).at(30.1 + REACH_K) is None
-    assert curve(STRAIGHT).at(-20.1 - REACH_K) is None
+    assert sigma == pytest.approx(math.hypot(0.0002, SLOPE_SIGMA * MAX_EXTRAPOLATION_K))
+    assert curve(STRAIGHT).at(30.1 + MAX_EXTRAPOLATION_K) is None
+    assert curve(STRAIGHT).at(-20.1 - MAX_EXTRAPOLATION_K) is None
 
 
 def test_a_single_temperature_serves_near_it():

@@ -8,7 +8,7 @@ import pytest
 
 from gyrobench.bench.bias import parameters
 from gyrobench.bench.bias.window_filter import whiten
-from gyrobench.bench.dwells.dwell_output import decoded_navigation, dwell_at_rest
+from gyrobench.bench.dwells.dwell_output import decode_dwell, dwell_at_rest
 from gyrobench.bench.dwells.live_estimate import LiveEstimate, compile_estimator
 from gyrobench.bench.dwells.measure_dwell import estimate_dwell, measure_dwell
 
@@ -68,7 +68,7 @@ def test_at_the_end_it_is_the_estimate_of_the_whole_dwell(recorded, replayed, st
 
 def test_the_biases_are_those_at_the_mean_temperature_so_far(recorded, replayed):
     marks, frames, setup = recorded
-    dwell = dwell_at_rest(marks, decoded_navigation(marks, frames, setup)[0], setup)
+    dwell = dwell_at_rest(marks, decode_dwell(marks, frames, setup)[0], setup)
     whole = estimate_dwell(dwell, setup, setup.noise).estimate.information.bias_at_mean
     begin = recorded[0].windows[1].first_frame
     *_, last = [replayed.estimate_at(now) for now in stops(begin, end_of(recorded), (777,))]

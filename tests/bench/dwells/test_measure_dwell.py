@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.dwells.dwell_output import decoded_navigation, dwell_at_rest
+from gyrobench.bench.dwells.dwell_output import decode_dwell, dwell_at_rest
 from gyrobench.bench.dwells.measure_dwell import measure_dwell
 from gyrobench.bench.dwells.measurement_setup import measurement_setup
 from gyrobench.bench.foundations.errors import DocumentError
@@ -193,7 +193,7 @@ def test_the_uncertainty_follows_noise_that_is_larger_than_declared_alone(record
 def test_noise_that_is_not_declared_is_estimated_but_never_below_the_resolution(recorded):
     marks, frames, setup = recorded
     coarse = replace(setup, noise=None, velocity_lsb_mps=0.01, heading_lsb_rad=1e-5)
-    windows = dwell_at_rest(marks, decoded_navigation(marks, frames, setup)[0], setup).windows
+    windows = dwell_at_rest(marks, decode_dwell(marks, frames, setup)[0], setup).windows
     noise = coarse.noise_in(windows)
     assert noise.angle_random_walk == pytest.approx(setup.noise.angle_random_walk, rel=0.2)
     assert noise.velocity_white == pytest.approx(0.01 / 12**0.5)

@@ -165,7 +165,7 @@ def calibrated(dwells, setup):
     rotations = RunRotations()
     for each in dwells:
         rotations.add(*each, setup)
-    return rotations.calibrated(setup)
+    return rotations.calibrate(setup)
 
 
 @pytest.mark.parametrize(
@@ -269,7 +269,7 @@ def test_a_latitude_that_contradicts_the_rotations_is_named_while_the_run_goes_a
     rotations = RunRotations()
     measured = list(rotated_dwells(folder))
     said = [text for each in measured for text in rotations.add(*each, wrong)]
-    plateaus = calibrate_plateaus([], [], rotations.calibrated(wrong), wrong)
+    plateaus = calibrate_plateaus([], [], rotations.calibrate(wrong), wrong)
     for plateau in plateaus:
         assert "rotations: noise does not explain the velocity at rest" in plateau.finding
     (first, *_), rows = said or [plateaus[0].finding], plateaus[0].rows()

@@ -63,7 +63,7 @@ def results(measured):
 
 
 def flagged(dwell):
-    return dwell.flagged("door opened")
+    return dwell.with_flag("door opened")
 
 
 def counted(bins):
@@ -207,13 +207,13 @@ def test_noise_is_estimated_from_dwells_that_the_declared_one_does_not_explain(m
     dwells, setup = measured
     flags = [lack_of_fit_text(dwell.estimate.fit) for dwell in dwells]
     unexplained = [
-        replace(dwell.flagged(flag), persistent_flags=(flag,))
+        replace(dwell.with_flag(flag), persistent_flags=(flag,))
         for dwell, flag in zip(dwells, flags, strict=True)
     ]
     found = evaluate(unexplained, setup, 5.0)
     assert (found.bins, found.joint, found.up_rate) == ([], [], None)
     assert found.noise.angle_random_walk == results.noise.angle_random_walk
-    disturbed = evaluate([unexplained[0].flagged("door opened"), *unexplained[1:]], setup, 5.0)
+    disturbed = evaluate([unexplained[0].with_flag("door opened"), *unexplained[1:]], setup, 5.0)
     assert disturbed.noise.duration_s == pytest.approx(22 * 300.0, abs=30.0)
 
 

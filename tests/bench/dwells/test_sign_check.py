@@ -78,8 +78,8 @@ def test_east_and_north_exchanged_are_named():
 @pytest.mark.parametrize("position", ["y_up", pytest.param("x_down", marks=LONG)])
 def test_a_heading_with_the_wrong_sense_is_named(position):
     fault = measured({f"{EULER}.yaw_positive": "up"}, position).setup_fault
-    assert fault.startswith(f"{EULER}.yaw_positive is 'up' in place of 'down': the attitude lies")
-    off_deg, otherwise_deg = map(float, re.search(r"lies (\S+) deg .* and (\S+) deg", fault).groups())
+    assert fault.startswith(f"{EULER}.yaw_positive is 'up' in place of 'down': the attitude deviates")
+    off_deg, otherwise_deg = map(float, re.search(r"by (\S+) deg, and by (\S+) deg", fault).groups())
     assert off_deg > 80.0
     assert otherwise_deg < 5.0
 
@@ -121,7 +121,7 @@ def test_a_wrong_direction_of_the_table_alone_is_named_where_the_data_distinguis
     axis, direction, position
 ):
     fault = fault_of_table({f"rate_table.{axis}": direction}, position)
-    assert re.match(rf"rate_table\.{axis} has the wrong direction \([^)]*\): the attitude lies", fault)
+    assert re.match(rf"rate_table\.{axis} has the wrong direction \([^)]*\): the attitude deviates", fault)
 
 
 def test_wrong_directions_of_both_axes_are_named():

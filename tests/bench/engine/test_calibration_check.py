@@ -107,10 +107,10 @@ def test_dwells_of_the_verification_are_no_calibration(one_run):
 def test_the_temperatures_are_those_of_each_part(one_run):
     check_dwells = one_run[1].check_dwells
     for each in check_dwells:
-        assert all(np.less(each.aligning_c, each.temperatures.gyro_c))  # the unit warms up
+        assert all(np.less(each.alignment_c, each.temperatures.gyro_c))  # the unit warms up
         assert 180.0 <= each.marks.align_s < 185.0
     alignment = one_run[1].results.calibration_check[0]
-    first_c, second_c = (each.aligning_c[0] for each in check_dwells[:2])
+    first_c, second_c = (each.alignment_c[0] for each in check_dwells[:2])
     assert first_c < alignment.temperature_c < second_c
 
 

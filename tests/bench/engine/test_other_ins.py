@@ -68,7 +68,9 @@ def test_a_wrong_map_of_the_quaternion_ends_the_run_and_is_named(tmp_path, posit
     options = ("--world", "ideal", "--station", "wrong.yaml", "--out", "run")
     result = gyrobench("run", "check.yaml", *options, cwd=tmp_path)
     assert result.returncode == 1, result.stderr
-    assert f"ins.signals.attitude.quaternion.{fault}: the attitude lies" in " ".join(result.stdout.split())
+    assert f"ins.signals.attitude.quaternion.{fault}: the attitude deviates" in " ".join(
+        result.stdout.split()
+    )
 
 
 def test_an_output_that_is_too_coarse_is_reported_before_anything_moves(finished):

@@ -67,7 +67,7 @@ def test_arrays_are_arrays_again(tmp_path):
     for one, other in ((read.all_gyros, noise.all_gyros), (read.acceleration, noise.acceleration)):
         assert one.allan.factors.dtype == other.allan.factors.dtype
         assert one.fit.used.dtype == bool
-        np.testing.assert_array_equal(one.is_seen, other.is_seen)
+        np.testing.assert_array_equal(one.has_motion, other.has_motion)
     assert read.noise_model() == noise.noise_model()
 
 
