@@ -1,4 +1,4 @@
-"""What a certificate states, read from a run folder; PDF and DCC both show this and nothing else.
+"""Content of a certificate, read from a run folder; PDF and DCC show exactly this content.
 
 References
 ----------
@@ -40,7 +40,7 @@ from gyrobench.bench.runs.tables.budget_table import Coverage, coverage
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow
 from gyrobench.bench.station.station_file import StationFile, load_station_file
 
-#: Polynomial fitted where no model was searched: its degree, and the shortest range of temperatures.
+#: Polynomial that is fitted without a search: degree, and smallest range of temperatures.
 _DEGREE, _MIN_SPAN_C = 3, 10.0
 _POLYNOMIAL = (
     "Polynomial of the bias over the temperature of the gyro in °C, mean of all positions. Its uncertainty "
@@ -50,8 +50,8 @@ _LOADABLE = (
     "Model of the bias by gyrobench close: polynomial over the temperature T of the gyro in °C, and effects "
     "by the formulas of compensation.yaml."
 )
-_POWER = "polynomial, degree "
-#: Names and units of the model's numbers.
+_POWER_PREFIX = "polynomial, degree "
+#: Names and units of the numbers in a bias model.
 _LABELS = {
     "polynomial_dph": ("polynomial, degree", ""),
     "rate_dph_per_c_per_h": ("temperature rate", "deg/K"),
@@ -97,15 +97,15 @@ _EVENTS = {
 
 @dataclass(frozen=True)
 class Order:
-    """What the issuer of a certificate adds to the run; empty texts are not stated, or those of the run."""
+    """Information that the issuer adds; empty texts are taken from the run, or not stated."""
 
     customer: str = ""
     order: str = ""
     item: str = ""
-    number: str = ""  #: Of the certificate.
+    number: str = ""  #: Number of the certificate.
     authorised_by: str = ""
-    ambient: str = ""  #: Conditions of the room.
-    recalibration: str = ""  #: Until when the biases stay within a limit agreed with the customer.
+    ambient: str = ""  #: Conditions in the room.
+    recalibration: str = ""  #: Date until which the biases stay within a limit agreed with the customer.
 
 
 @dataclass(frozen=True)
@@ -127,13 +127,13 @@ class ModelNumber:
     """One number of the bias model of a gyro, or a coefficient of a sensor, with expanded uncertainty."""
 
     name: str
-    axis: str  #: "x", "y" or "z"; of misalignments the sensor and the axis that it senses.
+    axis: str  #: "x", "y" or "z"; for misalignments the sensor and the axis that it senses.
     value: float
     expanded: float
     k: float
     unit: str
     plateau: int = 0  #: Number of the plateau of a coefficient.
-    temperature_c: float = math.nan  #: There, of the gyro, of accelerometers that of the case.
+    temperature_c: float = math.nan  #: Temperature there: of the gyro, or of the case for accelerometers.
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,8 +146,8 @@ class Certificate:
     seal: str  #: Number, hash and key of the last seal.
     results: Sequence[BiasResult]
     model: Sequence[ModelNumber]  #: Polynomial over temperature, and effects that a search found.
-    model_note: str  #: What the model is.
-    coefficients: Sequence[ModelNumber]  #: Observed ones of a full calibration; empty without one.
+    model_note: str  #: Description of the model.
+    coefficients: Sequence[ModelNumber]  #: Observable coefficients of a full calibration; empty without one.
     issued: date
 
     @property
@@ -163,9 +163,9 @@ class Certificate:
     @cached_property
     def performed(self) -> tuple[date, date]:
         """First and last day of the measurement."""
-        begun = parse_utc(self.run.provenance.get("started_utc") or self.run.facts.started_utc)
-        begun = begun or datetime(2000, 1, 1, tzinfo=UTC)
-        return begun.date(), (begun + timedelta(seconds=self.run.facts.last_s)).date()
+        started = parse_utc(self.run.provenance.get("started_utc") or self.run.facts.started_utc)
+        started = started or datetime(2000, 1, 1, tzinfo=UTC)
+        return started.date(), (started + timedelta(seconds=self.run.facts.last_s)).date()
 
     @property
     def item(self) -> dict[str, str]:
@@ -188,7 +188,7 @@ class Certificate:
 
     @property
     def laboratory(self) -> dict[str, str]:
-        """The laboratory, and who authorised the certificate."""
+        """The laboratory, and the person who authorised the certificate."""
         lab = self.station.laboratory
         facts = {
             "laboratory": lab.name if lab else "",
@@ -212,10 +212,10 @@ class Certificate:
     def deviations(self) -> list[str]:
         """Deviations from the procedure."""
         counts = Counter(str(entry.get("event")) for entry in self.run.journal)
-        found = [counted(counts[event], noun) for event, noun in _EVENTS.items() if counts[event]]
+        event_counts = [counted(counts[event], noun) for event, noun in _EVENTS.items() if counts[event]]
         flagged = sum(bool(row.flags) for row in self.run.dwells)
-        found += [f"{counted(flagged, 'dwell')} flagged and not used"] if flagged else []
-        texts = [f"{listed(found)}."] if found else []
+        event_counts += [f"{counted(flagged, 'dwell')} flagged and not used"] if flagged else []
+        texts = [f"{listed(event_counts)}."] if event_counts else []
         texts += [
             f"{capitalised(str(entry.get('found', '')))}; acknowledged by {entry.get('operator')}."
             for entry in self.run.entries("past_due")
@@ -226,22 +226,22 @@ class Certificate:
 
     @property
     def conditions(self) -> dict[str, str]:
-        """Ambient conditions and location, as measured and as used."""
-        place, (low, high) = self.station.location, self.chamber_c
+        """Ambient conditions and location, as measured and as used by the estimator."""
+        location, (low, high) = self.station.location, self.chamber_c
         return {
             "air in the chamber": f"{low:.1f} to {high:.1f} °C" if math.isfinite(low) else "not measured",
             "room": self.order.ambient or "not measured by the bench",
             "duration": f"{hours_minutes(self.run.facts.last_s)} h",
-            "latitude": f"{place.latitude_deg:g}° ± {place.latitude_uncertainty_arcmin:g}′ (k = 1)",
-            "height": f"{place.height_m:g} m above the ellipsoid",
+            "latitude": f"{location.latitude_deg:g}° ± {location.latitude_uncertainty_arcmin:g}′ (k = 1)",
+            "height": f"{location.height_m:g} m above the ellipsoid",
         }
 
     @cached_property
     def chamber_c(self) -> tuple[float, float]:
-        """Lowest and highest temperature of the air in the chamber; NaN where not measured."""
+        """Lowest and highest temperature of the air in the chamber; NaN if not measured."""
         readings = self.run.telemetry.get("chamber_c", np.array([]))
-        known = readings[np.isfinite(readings)]
-        return (float(known.min()), float(known.max())) if known.size else (math.nan, math.nan)
+        finite_c = readings[np.isfinite(readings)]
+        return (float(finite_c.min()), float(finite_c.max())) if finite_c.size else (math.nan, math.nan)
 
     @property
     def inputs(self) -> dict[str, str]:
@@ -251,14 +251,14 @@ class Certificate:
         declared = {"noise": noise} if isinstance(noise, str) else noise.model_dump()
         values = {**declared, **sections}
         return {
-            _plain(name.replace("_output_", "_output_beyond_its_resolution_")): f"{value}"
+            _label_with_unit(name.replace("_output_", "_output_beyond_its_resolution_")): f"{value}"
             for name, value in values.items()
             if value is not None
         }
 
     @property
     def traceability(self) -> list[tuple[str, ...]]:
-        """Instrument, serial number, certificate and issuer, dates, uncertainty."""
+        """Instrument, serial number, certificate and issuer, dates and uncertainty of each calibration."""
         return [
             (
                 plain_name(name),
@@ -273,20 +273,21 @@ class Certificate:
 
     @property
     def conformity(self) -> tuple[str, str]:
-        """Statement of conformity and its decision rule; the rule is empty where nothing is judged."""
-        found = self.run.acceptance
-        if found is None or found.limits is None:
+        """Statement of conformity and its decision rule; the rule is empty without limits."""
+        acceptance = self.run.acceptance
+        if acceptance is None or acceptance.limits is None:
             return "No statement of conformity: the procedure states no limits.", ""
-        sentence = f"Unit {found.verdict}. {acceptance_sentence(found)}"
-        return sentence, _DECISION_RULE.format(100.0 * found.limits.confidence)
+        sentence = f"Unit {acceptance.verdict}. {acceptance_sentence(acceptance)}"
+        return sentence, _DECISION_RULE.format(100.0 * acceptance.limits.confidence)
 
 
 def certificate_of(folder: RunFolder, order: Order, *, simulated: bool = False) -> Certificate:
-    """Read what a certificate of a run states.
+    """Read the content of a certificate from a run.
 
-    ``simulated``: whether one of an emulated run is wanted. Raises RunFolderError if the run has no result,
-    is not sealed, or has changed since. Raises DocumentError if it is emulated and that is not stated, the
-    station file lacks the laboratory, or no name of who authorises the certificate is given.
+    ``simulated``: whether emulated instruments are allowed. Raises RunFolderError if the run has no result,
+    is not sealed, or was changed after the seal. Raises DocumentError if the instruments were emulated
+    without ``simulated``, the station file lacks the laboratory, or the person who authorises the certificate
+    is missing.
     """
     run = read_run(folder)
     _, station = load_station_file(folder.station)
@@ -296,30 +297,32 @@ def certificate_of(folder: RunFolder, order: Order, *, simulated: bool = False) 
         )
     check = verify_seals(folder.path)
     if not check.is_intact:
-        first = check.findings[0]
-        raise RunFolderError(f"{folder.path}: changed since it was sealed: {first.path}: {first.text}")
-    last = check.seals[-1]
+        first_finding = check.findings[0]
+        raise RunFolderError(
+            f"{folder.path}: changed since it was sealed: {first_finding.path}: {first_finding.text}"
+        )
+    last_seal = check.seals[-1]
     if not run.is_simulated and station.laboratory is None:
         raise DocumentError(f"{folder.station}: has no section laboratory. Add it before the run")
     if not run.is_simulated and not order.authorised_by:
         raise DocumentError("a certificate names who authorises it. Add --authorised-by NAME")
-    covered = coverage(run.budget)
-    digest = file_sha256(folder.path / last.where)
+    coverage_factors = coverage(run.budget)
+    digest = file_sha256(folder.path / last_seal.where)
     options = {**run.provenance.get("options", {}), **run.facts.options}
-    given = {
+    order_texts = {
         name: getattr(order, name) or str(options.get(name, "")) for name in ("customer", "order", "item")
     }
     number = order.number or f"{serial_number_of(run)}-{run.run_name}-{digest[:8]}"
-    model, note = _model(folder, run)
+    model, note = _model_numbers(folder, run)
     certificate = Certificate(
         run=run,
         station=station,
-        order=replace(order, **given, number=number),
-        seal=f"seal {last.number}, SHA-256 {digest[:16]}…, {last.key or 'not signed'}",
-        results=list(_results(run.bins, covered)),
+        order=replace(order, **order_texts, number=number),
+        seal=f"seal {last_seal.number}, SHA-256 {digest[:16]}…, {last_seal.key or 'not signed'}",
+        results=list(_bias_results(run.bins, coverage_factors)),
         model=model,
         model_note=note,
-        coefficients=list(_coefficients(run.coefficients, covered)),
+        coefficients=list(_coefficient_numbers(run.coefficients, coverage_factors)),
         issued=WallClock().utc().date(),
     )
     if not (certificate.results or certificate.coefficients):
@@ -327,7 +330,7 @@ def certificate_of(folder: RunFolder, order: Order, *, simulated: bool = False) 
     return certificate
 
 
-def _plain(name: str) -> str:
+def _label_with_unit(name: str) -> str:
     """Name of a quantity with its unit in brackets."""
     match = _UNIT.search(name)
     if match is None:
@@ -343,28 +346,30 @@ def _plain(name: str) -> str:
     return f"{plain_name(name[: match.start()])} ({unit.replace('hz', 'Hz').replace('/c', '/K')})"
 
 
-def _results(bins: Sequence[BiasBin], covered: Coverage) -> Iterator[BiasResult]:
+def _bias_results(bins: Sequence[BiasBin], coverage_factors: Coverage) -> Iterator[BiasResult]:
     for each in bins:
         if each.is_empty:
             continue
-        place = each.gyro, each.position, each.bin_low_c
-        k, expanded = covered.get(("gyro_bias", *place), (NORMAL_K, NORMAL_K * each.sigma_dph))
-        yield BiasResult(*place, each.bin_high_c, each.temperature_c, each.bias_dph, expanded, k)
+        key = each.gyro, each.position, each.bin_low_c
+        k, expanded = coverage_factors.get(("gyro_bias", *key), (NORMAL_K, NORMAL_K * each.sigma_dph))
+        yield BiasResult(*key, each.bin_high_c, each.temperature_c, each.bias_dph, expanded, k)
 
 
-def _coefficients(rows: Sequence[PlateauCoefficientRow], covered: Coverage) -> Iterator[ModelNumber]:
+def _coefficient_numbers(
+    rows: Sequence[PlateauCoefficientRow], coverage_factors: Coverage
+) -> Iterator[ModelNumber]:
     for row in rows:
         if not row.finding:
-            place = row.coefficient, row.axis, row.plateau, 0.0
-            k, expanded = covered.get(place, (NORMAL_K, NORMAL_K * row.sigma))
+            key = row.coefficient, row.axis, row.plateau, 0.0
+            k, expanded = coverage_factors.get(key, (NORMAL_K, NORMAL_K * row.sigma))
             yield ModelNumber(
                 *(plain_name(row.coefficient), row.axis, row.value, expanded, k, row.unit),
                 *(row.plateau, row.temperature_c),
             )
 
 
-def _model(folder: RunFolder, run: RunContent) -> tuple[list[ModelNumber], str]:
-    """Numbers of the model of `gyrobench close`, else of a polynomial fitted to the dwells."""
+def _model_numbers(folder: RunFolder, run: RunContent) -> tuple[list[ModelNumber], str]:
+    """Numbers and description of the model of `gyrobench close`, or of a polynomial fitted to the dwells."""
     if not holds_search(folder.closure):
         return [number for gyro in AXES for number in _polynomial(gyro, run)], _POLYNOMIAL
     try:
@@ -372,28 +377,35 @@ def _model(folder: RunFolder, run: RunContent) -> tuple[list[ModelNumber], str]:
         model = model_with_effects(closure)
     except (MeasurementError, DocumentError) as error:
         raise RunFolderError(f"{folder.closure}: {error}. Repeat gyrobench close") from error
-    numbers = model.compensation
+    compensation = model.compensation
     terms = sum(each.sizes_dph.shape[1] + len(each.parameter_texts) for each in closure.effects)
     residual_dof = float(closure.searched.sum()) - _DEGREE - len(closure.campaign.run_names) - terms
-    ks = {
+    coverage_factors = {
         gyro: coverage_factor(run.budget.dwells_dof(gyro) if closure.noise_scale == 1.0 else residual_dof)
         for gyro in AXES
     }
     rows = [
-        ModelNumber(f"{label}{suffix}", gyro, float(value), ks[gyro] * float(sigma), ks[gyro], unit)
-        for name, sigmas in numbers.sigma.items()
+        ModelNumber(
+            f"{label}{suffix}",
+            gyro,
+            float(value),
+            coverage_factors[gyro] * float(sigma),
+            coverage_factors[gyro],
+            unit,
+        )
+        for name, sigmas in compensation.sigma.items()
         for (label, unit) in [_LABELS.get(name, (plain_name(name), ""))]
-        for gyro, values, own in zip(AXES, getattr(numbers, name), sigmas, strict=True)
-        for suffix, value, sigma in _members(name, np.atleast_1d(values), np.atleast_1d(own))
+        for gyro, values, own_sigmas in zip(AXES, getattr(compensation, name), sigmas, strict=True)
+        for suffix, value, sigma in _elements(name, np.atleast_1d(values), np.atleast_1d(own_sigmas))
         if sigma > 0.0 and value
     ]
-    rows = [_with_power(row) for row in rows]
+    rows = [_with_power_unit(row) for row in rows]
     notes = f" Notes: {'; '.join(model.notes)}." if model.notes else ""
     effects = ", ".join(map(closure.label, model.effects)) or "none"
     return rows, f"{_LOADABLE} Effects found beyond the temperature: {effects}.{notes}"
 
 
-def _members(name: str, values: FloatArray, sigmas: FloatArray) -> Iterator[tuple[str, float, float]]:
+def _elements(name: str, values: FloatArray, sigmas: FloatArray) -> Iterator[tuple[str, float, float]]:
     for index, (value, sigma) in enumerate(zip(values.tolist(), sigmas.tolist(), strict=True)):
         if name == "polynomial_dph":
             yield f" {index}", value, sigma
@@ -401,11 +413,11 @@ def _members(name: str, values: FloatArray, sigmas: FloatArray) -> Iterator[tupl
             yield f" along {AXES[index]}" if len(values) > 1 else "", value, sigma
 
 
-def _with_power(row: ModelNumber) -> ModelNumber:
-    """The unit of a coefficient of the polynomial: deg/h over a power of K."""
-    if not row.name.startswith(_POWER):
+def _with_power_unit(row: ModelNumber) -> ModelNumber:
+    """The row with its unit, deg/h over a power of K, if it is a coefficient of the polynomial."""
+    if not row.name.startswith(_POWER_PREFIX):
         return row
-    power = int(row.name.removeprefix(_POWER))
+    power = int(row.name.removeprefix(_POWER_PREFIX))
     return replace(row, unit=f"deg/h/K{power}" if power > 1 else "deg/h/K" if power else "deg/h")
 
 
@@ -414,13 +426,13 @@ def _polynomial(gyro: str, run: RunContent) -> Iterator[ModelNumber]:
     rows = [row for row in run.dwells if not row.flags]
     columns = zip(*((row.gyro_c[axis], row.bias_dph[axis], row.sigma_dph[axis]) for row in rows), strict=True)
     temperature_c, bias, sigma = (np.array(column) for column in columns) if rows else np.empty((3, 0))
-    known = np.isfinite(temperature_c) & np.isfinite(bias) & (sigma > 0.0)
-    if known.sum() <= _DEGREE + 1 or np.ptp(temperature_c[known]) < _MIN_SPAN_C:
+    is_valid = np.isfinite(temperature_c) & np.isfinite(bias) & (sigma > 0.0)
+    if is_valid.sum() <= _DEGREE + 1 or np.ptp(temperature_c[is_valid]) < _MIN_SPAN_C:
         return
-    design = np.vander(temperature_c[known], _DEGREE + 1, increasing=True)
-    fit = weighted_fit(bias[known], sigma[known] ** 2, design)
+    design = np.vander(temperature_c[is_valid], _DEGREE + 1, increasing=True)
+    fit = weighted_fit(bias[is_valid], sigma[is_valid] ** 2, design)
     ratio = math.sqrt(fit.chi2 / fit.dof)
     k = coverage_factor(fit.dof if ratio > 1.0 else run.budget.dwells_dof(gyro))
     expanded = k * max(ratio, 1.0) * np.sqrt(np.diag(fit.covariance))
-    for power, (value, own) in enumerate(zip(fit.values.tolist(), expanded.tolist(), strict=True)):
-        yield _with_power(ModelNumber(f"{_POWER}{power}", gyro, value, own, k, ""))
+    for power, (value, value_expanded) in enumerate(zip(fit.values.tolist(), expanded.tolist(), strict=True)):
+        yield _with_power_unit(ModelNumber(f"{_POWER_PREFIX}{power}", gyro, value, value_expanded, k, ""))

@@ -57,7 +57,7 @@ _NO_NETWORK = "the schema names {}, which is not in {}. Copy it there: nothing i
 
 
 def certificate_dcc(certificate: Certificate) -> bytes:
-    """The certificate as DCC, without signature. Raises MissingPackageError without lxml."""
+    """The certificate as DCC without signature. Raises MissingPackageError without lxml."""
     xml = require("lxml.etree")
     document = _Document(xml)
     root = document.root(certificate)
@@ -67,11 +67,11 @@ def certificate_dcc(certificate: Certificate) -> bytes:
 def validate_dcc(content: bytes, schema: Path) -> None:
     """Validate a DCC against ``dcc.xsd`` and the SI types in a folder.
 
-    Raises DocumentError with every mistake and its line, or if the folder has no usable schema.
+    Raises DocumentError with all errors and their lines, or if the folder has no usable schema.
     """
     xml = require("lxml.etree")
-    found = sorted(schema.rglob("dcc.xsd"))
-    if not found:
+    schema_files = sorted(schema.rglob("dcc.xsd"))
+    if not schema_files:
         raise DocumentError(
             f"{schema}: holds no dcc.xsd. Download the DCC schema {_VERSION} and SI_Format.xsd from PTB "
             "into this folder"
@@ -90,13 +90,13 @@ def validate_dcc(content: bytes, schema: Path) -> None:
     parser = xml.XMLParser(no_network=True, resolve_entities=False)
     parser.resolvers.add(InFolder())
     try:
-        checker = xml.XMLSchema(xml.parse(str(found[0]), parser))
+        xml_schema = xml.XMLSchema(xml.parse(str(schema_files[0]), parser))
         document = xml.fromstring(content, xml.XMLParser(no_network=True, resolve_entities=False))
     except (xml.XMLSyntaxError, xml.XMLSchemaParseError) as error:
-        raise DocumentError(f"{found[0]}: {'; '.join(missing) or error}") from error
-    if not checker.validate(document):
-        problems = "\n".join(f"line {each.line}: {each.message}" for each in checker.error_log)
-        raise DocumentError(f"the certificate is not valid against {found[0]}:\n{problems}")
+        raise DocumentError(f"{schema_files[0]}: {'; '.join(missing) or error}") from error
+    if not xml_schema.validate(document):
+        problems = "\n".join(f"line {each.line}: {each.message}" for each in xml_schema.error_log)
+        raise DocumentError(f"the certificate is not valid against {schema_files[0]}:\n{problems}")
 
 
 class _Document:
@@ -132,7 +132,7 @@ class _Document:
         return self._dcc(
             _ROOT,
             self._administration(certificate),
-            self._dcc("measurementResults", *self._common(certificate), *self._results(certificate)),
+            self._dcc("measurementResults", *self._common_elements(certificate), *self._results(certificate)),
             comment,
             schemaVersion=_VERSION,
         )
@@ -140,19 +140,19 @@ class _Document:
     def _text(self, tag: str, *texts: str) -> etree._Element:
         return self._dcc(tag, *(self._dcc("content", text, lang=_LANGUAGE) for text in texts))
 
-    def _identifications(self, *given: tuple[str, str, str]) -> etree._Element | None:
-        """Identifications (issuer, name, value) that have a value."""
-        known = [
+    def _identifications(self, *identifications: tuple[str, str, str]) -> etree._Element | None:
+        """Element of the identifications (issuer, name, value) that have a value; None without any."""
+        elements = [
             self._dcc(
                 "identification",
                 self._dcc("issuer", issuer),
-                self._dcc("value", _tidy(value)),
+                self._dcc("value", _collapse_spaces(value)),
                 self._text("name", name),
             )
-            for issuer, name, value in given
+            for issuer, name, value in identifications
             if value.strip()
         ]
-        return self._dcc("identifications", *known) if known else None
+        return self._dcc("identifications", *elements) if elements else None
 
     def _administration(self, certificate: Certificate) -> etree._Element:
         started, ended = certificate.performed
@@ -168,7 +168,7 @@ class _Document:
             self._dcc("countryCodeISO3166_1", lab.country if lab else "XX"),
             self._dcc("usedLangCodeISO639_1", _LANGUAGE),
             self._dcc("mandatoryLangCodeISO639_1", _LANGUAGE),
-            self._dcc("uniqueIdentifier", _tidy(certificate.number)),
+            self._dcc("uniqueIdentifier", _collapse_spaces(certificate.number)),
             self._identifications(
                 ("customer", "Order", order.order),
                 ("customer", "Item of the order", order.item),
@@ -185,7 +185,7 @@ class _Document:
             self._text("name", "Inertial navigation system"),
             self._identifications(("manufacturer", "Serial number", certificate.unit or "unknown")),
         )
-        place = [
+        address = [
             self._dcc(tag, value)
             for tag, value in (
                 ("city", lab.city if lab else "unknown"),
@@ -202,7 +202,7 @@ class _Document:
                 "contact",
                 self._text("name", lab.name if lab else "not stated"),
                 self._dcc("eMail", lab.email) if lab and lab.email else None,
-                self._dcc("location", *place),
+                self._dcc("location", *address),
             ),
         )
         name = f"none: {SIMULATED}" if certificate.run.is_simulated else order.authorised_by
@@ -229,27 +229,27 @@ class _Document:
         )
 
     def _statements(self, certificate: Certificate) -> etree._Element:
-        found, (sentence, rule) = certificate.run.acceptance, certificate.conformity
-        status = _CONFORMITY.get(found.verdict, "") if found and found.limits else ""
-        stated = [
+        acceptance, (sentence, rule) = certificate.run.acceptance, certificate.conformity
+        status = _CONFORMITY.get(acceptance.verdict, "") if acceptance and acceptance.limits else ""
+        statements = [
             (SIMULATED, _EMULATED if certificate.run.is_simulated else "", "", ""),
             ("Statement of conformity", sentence, rule, status),
             ("Deviations from the procedure", " ".join(certificate.deviations), "", ""),
             ("Recalibration", certificate.order.recalibration, "", ""),
         ]
-        return self._dcc("statements", *(self._statement(*each) for each in stated if each[1]))
+        return self._dcc("statements", *(self._statement(*each) for each in statements if each[1]))
 
     def _statement(self, name: str, declaration: str, convention: str, status: str) -> etree._Element:
         return self._dcc(
             "statement",
             self._text("name", name),
-            self._dcc("convention", _tidy(convention)) if convention else None,
+            self._dcc("convention", _collapse_spaces(convention)) if convention else None,
             self._text("declaration", declaration),
             self._dcc("conformity", status) if status else None,
         )
 
-    def _common(self, certificate: Certificate) -> list[etree._Element | None]:
-        """Methods, instruments and conditions of all results."""
+    def _common_elements(self, certificate: Certificate) -> list[etree._Element | None]:
+        """Methods, instruments and conditions, which are common to all results."""
         methods = self._dcc(
             "usedMethods",
             self._dcc(
@@ -260,11 +260,11 @@ class _Document:
                 refType="basic_calibrationMethod",
             ),
         )
-        place, conditions = certificate.station.location, certificate.conditions
+        location, conditions = certificate.station.location, certificate.conditions
         influences = [
             self._condition("Air in the chamber, lowest and highest", "degC", *certificate.chamber_c),
-            self._condition("Latitude", "deg", place.latitude_deg),
-            self._condition("Height above the ellipsoid", "m", place.height_m),
+            self._condition("Latitude", "deg", location.latitude_deg),
+            self._condition("Height above the ellipsoid", "m", location.height_m),
             self._dcc(
                 "influenceCondition",
                 self._text("name", "Room"),
@@ -278,7 +278,7 @@ class _Document:
         ]
 
     def _equipment(self, certificate: Certificate) -> etree._Element | None:
-        known = [
+        elements = [
             self._dcc(
                 "measuringEquipment",
                 self._text("name", plain_name(name)),
@@ -292,37 +292,46 @@ class _Document:
                     self._dcc(
                         "measuringEquipmentQuantity",
                         self._text("name", f"Expanded uncertainty, k = {each.uncertainty.coverage_factor:g}"),
-                        self._real(each.uncertainty.value, each.uncertainty.unit),
+                        self._real_quantity(each.uncertainty.value, each.uncertainty.unit),
                     ),
                 ),
             )
             for name, each in certificate.station.traceability.instruments()
         ]
-        return self._dcc("measuringEquipments", *known) if known else None
+        return self._dcc("measuringEquipments", *elements) if elements else None
 
     def _condition(self, name: str, unit: str, *values: float) -> etree._Element | None:
         if not all(map(math.isfinite, values)):
             return None
-        quantities = [self._dcc("quantity", self._real(value, unit)) for value in values]
+        quantities = [self._dcc("quantity", self._real_quantity(value, unit)) for value in values]
         return self._dcc("influenceCondition", self._text("name", name), self._dcc("data", *quantities))
 
     def _results(self, certificate: Certificate) -> list[etree._Element]:
-        places: dict[tuple[str, str], list[BiasResult]] = {
+        by_place: dict[tuple[str, str], list[BiasResult]] = {
             (gyro, position): [] for gyro in AXES for position in POSITIONS
         }
         for each in certificate.results:
-            places[each.gyro, each.position].append(each)
-        found = [self._bias_result(*place, own) for place, own in places.items() if own]
-        results = [self._measurement("Gyro biases by position and temperature", found)] if found else []
+            by_place[each.gyro, each.position].append(each)
+        bias_results = [
+            self._bias_result(*gyro_and_position, place_results)
+            for gyro_and_position, place_results in by_place.items()
+            if place_results
+        ]
+        results = (
+            [self._measurement("Gyro biases by position and temperature", bias_results)]
+            if bias_results
+            else []
+        )
         if certificate.model:
             quantities = [
-                self._named(f"{gyro_label(each.axis)}, {each.name}", each) for each in certificate.model
+                self._named_quantity(f"{gyro_label(each.axis)}, {each.name}", each)
+                for each in certificate.model
             ]
-            numbers = self._list("Numbers of the model", quantities, certificate.model_note)
+            numbers = self._list_result("Numbers of the model", quantities, certificate.model_note)
             results.append(self._measurement("Bias model", [numbers]))
         if certificate.coefficients:
             quantities = [
-                self._named(
+                self._named_quantity(
                     f"{each.name} {each.axis}, {each.temperature_c:.1f} °C "
                     f"({'gyro' if each.name.startswith('gyro') else 'case'})",
                     each,
@@ -331,7 +340,7 @@ class _Document:
             ]
             rows = certificate.run.coefficients
             note = " ".join([FRAME_TEXT, *plateau_findings(rows), *plateau_notes(rows)])
-            coefficients = self._list("Coefficients", quantities, note)
+            coefficients = self._list_result("Coefficients", quantities, note)
             results.append(self._measurement("Coefficients of the sensors", [coefficients]))
         return results
 
@@ -341,19 +350,19 @@ class _Document:
     def _bias_result(self, gyro: str, position: str, results: Sequence[BiasResult]) -> etree._Element:
         temperatures = self._si(
             "realListXMLList",
-            self._si("valueXMLList", _numbers(each.temperature_c for each in results)),
+            self._si("valueXMLList", _number_list(each.temperature_c for each in results)),
             self._si("unitXMLList", _UNITS["degC"][0]),
         )
         expanded = self._si(
             "expandedMUXMLList",
-            self._si("valueExpandedMUXMLList", _numbers(each.expanded_dph for each in results)),
+            self._si("valueExpandedMUXMLList", _number_list(each.expanded_dph for each in results)),
             self._si("coverageFactorXMLList", " ".join(f"{each.k:.4f}" for each in results)),
             self._si("coverageProbabilityXMLList", f"{COVERAGE:g}"),
             self._si("distributionXMLList", "normal"),
         )
         biases = self._si(
             "realListXMLList",
-            self._si("valueXMLList", _numbers(each.bias_dph for each in results)),
+            self._si("valueXMLList", _number_list(each.bias_dph for each in results)),
             self._si("unitXMLList", _UNITS["deg/h"][0]),
             self._si("measurementUncertaintyUnivariateXMLList", expanded),
         )
@@ -366,11 +375,11 @@ class _Document:
             "result", self._text("name", name), self._dcc("data", self._dcc("list", *quantities))
         )
 
-    def _named(self, name: str, number: ModelNumber) -> etree._Element:
-        value = self._real(number.value, number.unit, number.expanded, number.k)
+    def _named_quantity(self, name: str, number: ModelNumber) -> etree._Element:
+        value = self._real_quantity(number.value, number.unit, number.expanded, number.k)
         return self._dcc("quantity", self._text("name", name), value)
 
-    def _list(self, name: str, quantities: Sequence[etree._Element], note: str = "") -> etree._Element:
+    def _list_result(self, name: str, quantities: Sequence[etree._Element], note: str = "") -> etree._Element:
         return self._dcc(
             "result",
             self._text("name", name),
@@ -378,7 +387,9 @@ class _Document:
             self._dcc("data", self._dcc("list", *quantities)),
         )
 
-    def _real(self, value: float, unit: str, expanded: float | None = None, k: float = 2.0) -> etree._Element:
+    def _real_quantity(
+        self, value: float, unit: str, expanded: float | None = None, k: float = 2.0
+    ) -> etree._Element:
         dsi, factor = _UNITS[unit]
         uncertainty = None
         if expanded is not None:
@@ -403,9 +414,9 @@ _EMULATED = (
 )
 
 
-def _numbers(values: Iterable[float]) -> str:
+def _number_list(values: Iterable[float]) -> str:
     return " ".join(f"{value:.9g}" for value in values)
 
 
-def _tidy(text: str) -> str:
+def _collapse_spaces(text: str) -> str:
     return " ".join(text.split())

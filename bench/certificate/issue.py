@@ -1,4 +1,4 @@
-"""A calibration certificate as signed files: the PDF, with the DCC attached."""
+"""Issues a calibration certificate as signed files: the PDF, with the DCC attached."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ FORMATS = ("dcc", "pdf")
 
 
 def file_names(certificate: Certificate, formats: Iterable[str]) -> dict[str, str]:
-    """Names of the certificate's files by format; those of an emulated run say so."""
-    word = f"_{SIMULATED}" if certificate.run.is_simulated else ""
+    """Names of the certificate's files by format; those of an emulated run are marked."""
+    mark = f"_{SIMULATED}" if certificate.run.is_simulated else ""
     suffixes = {"pdf": "pdf", "dcc": "xml"}
-    return {each: f"certificate{word}.{suffixes[each]}" for each in formats}
+    return {each: f"certificate{mark}.{suffixes[each]}" for each in formats}
 
 
 def issue_certificate(
     certificate: Certificate, formats: Collection[str], out: Path, key: SigningKey | None, schema: Path | None
 ) -> list[Path]:
-    """Write a certificate into the folder ``out`` once all its files are made; returns them.
+    """Write a certificate into the folder ``out`` after all its files were created; returns their paths.
 
-    ``formats``: of :data:`FORMATS`. With ``key`` both are signed; with ``schema``, the folder of PTB's
-    schemas, the DCC is validated. Raises DocumentError for a DCC that the schema refuses.
+    ``formats``: some of :data:`FORMATS`. ``key``: signs the files, if given. ``schema``: folder of PTB's
+    schemas against which the DCC is validated, if given. Raises DocumentError if the DCC is not valid.
     """
     names = file_names(certificate, formats)
     files: dict[str, bytes] = {}
@@ -40,9 +40,9 @@ def issue_certificate(
             validate_dcc(document, schema)
         files[names["dcc"]] = document
     if "pdf" in formats:
-        printed = certificate_pdf(certificate, files)
+        pdf = certificate_pdf(certificate, files)
         reason = f"Calibration certificate {certificate.number}"
-        files[names["pdf"]] = sign_pdf(printed, key, reason) if key else printed
+        files[names["pdf"]] = sign_pdf(pdf, key, reason) if key else pdf
     make_folder(out)
     for name, data in files.items():
         write_whole(out / name, data)

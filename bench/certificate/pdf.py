@@ -1,4 +1,4 @@
-"""The certificate as PDF/A-3: tagged, figures as vectors, the DCC attached where there is one."""
+"""The certificate as PDF/A-3: tagged, with vector figures, and with the DCC attached if there is one."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ from gyrobench.bench.runs.tables.coefficient_table import (
 )
 
 _VARIANT = "pdf/a-3a"
-#: Plateaus in one table of coefficients.
-_PLATEAUS_ACROSS = 5
+#: Number of plateaus in one table of coefficients.
+_PLATEAUS_PER_TABLE = 5
 #: Numbers below this power of ten are written with it.
 _MIN_POWER = -4
 _CAPTIONS = {
@@ -57,21 +57,21 @@ def certificate_pdf(certificate: Certificate, attachments: Mapping[str, bytes] |
     Raises GyrobenchError if a system library is missing, and MissingPackageError if weasyprint is not
     installed.
     """
-    word = certificate.run.watermark
+    watermark = certificate.run.watermark
     with tempfile.TemporaryDirectory() as folder:
-        page = _page(certificate, dict(_figures(certificate, Path(folder), word)))
-        title = f"{word} Calibration certificate {certificate.order.number}".strip()
-        html = "".join(render_page(page, f"{title}, unit {certificate.unit}", word, title))
+        page = _page(certificate, dict(_figures(certificate, Path(folder), watermark)))
+        title = f"{watermark} Calibration certificate {certificate.order.number}".strip()
+        html = "".join(render_page(page, f"{title}, unit {certificate.unit}", watermark, title))
     return pdf_of(html, attachments, _VARIANT)
 
 
 def _page(certificate: Certificate, figures: Mapping[str, Path]) -> Section:
     statement, rule = certificate.conformity
-    found = certificate.run.acceptance
-    colour = VERDICT_COLOURS[found.verdict] if found and found.limits else "open"
+    acceptance = certificate.run.acceptance
+    colour = VERDICT_COLOURS[acceptance.verdict] if acceptance and acceptance.limits else "open"
     boxes = [Box("failed", SIMULATED, _SIMULATED_BOX)] if certificate.run.is_simulated else []
     boxes.append(Box(colour, "Conformity.", statement, [f"Decision rule: {rule}"] if rule else []))
-    parts = [
+    sections = [
         Section("Laboratory", facts=certificate.laboratory),
         Section("Method", certificate.method),
         Section("Deviations from the procedure", items=certificate.deviations),
@@ -94,7 +94,7 @@ def _page(certificate: Certificate, figures: Mapping[str, Path]) -> Section:
         "Calibration certificate",
         boxes=boxes,
         facts=certificate.item,
-        sections=[part for part in parts if part],
+        sections=[part for part in sections if part],
     )
 
 
@@ -108,15 +108,15 @@ def _traceability(certificate: Certificate) -> Section:
 
 def _bias_sections(results: Sequence[BiasResult], figures: Mapping[str, Path]) -> Iterator[Section]:
     for gyro in AXES:
-        own = [each for each in results if each.gyro == gyro]
-        if not own:
+        gyro_results = [each for each in results if each.gyro == gyro]
+        if not gyro_results:
             continue
         name = f"bias_{gyro}"
-        drawn = [SectionFigure(name, _BIAS_CAPTION.format(gyro_label(gyro)), figures[name])]
+        bias_figures = [SectionFigure(name, _BIAS_CAPTION.format(gyro_label(gyro)), figures[name])]
         yield Section(
             f"Bias of the {gyro_label(gyro)}",
-            figures=drawn if name in figures else [],
-            tables=[_bias_table(own)],
+            figures=bias_figures if name in figures else [],
+            tables=[_bias_table(gyro_results)],
         )
 
 
@@ -149,36 +149,38 @@ def _model_section(certificate: Certificate) -> Section | None:
     for _, each in sorted(
         zip(bases, certificate.model, strict=True), key=lambda pair: (bases.index(pair[0]), pair[1].name)
     ):
-        table[each.name, _printed(each.unit)][each.axis] = _with_expanded(each.value, each.expanded)
+        table[each.name, _unit_text(each.unit)][each.axis] = _with_expanded(each.value, each.expanded)
     if not table:
         return None
     header = ["number", "unit", *map(gyro_label, AXES)]
-    rows = [[name, unit, *(found.get(gyro, "–") for gyro in AXES)] for (name, unit), found in table.items()]
-    caption = f"Value ± U, {_factors(certificate.model)}; the numbers of one gyro are correlated."
-    shown = SectionTable(caption, header, rows, words=2)
-    return Section("Bias model", [certificate.model_note], tables=[shown])
+    rows = [
+        [name, unit, *(by_gyro.get(gyro, "–") for gyro in AXES)] for (name, unit), by_gyro in table.items()
+    ]
+    caption = f"Value ± U, {_coverage_text(certificate.model)}; the numbers of one gyro are correlated."
+    number_table = SectionTable(caption, header, rows, words=2)
+    return Section("Bias model", [certificate.model_note], tables=[number_table])
 
 
 def _coefficients_section(certificate: Certificate) -> Section | None:
     by_name: dict[tuple[str, str, str], dict[int, str]] = defaultdict(dict)
     heads = plateau_heads(certificate.run.coefficients)
     for each in certificate.coefficients:
-        factor, unit = (1000.0, "0.001 deg/h") if each.unit == "deg/h" else (1.0, _printed(each.unit))
+        factor, unit = (1000.0, "0.001 deg/h") if each.unit == "deg/h" else (1.0, _unit_text(each.unit))
         decimals = decimals_of(each.expanded * factor)
         text = f"{each.value * factor:z.{decimals}f} ± {each.expanded * factor:.{decimals}f}"
         by_name[each.name, each.axis, unit][each.plateau] = text
     plateaus = sorted({each.plateau for each in certificate.coefficients})
     tables = []
-    for start in range(0, len(plateaus), _PLATEAUS_ACROSS):
-        shown = plateaus[start : start + _PLATEAUS_ACROSS]
-        header = ["coefficient", "unit", *(heads[each] for each in shown)]
+    for start in range(0, len(plateaus), _PLATEAUS_PER_TABLE):
+        group = plateaus[start : start + _PLATEAUS_PER_TABLE]
+        header = ["coefficient", "unit", *(heads[each] for each in group)]
         rows = [
-            [f"{name} {axis}", unit, *(found.get(each, "–") for each in shown)]
-            for (name, axis, unit), found in by_name.items()
-            if found.keys() & set(shown)
+            [f"{name} {axis}", unit, *(by_plateau.get(each, "–") for each in group)]
+            for (name, axis, unit), by_plateau in by_name.items()
+            if by_plateau.keys() & set(group)
         ]
-        factors = _factors([each for each in certificate.coefficients if each.plateau in shown])
-        caption = f"Coefficient ± U, {factors}, at the plateaus from {shown[0]} to {shown[-1]}."
+        factors = _coverage_text([each for each in certificate.coefficients if each.plateau in group])
+        caption = f"Coefficient ± U, {factors}, at the plateaus from {group[0]} to {group[-1]}."
         tables.append(SectionTable(caption, header, rows, words=2))
     notes = plateau_notes(row for row in certificate.run.coefficients if row.plateau in plateaus)
     texts = [f"{FRAME_TEXT} {TEMPERATURE_TEXT}", *notes] if tables else []
@@ -187,36 +189,36 @@ def _coefficients_section(certificate: Certificate) -> Section | None:
 
 
 def _with_expanded(value: float, expanded: float) -> str:
-    """Value ± U with the digits that U leaves; small numbers with a common power of ten."""
+    """Value ± U with the significant digits of U; small numbers with a common power of ten."""
     power = min(math.floor(math.log10(max(abs(value), expanded))), 0)
     if power > _MIN_POWER:
         return with_sigma(value, expanded)
     return f"({with_sigma(value / 10.0**power, expanded / 10.0**power)})e{power}"
 
 
-def _printed(unit: str) -> str:
+def _unit_text(unit: str) -> str:
     return unit.replace("ug", "µg").replace("K2", "K²").replace("K3", "K³")
 
 
-def _factors(numbers: Sequence[ModelNumber]) -> str:
-    """The coverage factor, or the smallest and largest."""
-    ends = [f"{end(each.k for each in numbers):.2f}" for end in (min, max)]
-    return f"k = {' to '.join(dict.fromkeys(ends))}"
+def _coverage_text(numbers: Sequence[ModelNumber]) -> str:
+    """Text of the coverage factor, or of the smallest and the largest."""
+    limits = [f"{limit(each.k for each in numbers):.2f}" for limit in (min, max)]
+    return f"k = {' to '.join(dict.fromkeys(limits))}"
 
 
-def _figures(certificate: Certificate, folder: Path, word: str) -> Iterator[tuple[str, Path]]:
+def _figures(certificate: Certificate, folder: Path, watermark: str) -> Iterator[tuple[str, Path]]:
     run = certificate.run
-    none = math.nan, math.nan, math.nan  # the biases by the paper's method are not certified
-    dwells = [replace(each, paper_bias_dph=none) for each in run.dwells]
+    nan_biases = math.nan, math.nan, math.nan  # the biases by the paper's method are not certified
+    dwells = [replace(each, paper_bias_dph=nan_biases) for each in run.dwells]
     bins = [replace(each, paper_bias_dph=math.nan) for each in run.bins]
     for name, draw in figures_of(replace(run, dwells=dwells, bins=bins)):
         path = folder / f"{name}.svg"
-        path.write_bytes(_svg(draw(), word))
+        path.write_bytes(_svg(draw(), watermark))
         yield name, path
 
 
-def _svg(figure: Figure, word: str) -> bytes:
+def _svg(figure: Figure, watermark: str) -> bytes:
     stream = io.BytesIO()
-    stamp(figure, word)
-    figure.savefig(stream, format="svg", metadata={"Date": None, "Title": word or None})
+    stamp(figure, watermark)
+    figure.savefig(stream, format="svg", metadata={"Date": None, "Title": watermark or None})
     return stream.getvalue()

@@ -1,4 +1,4 @@
-"""Signatures of certificates: XAdES in a DCC, PAdES in a PDF; made with a key file or a token, and verified.
+"""Signs certificates with a key file or a token, and verifies them: XAdES in a DCC, PAdES in a PDF.
 
 References
 ----------
@@ -37,11 +37,11 @@ _SIGNATURE = "{http://www.w3.org/2000/09/xmldsig#}Signature"
 class SigningKey:
     """A private key, RSA or EC, in a file or on a token, with the certificates of its owner."""
 
-    sign_unchecked: Callable[[bytes], bytes]  #: Signature of data, as of :meth:`sign`.
-    certificates: Sequence[Certificate]  #: The signer's first.
+    sign_unchecked: Callable[[bytes], bytes]  #: Like :meth:`sign`, without the check of the certificate.
+    certificates: Sequence[Certificate]  #: Certificate of the signer, then its chain.
 
     def __getattr__(self, name: str) -> Any:
-        """What signxml reads of a key beside its signature, as ``key_size``: that of the public key."""
+        """Other attributes that signxml reads, such as ``key_size``: those of the public key."""
         return getattr(self.public_key(), name)
 
     def public_key(self) -> Any:
@@ -49,9 +49,9 @@ class SigningKey:
         return self.certificates[0].public_key()
 
     def sign(self, data: bytes, **_: object) -> bytes:
-        """Sign data: SHA-256 with RSA by PKCS#1 v1.5, or with ECDSA in DER.
+        """Sign data: SHA-256 with RSA (PKCS#1 v1.5), or with ECDSA (DER).
 
-        Raises DocumentError if the certificate does not belong to the key, or is for another kind of key.
+        Raises DocumentError if the certificate does not belong to the key, or is for another type of key.
         """
         signature = self.sign_unchecked(data)
         try:
@@ -67,33 +67,37 @@ class SignatureCheck:
 
     signer: str  #: Subject of the signer's certificate.
     fingerprint: str  #: SHA-256 of the signer's certificate.
-    problem: str  #: Empty if the file is as it was signed, by whom it has to be.
+    problem: str  #: Empty if the file is unchanged and its signer is trusted.
 
 
 def load_signing_key(source: str) -> SigningKey:
-    """A key with its certificates: from PKCS#12 (.p12, .pfx), from PEM with both, or on a PKCS#11 token.
+    """Load a key with its certificates: from PKCS#12 (.p12, .pfx), from PEM with both, or on a PKCS#11 token.
 
-    A token is named by a URI of RFC 7512 with the path of its module:
-    ``pkcs11:token=NAME;object=KEY?module-path=/usr/lib/module.so``. The password of a file, or the token's
-    PIN, is taken from GYROBENCH_KEY_PASSWORD. Raises DocumentError if the key can't be used.
+    A token is given as a URI of RFC 7512 with the path of its module:
+    ``pkcs11:token=NAME;object=KEY?module-path=/usr/lib/module.so``. The password of a file, or the PIN of a
+    token, is read from GYROBENCH_KEY_PASSWORD. Raises DocumentError if the key can't be used.
     """
     secret = os.environ.get(PASSWORD_VARIABLE, "")
-    found = _of_token(source, secret) if source.startswith(_TOKEN) else _of_file(Path(source), secret)
-    if not found.certificates:
+    key = (
+        _load_from_token(source, secret)
+        if source.startswith(_TOKEN)
+        else _load_from_file(Path(source), secret)
+    )
+    if not key.certificates:
         raise DocumentError(
             f"{source}: holds no private key with a certificate. Give PKCS#12, or PEM or a token with both"
         )
-    _scheme(found.public_key())
-    return found
+    _scheme(key.public_key())
+    return key
 
 
-def _of_file(path: Path, password: str) -> SigningKey:
+def _load_from_file(path: Path, password: str) -> SigningKey:
     content, secret = read_limited(path, _MAX_KEY_BYTES, DocumentError), password.encode() or None
     try:
         if path.suffix in _PKCS12:
-            loaded = require("cryptography.hazmat.primitives.serialization.pkcs12")
-            key, own, others = loaded.load_key_and_certificates(content, secret)
-            certificates = [own, *others] if own and key else []
+            pkcs12 = require("cryptography.hazmat.primitives.serialization.pkcs12")
+            key, certificate, others = pkcs12.load_key_and_certificates(content, secret)
+            certificates = [certificate, *others] if certificate and key else []
         else:
             key = pem_key(content)
             certificates = require("cryptography.x509").load_pem_x509_certificates(content)
@@ -105,71 +109,75 @@ def _of_file(path: Path, password: str) -> SigningKey:
     return SigningKey(lambda data: key.sign(data, *_scheme(key.public_key())), certificates)
 
 
-def _of_token(uri: str, pin: str) -> SigningKey:
+def _load_from_token(uri: str, pin: str) -> SigningKey:
     pkcs11, x509 = require("pkcs11"), require("cryptography.x509")
     encode = require("cryptography.hazmat.primitives.asymmetric.utils").encode_dss_signature
     attribute = pkcs11.Attribute
 
     def sign(data: bytes) -> bytes:
-        with _opened(uri, pin) as (_, key):
+        with _open_token(uri, pin) as (_, key):
             if key.key_type is pkcs11.KeyType.RSA:
                 return key.sign(data, mechanism=pkcs11.Mechanism.SHA256_RSA_PKCS)  # type: ignore[no-any-return]
             raw = key.sign(hashlib.sha256(data).digest(), mechanism=pkcs11.Mechanism.ECDSA)
         half = len(raw) // 2
         return encode(int.from_bytes(raw[:half]), int.from_bytes(raw[half:]))  # type: ignore[no-any-return]
 
-    with _opened(uri, pin) as (session, key):
-        held = {}
+    with _open_token(uri, pin) as (session, key):
+        is_own_by_certificate = {}
         for each in session.get_objects({attribute.CLASS: pkcs11.ObjectClass.CERTIFICATE}):
             is_own = each[attribute.ID] == key[attribute.ID]
             try:
-                held[x509.load_der_x509_certificate(each[attribute.VALUE])] = is_own
+                is_own_by_certificate[x509.load_der_x509_certificate(each[attribute.VALUE])] = is_own
             except ValueError as error:
-                if is_own:  # that of another key is not needed
+                if is_own:  # certificates of other keys are not needed
                     raise DocumentError(
                         f"{uri}: the certificate of the key can't be read: {error}. Write it to the token "
                         "again, as DER"
                     ) from error
-    chain = [each for each, is_own in held.items() if is_own][:1]
-    for each in chain:  # which grows by the issuer of its last one
-        chain += [other for other in held if other.subject == each.issuer and other not in chain][:1]
+    chain = [each for each, is_own in is_own_by_certificate.items() if is_own][:1]
+    for each in chain:  # the chain grows by the issuer of its last certificate
+        chain += [
+            other for other in is_own_by_certificate if other.subject == each.issuer and other not in chain
+        ][:1]
     return SigningKey(sign, chain)
 
 
 @contextmanager
-def _opened(uri: str, pin: str) -> Iterator[tuple[Any, Any]]:
-    """Session on a token and the private key on it; the user is logged out at the end."""
+def _open_token(uri: str, pin: str) -> Iterator[tuple[Any, Any]]:
+    """Session on a token and its private key; logs out at the end."""
     path, _, query = uri.removeprefix(_TOKEN).partition("?")
-    named, asked = (
+    path_attributes, query_attributes = (
         dict(part.partition("=")[::2] for part in text.split(mark))
         for text, mark in ((path, ";"), (query, "&"))
     )
-    if "pin-value" in {*named, *asked}:
+    if "pin-value" in {*path_attributes, *query_attributes}:
         raise DocumentError(
             "the URI of --key holds a PIN, which seals and the list of processes would show. Leave pin-value "
             f"out, and set {PASSWORD_VARIABLE}"
         )
-    module = unquote(asked.get("module-path", ""))
-    if not (module and named.get("token") and ("object" in named or "id" in named)):
+    module = unquote(query_attributes.get("module-path", ""))
+    if not (
+        module and path_attributes.get("token") and ("object" in path_attributes or "id" in path_attributes)
+    ):
         raise DocumentError(
             f"{uri}: write pkcs11:token=NAME;object=KEY?module-path=FILE, or id=%01 instead of object"
         )
     pkcs11 = require("pkcs11")
-    wanted: dict[Any, Any] = {pkcs11.Attribute.CLASS: pkcs11.ObjectClass.PRIVATE_KEY}
-    if "object" in named:
-        wanted[pkcs11.Attribute.LABEL] = unquote(named["object"])
-    if "id" in named:
-        wanted[pkcs11.Attribute.ID] = unquote_to_bytes(named["id"])
+    search_attributes: dict[Any, Any] = {pkcs11.Attribute.CLASS: pkcs11.ObjectClass.PRIVATE_KEY}
+    if "object" in path_attributes:
+        search_attributes[pkcs11.Attribute.LABEL] = unquote(path_attributes["object"])
+    if "id" in path_attributes:
+        search_attributes[pkcs11.Attribute.ID] = unquote_to_bytes(path_attributes["id"])
     try:
-        token = pkcs11.lib(module).get_token(token_label=unquote(named["token"]))
+        token = pkcs11.lib(module).get_token(token_label=unquote(path_attributes["token"]))
         with token.open(user_pin=pin or None) as session:
-            found = list(session.get_objects(wanted))
-            if len(found) != 1:
+            keys = list(session.get_objects(search_attributes))
+            if len(keys) != 1:
                 raise DocumentError(
-                    f"{uri}: {counted(len(found), 'private key')} on the token instead of one. Check object, "
+                    f"{uri}: {counted(len(keys), 'private key')} on the token instead of one. Check object, "
                     f"id and the PIN in {PASSWORD_VARIABLE}"
                 )
-            yield session, found[0]
+            yield session, keys[0]
     except (pkcs11.exceptions.PKCS11Error, RuntimeError) as error:
         raise DocumentError(
             f"{uri}: the token can't be used: {f'{type(error).__name__} {error}'.strip()}. Check its module "
@@ -178,7 +186,7 @@ def _opened(uri: str, pin: str) -> Iterator[tuple[Any, Any]]:
 
 
 def _scheme(public: Any) -> tuple[Any, ...]:
-    """Padding and hash by which a key signs; raises DocumentError for other keys than RSA and EC."""
+    """Padding and hash with which a key signs. Raises DocumentError for keys other than RSA and EC."""
     asymmetric = "cryptography.hazmat.primitives.asymmetric."
     rsa, ec, padding = (require(asymmetric + name) for name in ("rsa", "ec", "padding"))
     sha256 = require("cryptography.hazmat.primitives.hashes").SHA256()
@@ -202,7 +210,7 @@ def sign_dcc(content: bytes, key: SigningKey) -> bytes:
 
 
 def sign_pdf(content: bytes, key: SigningKey, reason: str) -> bytes:
-    """Sign a PDF by PAdES, as an incremental update that leaves its pages as they are."""
+    """Sign a PDF by PAdES, as an incremental update that does not change its pages."""
     signers, fields = require("pyhanko.sign.signers"), require("pyhanko.sign.fields")
     writer, x509 = require("pyhanko.pdf_utils.incremental_writer"), require("asn1crypto.x509")
     der = require("cryptography.hazmat.primitives.serialization").Encoding.DER
@@ -212,95 +220,95 @@ def sign_pdf(content: bytes, key: SigningKey, reason: str) -> bytes:
             return bytes(key.key_size // 4) if dry_run else key.sign(data)
 
     registry = require("pyhanko_certvalidator.registry").SimpleCertificateStore()
-    own, *others = [x509.Certificate.load(each.public_bytes(der)) for each in key.certificates]
+    signer_certificate, *others = [x509.Certificate.load(each.public_bytes(der)) for each in key.certificates]
     registry.register_multiple(others)
-    wanted = signers.PdfSignatureMetadata(
+    metadata = signers.PdfSignatureMetadata(
         field_name=_FIELD, md_algorithm="sha256", reason=reason, subfilter=fields.SigSeedSubFilter.PADES
     )
-    signer = KeySigner(signing_cert=own, cert_registry=registry)
-    signed = signers.sign_pdf(writer.IncrementalPdfFileWriter(io.BytesIO(content)), wanted, signer=signer)
+    signer = KeySigner(signing_cert=signer_certificate, cert_registry=registry)
+    signed = signers.sign_pdf(writer.IncrementalPdfFileWriter(io.BytesIO(content)), metadata, signer=signer)
     return signed.getvalue()  # type: ignore[no-any-return]
 
 
 def verify_file(path: Path, trusted: Path | None = None) -> SignatureCheck:
     """Verify the signature of a DCC (.xml) or PDF.
 
-    ``trusted``: PEM file of certificates, one of which has to be the signer's or its issuer's. Raises
+    ``trusted``: PEM file of certificates, one of which must be that of the signer or of its issuer. Raises
     DocumentError if the file can't be read or has no signature.
     """
     content = read_limited(path, _MAX_FILE_BYTES, DocumentError)
     try:
-        own, problem = (_verify_pdf if content.startswith(b"%PDF") else _verify_xml)(content, path)
+        certificate, problem = (_verify_pdf if content.startswith(b"%PDF") else _verify_xml)(content, path)
     except DocumentError:
         raise
     except Exception as error:  # noqa: BLE001 - parsers of damaged files raise anything
         return SignatureCheck("", "", f"the file is damaged: {type(error).__name__}: {error}")
-    if not problem and trusted is not None and not _is_trusted(own, _certificates(trusted)):
+    if not problem and trusted is not None and not _is_trusted(certificate, _load_certificates(trusted)):
         problem = f"signed with a certificate that is neither in {trusted} nor issued by one in it"
     hashes = require("cryptography.hazmat.primitives.hashes")
-    digest = own.fingerprint(hashes.SHA256()).hex()
-    return SignatureCheck(own.subject.rfc4514_string(), digest, problem)
+    digest = certificate.fingerprint(hashes.SHA256()).hex()
+    return SignatureCheck(certificate.subject.rfc4514_string(), digest, problem)
 
 
-def _certificates(path: Path) -> Sequence[Certificate]:
+def _load_certificates(path: Path) -> Sequence[Certificate]:
     try:
-        found = require("cryptography.x509").load_pem_x509_certificates(
+        certificates = require("cryptography.x509").load_pem_x509_certificates(
             read_limited(path, _MAX_KEY_BYTES, DocumentError)
         )
     except ValueError as error:
         if isinstance(error, DocumentError):
             raise
         raise DocumentError(f"{path}: holds no certificate in PEM: {error}") from error
-    return found  # type: ignore[no-any-return]
+    return certificates  # type: ignore[no-any-return]
 
 
 def _verify_xml(content: bytes, path: Path) -> tuple[Certificate, str]:
     xml, xades, signxml = require("lxml.etree"), require("signxml.xades"), require("signxml")
     x509 = require("cryptography.x509")
     root = xml.fromstring(content, _parser(xml))
-    found = root.find(_SIGNATURE)
-    if found is None:
+    signature = root.find(_SIGNATURE)
+    if signature is None:
         raise DocumentError(f"{path}: has no signature")
-    encoded = found.findtext(".//{*}X509Certificate")
-    own: Certificate = x509.load_pem_x509_certificate(
+    encoded = signature.findtext(".//{*}X509Certificate")
+    certificate: Certificate = x509.load_pem_x509_certificate(
         f"-----BEGIN CERTIFICATE-----\n{encoded.strip()}\n-----END CERTIFICATE-----\n".encode()
     )
     try:
-        results = xades.XAdESVerifier().verify(content, x509_cert=_pem(own), expect_references=True)
+        results = xades.XAdESVerifier().verify(content, x509_cert=_pem(certificate), expect_references=True)
     except (signxml.exceptions.InvalidInput, signxml.exceptions.InvalidSignature):
-        return own, _CHANGED
+        return certificate, _CHANGED
     signed = [each.signed_xml.tag for each in results if each.signed_xml is not None]
-    return own, "" if root.tag in signed else "the signature does not cover the whole document"
+    return certificate, "" if root.tag in signed else "the signature does not cover the whole document"
 
 
 def _verify_pdf(content: bytes, path: Path) -> tuple[Certificate, str]:
     reader = require("pyhanko.pdf_utils.reader").PdfFileReader(io.BytesIO(content))
     validation, x509 = require("pyhanko.sign.validation"), require("cryptography.x509")
-    general = require("pyhanko.sign.validation.settings")
+    settings = require("pyhanko.sign.validation.settings")
     signatures = reader.embedded_signatures
     if not signatures:
         raise DocumentError(f"{path}: has no signature")
     last = signatures[-1]
-    own: Certificate = x509.load_der_x509_certificate(last.signer_cert.dump())
+    certificate: Certificate = x509.load_der_x509_certificate(last.signer_cert.dump())
     context = require("pyhanko_certvalidator").ValidationContext(
         trust_roots=[last.signer_cert], allow_fetching=False
     )
-    usage = general.KeyUsageConstraints(key_usage=set(), match_all_key_usages=False)
+    usage = settings.KeyUsageConstraints(key_usage=set(), match_all_key_usages=False)
     status = validation.validate_pdf_signature(last, context, key_usage_settings=usage)
     is_whole = status.coverage is validation.SignatureCoverageLevel.ENTIRE_FILE
     if not (status.intact and status.valid):
-        return own, _CHANGED
-    return own, "" if is_whole else "the signature does not cover the whole file"
+        return certificate, _CHANGED
+    return certificate, "" if is_whole else "the signature does not cover the whole file"
 
 
-def _is_trusted(own: Certificate, roots: Sequence[Certificate]) -> bool:
-    """Whether a certificate is one of these, or was issued by one of them."""
+def _is_trusted(certificate: Certificate, roots: Sequence[Certificate]) -> bool:
+    """Whether a certificate is one of ``roots``, or was issued by one of them."""
     invalid = require("cryptography.exceptions").InvalidSignature
     for root in roots:
         try:
-            own.verify_directly_issued_by(root)
+            certificate.verify_directly_issued_by(root)
         except (ValueError, TypeError, invalid):
-            if own != root:
+            if certificate != root:
                 continue
         return True
     return False

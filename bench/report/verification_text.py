@@ -302,7 +302,7 @@ def comparability_sentences(result: VerificationResult) -> list[str]:
 
 def _plateau_text(plateau: PairedPlateau) -> str:
     """A plateau in a sentence: "-6 °C (cycle 1)"."""
-    first = plateau.known[0]
+    first = plateau.measured_rows[0]
     return f"{first.gyro_c:z.0f} °C (cycle {first.cycle})"
 
 
@@ -339,7 +339,7 @@ def reading_sentences(result: VerificationResult) -> list[str]:
 
 def new_conditions_sentence(result: VerificationResult) -> str:
     """Temperatures and attitudes of the new measurements that were not in the fit."""
-    rows = [plateau.known[0] for plateau in result.plateaus]
+    rows = [plateau.measured_rows[0] for plateau in result.plateaus]
     new = [row for row in rows if row.fit != "fitted"]
     temperatures = listed([f"{row.gyro_c:z.0f} °C" for row in new])
     where = plural(len(new), "is at a gyro temperature that was", "are at gyro temperatures that were")
@@ -406,7 +406,7 @@ def plateau_rows(result: VerificationResult) -> list[list[str]]:
     """
     sizes, rows = _measured(result), []
     for plateau in result.plateaus:
-        first = plateau.known[0]
+        first = plateau.measured_rows[0]
         lines = [
             [LABELS[each.compensation], *([""] * len(sizes) if row is None else _cells(row, sizes))]
             for each, row in zip(result.results, plateau.rows, strict=True)

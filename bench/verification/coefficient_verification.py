@@ -1,4 +1,4 @@
-"""Verification of all coefficients: what is left of each in new measurements, and in a mission."""
+"""Verification of all coefficients: the residual of each in new measurements, and the error of a mission."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gyrobench.bench.foundations.text import format_cell
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow
 from gyrobench.bench.verification.measured_change import SIGNIFICANT_P
-from gyrobench.bench.verification.paired_plateaus import PlateauPlace, pair_places
+from gyrobench.bench.verification.paired_plateaus import PlateauProperties, pair_plateaus
 from gyrobench.drivers.ins.compensation import CORRECTION_DEGREE, Correction
 
 _NAMES = tuple(f"{each.name}_{each.axis}" for each in COEFFICIENTS)
@@ -33,7 +33,7 @@ _MISSION_COLUMNS = (
 class PlateauMission:
     """Mission with the coefficients of one plateau."""
 
-    plateau: int  #: Its number, the same in all runs.
+    plateau: int  #: Number of the plateau, the same in all runs.
     gyro_c: float  #: Mean temperature of the gyros.
     error: MissionError
     is_in_all: bool  #: Whether all runs have the plateau.
@@ -45,9 +45,9 @@ class NoiseSums:
 
     count: int  #: Number of values.
     squares: float  #: v' v.
-    along: float  #: v' R v; of noise alone tr(R R) on average.
+    quadratic: float  #: v' R v; its mean is tr(R R) for noise alone.
     correlation: float  #: tr(R R).
-    loaded: int  #: Number of loaded coefficients of polynomials, at most one for each value.
+    loaded: int  #: Number of loaded polynomial coefficients, at most one for each value.
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,25 +55,26 @@ class CoefficientResult:
     """Coefficients measured with one compensation."""
 
     compensation: str  #: As in a verification.
-    #: rms, noise: Shape (21,), in the units of tables: of the values over the plateaus, and of their standard
-    #: uncertainties, at the plateaus at which all runs have the coefficient; NaN where not observable.
+    #: rms, noise: Shape (21,), in the units of tables. Rms of the values, and of their standard
+    #: uncertainties, over the plateaus at which all runs have the coefficient; NaN if not observable.
     rms: FloatArray
     noise: FloatArray
     plateaus: FloatArray  #: Shape (21,). Number of plateaus with a value.
-    sums: NoiseSums  #: Of all coefficients but the gyros' biases, at these plateaus.
+    sums: NoiseSums  #: Sums over all coefficients except gyro biases, at these plateaus.
     missions: tuple[PlateauMission, ...]  #: One for each plateau.
 
     @property
     def ratio(self) -> float:
-        """Rms of all coefficients but the gyros' biases, which each power-on changes, over their noise."""
+        """Rms relative to the noise, of all coefficients except gyro biases (which each power-on changes)."""
         return math.sqrt(self.sums.squares / self.sums.count) if self.sums.count else math.nan
 
     @property
     def noise_p_value(self) -> float:
         """p-value of these coefficients, given the noise of the measurement and that of what was loaded.
 
-        A polynomial loaded with k numbers leaves its own noise: its variances, over those of the values, sum
-        up to k. The sum of squares is taken for a scaled chi2 with its mean and variance (Satterthwaite).
+        A loaded polynomial with k coefficients adds its own noise: its variances, relative to those of the
+        values, sum to k. The sum of squares is approximated by a scaled chi2 with equal mean and variance
+        (Satterthwaite).
         """
         sums = self.sums
         if not sums.count:
@@ -86,11 +87,11 @@ class CoefficientResult:
     def is_better_than(self, other: CoefficientResult) -> bool:
         """Whether the rms of these coefficients is smaller than in another run, by more than the noise.
 
-        Over the noise, with correlations R, a sum of squares about means m has the variance
+        In units of the noise, with correlations R, a sum of squares about means m has the variance
         2 tr(R R) + 4 m' R m.
         """
         variance = sum(
-            2.0 * each.correlation + 4.0 * max(each.along - each.correlation, 0.0)
+            2.0 * each.correlation + 4.0 * max(each.quadratic - each.correlation, 0.0)
             for each in (self.sums, other.sums)
         )
         difference = other.sums.squares - self.sums.squares
@@ -98,30 +99,32 @@ class CoefficientResult:
 
     @property
     def worst(self) -> PlateauMission:
-        """The plateau with the largest position error after a day, of those that all runs have."""
+        """The plateau with the largest position error after a day, among those that all runs have."""
         compared = [each for each in self.missions if each.is_in_all]
         return max(compared, key=lambda each: float(each.error.stated_nmi[-1]))
 
 
 def corrections(rows: Iterable[PlateauCoefficientRow]) -> dict[str, Correction]:
-    """Polynomials of all coefficients but the gyros' biases over the temperatures of plateaus.
+    """Polynomials over temperature of all observable coefficients except gyro biases.
 
-    Each has the lowest degree that leaves its uncertainties, and takes the temperature of the gyro along its
-    sensor's axis, within the temperatures at which it was measured. What is not observable has none.
+    Each has the lowest degree that fits within the uncertainties. It is a function of the temperature of the
+    gyro along its sensor's axis, limited to the temperatures at which it was measured.
     """
     gyro_c = {(row.plateau, row.axis): row.temperature_c for row in rows if row.coefficient == "gyro_bias"}
-    found = {}
-    for name, mine in _by_name(rows).items():
+    by_name = {}
+    for name, coefficient_rows in _by_name(rows).items():
         axis = name.rpartition("_")[2][0]
-        known = [row for row in mine if np.isfinite([row.value, row.sigma]).all()]
-        known = [row for row in known if np.isfinite(gyro_c[row.plateau, axis])]
-        if known and not name.startswith("gyro_bias"):
-            at_c = np.array([gyro_c[row.plateau, axis] for row in known])
-            values, sigmas = np.array([(row.value, row.sigma) for row in known]).T
-            fitted = lowest_polynomial(at_c, values, sigmas, min(CORRECTION_DEGREE, len(known) - 1))
-            range_c = float(at_c.min()), float(at_c.max())
-            found[name] = Correction(np.asarray(fitted.convert().coef), range_c=range_c)
-    return found
+        measured = [row for row in coefficient_rows if np.isfinite([row.value, row.sigma]).all()]
+        measured = [row for row in measured if np.isfinite(gyro_c[row.plateau, axis])]
+        if measured and not name.startswith("gyro_bias"):
+            temperature_c = np.array([gyro_c[row.plateau, axis] for row in measured])
+            values, sigmas = np.array([(row.value, row.sigma) for row in measured]).T
+            fitted = lowest_polynomial(
+                temperature_c, values, sigmas, min(CORRECTION_DEGREE, len(measured) - 1)
+            )
+            range_c = float(temperature_c.min()), float(temperature_c.max())
+            by_name[name] = Correction(np.asarray(fitted.convert().coef), range_c=range_c)
+    return by_name
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,22 +133,22 @@ class CoefficientRun:
 
     compensation: str  #: As in a verification.
     rows: Sequence[PlateauCoefficientRow]
-    #: Shape (21, 21) by plateau, NaN where not observable: such a coefficient counts as zero and known in the
-    #: missions. Without them coefficients count as independent.
+    #: Shape (21, 21) by plateau; NaN if not observable: missions assume that such a coefficient is exactly
+    #: zero. Coefficients of other plateaus count as independent.
     correlations: Mapping[int, FloatArray]
     loaded: Mapping[str, Correction] = field(default_factory=dict)  #: Polynomials that the INS subtracts.
 
 
 def compare_coefficients(runs: Sequence[CoefficientRun], site: Site) -> tuple[CoefficientResult, ...]:
-    """What is left of the coefficients in each run, at the plateaus that all runs have; empty without any.
+    """Residual coefficients of each run at the plateaus that all runs have; empty if there are none.
 
-    Where plateaus have rotations, those without do not count: on a ramp a dwell may be one by itself, which
-    hardly shows some of the coefficients.
+    If any plateau has rotations, those without are omitted: a dwell on a ramp may be a plateau by itself,
+    which hardly shows some of the coefficients.
     """
     numbers = _joint_numbers(runs)
     tables = [
-        [replace(row, plateau=of[row.plateau]) for row in _with_rotations(run.rows)]
-        for run, of in zip(runs, numbers, strict=True)
+        [replace(row, plateau=joint_number[row.plateau]) for row in _with_rotations(run.rows)]
+        for run, joint_number in zip(runs, numbers, strict=True)
     ]
     in_all = set.intersection(*({row.plateau for row in rows} for rows in tables))
     if not in_all:
@@ -156,21 +159,29 @@ def compare_coefficients(runs: Sequence[CoefficientRun], site: Site) -> tuple[Co
     ]
     shared = set.intersection(*(set(each) for each in values))
     results = []
-    for run, of, rows, mine in zip(runs, numbers, tables, values, strict=True):
+    for run, joint_number, rows, run_values in zip(runs, numbers, tables, values, strict=True):
         pairs = [
             np.array(
-                [(row.value, row.sigma) for key, row in mine.items() if key[0] == name and key in shared]
+                [
+                    (row.value, row.sigma)
+                    for key, row in run_values.items()
+                    if key[0] == name and key in shared
+                ]
             ).reshape(-1, 2)
             for name in _NAMES
         ]
-        correlations = {of[plateau]: each for plateau, each in run.correlations.items() if plateau in of}
+        correlations = {
+            joint_number[plateau]: each
+            for plateau, each in run.correlations.items()
+            if plateau in joint_number
+        }
         results.append(
             CoefficientResult(
                 run.compensation,
                 np.array([rms(each[:, 0]) for each in pairs]),
                 np.array([rms(each[:, 1]) for each in pairs]),
                 np.array([len(each) for each in pairs]),
-                _noise_sums([mine[key] for key in sorted(shared)], correlations, run.loaded),
+                _noise_sums([run_values[key] for key in sorted(shared)], correlations, run.loaded),
                 tuple(_missions(rows, correlations, in_all, site)),
             )
         )
@@ -182,28 +193,28 @@ def _noise_sums(
     correlations: Mapping[int, FloatArray],
     loaded: Mapping[str, Correction],
 ) -> NoiseSums:
-    """Sums over rows, without those of the gyros' biases."""
-    mine = [row for row in rows if row.coefficient != "gyro_bias"]
-    places = {
-        plateau: [each for each, row in enumerate(mine) if row.plateau == plateau]
-        for plateau in {row.plateau for row in mine}
+    """Sums over rows, without those of gyro biases."""
+    used = [row for row in rows if row.coefficient != "gyro_bias"]
+    indices_of = {
+        plateau: [each for each, row in enumerate(used) if row.plateau == plateau]
+        for plateau in {row.plateau for row in used}
     }
-    names = [f"{row.coefficient}_{row.axis}" for row in mine]
-    ratios = np.array([row.value / row.sigma for row in mine])
-    along = correlation = 0.0
-    for plateau, here in places.items():
-        index = [_NAMES.index(names[each]) for each in here]
-        shared = _known(correlations, plateau)[np.ix_(index, index)]
-        along += float(ratios[here] @ shared @ ratios[here])
-        correlation += float(np.sum(shared**2))
-    terms = sum(min(names.count(name), len(each.polynomial)) for name, each in loaded.items())
-    return NoiseSums(len(mine), float(np.sum(ratios**2)), along, correlation, terms)
+    names = [f"{row.coefficient}_{row.axis}" for row in used]
+    ratios = np.array([row.value / row.sigma for row in used])
+    quadratic = correlation = 0.0
+    for plateau, indices in indices_of.items():
+        columns = [_NAMES.index(names[each]) for each in indices]
+        plateau_correlations = _filled_correlations(correlations, plateau)[np.ix_(columns, columns)]
+        quadratic += float(ratios[indices] @ plateau_correlations @ ratios[indices])
+        correlation += float(np.sum(plateau_correlations**2))
+    loaded_count = sum(min(names.count(name), len(each.polynomial)) for name, each in loaded.items())
+    return NoiseSums(len(used), float(np.sum(ratios**2)), quadratic, correlation, loaded_count)
 
 
-def _known(correlations: Mapping[int, FloatArray], plateau: int) -> FloatArray:
-    """Correlations (21, 21) at a plateau; what is not known counts as none."""
-    known = np.nan_to_num(correlations.get(plateau, np.eye(COUNT)))
-    return np.where(np.eye(COUNT, dtype=bool), 1.0, known)
+def _filled_correlations(correlations: Mapping[int, FloatArray], plateau: int) -> FloatArray:
+    """Correlations (21, 21) at a plateau; unknown ones are zero."""
+    filled = np.nan_to_num(correlations.get(plateau, np.eye(COUNT)))
+    return np.where(np.eye(COUNT, dtype=bool), 1.0, filled)
 
 
 def _missions(
@@ -214,36 +225,38 @@ def _missions(
 ) -> Iterator[PlateauMission]:
     per_si = np.array([each.per_si for each in COEFFICIENTS])
     for plateau in dict.fromkeys(row.plateau for row in rows):
-        mine = {f"{row.coefficient}_{row.axis}": row for row in rows if row.plateau == plateau}
+        by_name = {f"{row.coefficient}_{row.axis}": row for row in rows if row.plateau == plateau}
         values, sigmas = (
-            np.nan_to_num([getattr(mine[name], which) for name in _NAMES]) / per_si
-            for which in ("value", "sigma")
+            np.nan_to_num([getattr(by_name[name], field_name) for name in _NAMES]) / per_si
+            for field_name in ("value", "sigma")
         )
-        error = mission_error(values, _known(correlations, plateau) * np.outer(sigmas, sigmas), site)
-        yield PlateauMission(plateau, _gyro_c(mine.values()), error, plateau in in_all)
+        error = mission_error(
+            values, _filled_correlations(correlations, plateau) * np.outer(sigmas, sigmas), site
+        )
+        yield PlateauMission(plateau, _gyro_c(by_name.values()), error, plateau in in_all)
 
 
 def _with_rotations(rows: Sequence[PlateauCoefficientRow]) -> Sequence[PlateauCoefficientRow]:
     """Rows of the plateaus with rotations; all rows if no plateau has any."""
-    turned = {row.plateau for row in rows if np.isfinite(row.gyro_rate_c_per_h)}
-    return [row for row in rows if row.plateau in turned] or rows
+    rotated = {row.plateau for row in rows if np.isfinite(row.gyro_rate_c_per_h)}
+    return [row for row in rows if row.plateau in rotated] or rows
 
 
 def _joint_numbers(runs: Iterable[CoefficientRun]) -> list[dict[int, int]]:
-    """Number of each plateau that is the same in all runs, by its number in the run."""
+    """Number of each plateau in the joint order of all runs, by its number in the run."""
     by_plateau: list[dict[int, list[PlateauCoefficientRow]]] = []
     for run in runs:
-        mine: dict[int, list[PlateauCoefficientRow]] = {}
+        plateaus: dict[int, list[PlateauCoefficientRow]] = {}
         for row in run.rows:
-            mine.setdefault(row.plateau, []).append(row)
-        by_plateau.append(mine)
-    places = [
-        [PlateauPlace(rows[0].cycle, rows[0].chamber_set_c, _gyro_c(rows)) for rows in mine.values()]
-        for mine in by_plateau
+            plateaus.setdefault(row.plateau, []).append(row)
+        by_plateau.append(plateaus)
+    properties = [
+        [PlateauProperties(rows[0].cycle, rows[0].chamber_set_c, _gyro_c(rows)) for rows in plateaus.values()]
+        for plateaus in by_plateau
     ]
     return [
-        dict(zip(mine, numbers, strict=True))
-        for mine, numbers in zip(by_plateau, pair_places(places), strict=True)
+        dict(zip(plateaus, numbers, strict=True))
+        for plateaus, numbers in zip(by_plateau, pair_plateaus(properties), strict=True)
     ]
 
 
@@ -252,28 +265,28 @@ def _gyro_c(rows: Iterable[PlateauCoefficientRow]) -> float:
 
 
 def _by_name(rows: Iterable[PlateauCoefficientRow]) -> dict[str, list[PlateauCoefficientRow]]:
-    found: dict[str, list[PlateauCoefficientRow]] = {name: [] for name in _NAMES}
+    by_name: dict[str, list[PlateauCoefficientRow]] = {name: [] for name in _NAMES}
     for row in rows:
-        if (name := f"{row.coefficient}_{row.axis}") in found:
-            found[name].append(row)
-    return found
+        if (name := f"{row.coefficient}_{row.axis}") in by_name:
+            by_name[name].append(row)
+    return by_name
 
 
 def write_coefficient_tables(folder: Path, results: Sequence[CoefficientResult]) -> None:
-    """Write ``coefficient_comparison.csv`` and ``mission.csv``; raises RunFolderError if that fails."""
+    """Write ``coefficient_comparison.csv`` and ``mission.csv``. Raises RunFolderError if that fails."""
     rows: list[list[str | float]] = [
-        [each.compensation, name, known.unit, int(count), float(value), float(noise)]
+        [each.compensation, name, definition.unit, int(count), float(value), float(noise)]
         for each in results
-        for name, known, count, value, noise in zip(
+        for name, definition, count, value, noise in zip(
             _NAMES, COEFFICIENTS, each.plateaus, each.rms, each.noise, strict=True
         )
     ]
     missions: list[list[str | float]] = [
-        [each.compensation, one.plateau, one.gyro_c, hours, *map(float, sizes)]
+        [each.compensation, mission.plateau, mission.gyro_c, hours, *map(float, sizes)]
         for each in results
-        for one in each.missions
+        for mission in each.missions
         for hours, *sizes in zip(
-            HOURS, one.error.stated_nmi, one.error.median_nmi, one.error.high_nmi, strict=True
+            HOURS, mission.error.stated_nmi, mission.error.median_nmi, mission.error.high_nmi, strict=True
         )
     ]
     for name, columns, lines in (

@@ -1,6 +1,6 @@
 """Verification of a compensation loaded into the INS: the residual bias with each compensation, by plateau.
 
-It is given in the units that matter to a rotational INS: bias, velocity, position.
+Stated as bias, velocity and position error of a rotational INS.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from gyrobench.bench.foundations.text import format_cell
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.verification.coefficient_verification import CoefficientResult
 from gyrobench.bench.verification.measured_change import MeasuredChange, measured_change, without_cycle_means
-from gyrobench.bench.verification.paired_plateaus import in_all, pair_dwells
+from gyrobench.bench.verification.paired_plateaus import comparable_dwells, pair_dwells
 from gyrobench.bench.verification.run_residuals import AnyDwell, ResidualCheck, bias_rows, check_plateau
 from gyrobench.drivers.ins.compensation import Compensation
 
-#: The compensations, in this order.
+#: The compensations, in the order of the runs.
 NONE, DECLARED, EFFECT = "none", "declared", "effect"
-#: A run with each of them, in a sentence.
+#: Phrase for a run with each compensation, in sentences.
 IN_WORDS = {NONE: "without compensation", DECLARED: "with the declared model", EFFECT: "with the effects"}
-#: Largest difference from a fitted dwell at which a gyro temperature counts as fitted, K.
+#: A gyro temperature counts as fitted if it differs by at most this from that of a fitted dwell, K.
 _FITTED_WITHIN_K = 2.5
 #: Number of the row for all plateaus.
 _ALL_PLATEAUS = 0
-#: Bias including its constant, over that without compensation, from which the constant is stated as wrong.
+#: The constant is stated as wrong if the bias including it exceeds that without compensation by this factor.
 _WORSE_CONSTANT = 1.5
 
 
@@ -47,28 +47,28 @@ _WORSE_CONSTANT = 1.5
 class VerificationRow:
     """Residual bias with one compensation at one plateau, or at all of them.
 
-    A ``noise`` is the value expected from the measurement noise alone.
+    A field with ``noise`` is the value expected from the measurement noise alone.
     """
 
     compensation: str  #: :data:`NONE`, :data:`DECLARED` or :data:`EFFECT`.
-    #: Number of the plateau, from 1 (column ``stop``), the same in all runs: one that a run lacks has no row.
-    #: 0 for all: rms over all dwells that each run has, otherwise the maximum over the plateaus at which each
-    #: run has a value.
+    #: Number of the plateau, from 1 (column ``stop``), the same in all runs; there is no row for a plateau
+    #: that the run lacks. 0 for all plateaus: an rms over the dwells that every run has, and for other sizes
+    #: the maximum over the plateaus at which every run has a value.
     plateau: int
-    #: cycle, chamber_set_c, gyro_c: Of the plateau, with the mean gyro temperature; None for all.
+    #: cycle, chamber_set_c, gyro_c: Cycle, set point and mean gyro temperature of the plateau; None for all.
     cycle: int | None
     chamber_set_c: float | None
     gyro_c: float | None
-    #: Position of the temperature relative to the fit: "fitted", "between" or "outside"; empty for all.
+    #: Temperature relative to those fitted: "fitted", "between" or "outside"; empty for all.
     fit: str
-    dwells: int  #: Number of biases per gyro; only those of dwells that the other runs have too.
-    #: bias_rms_dph, bias_noise_dph: Rms of all gyros, including the constant of the power cycle.
+    dwells: int  #: Number of biases per gyro, only of dwells that the other runs have too.
+    #: bias_rms_dph, bias_noise_dph: Rms over all gyros, including the constant of the power cycle.
     bias_rms_dph: float
     bias_noise_dph: float
-    #: The same without each gyro's mean over the run, which includes the constant: over the dwells that each
-    #: run has.
+    #: Rms of the varying bias: without the mean of each gyro over the dwells that every run has, which
+    #: includes the constant.
     varying_rms_dph: float
-    varying_p_value: float  #: p-value of the varying bias, for all plateaus; NaN for one.
+    varying_p_value: float  #: p-value of the varying bias over all plateaus; NaN for one plateau.
     #: spread_dph, spread_noise_dph, velocity_east_mps, velocity_noise_mps: See
     #: :class:`gyrobench.bench.verification.run_residuals.ResidualCheck`.
     spread_dph: float
@@ -79,9 +79,10 @@ class VerificationRow:
     #: day; NaN without all six positions.
     position_nmi: float
     position_noise_nmi: float
-    #: Rms standard uncertainty of the compensation itself, in the varying bias; NaN without one.
+    #: Rms standard uncertainty of the varying bias due to the compensation; NaN without one.
     compensation_sigma_dph: float
-    #: p-value of the varying bias, given the noise and that uncertainty, for all plateaus; NaN for one.
+    #: p-value of the varying bias, given the noise and that uncertainty, over all plateaus; NaN for one
+    #: plateau.
     agreement_p_value: float
 
 
@@ -89,11 +90,12 @@ class VerificationRow:
 class CompensationResult:
     """Residual bias with one compensation."""
 
-    compensation: str  #: As in the rows.
+    compensation: str  #: As in :class:`VerificationRow`.
     plateaus: tuple[ResidualCheck, ...]  #: In the order of time.
     rows: tuple[VerificationRow, ...]  #: One for each plateau.
     total: VerificationRow  #: All plateaus.
-    #: Change of the biases from each earlier run to this one, by its compensation, where it can be evaluated.
+    #: Change of the biases from each earlier run to this one, by the compensation of the earlier run; only if
+    #: it can be evaluated.
     changes: Mapping[str, MeasuredChange] = field(default_factory=dict)
 
 
@@ -101,19 +103,20 @@ class CompensationResult:
 class PairedPlateau:
     """One plateau in all runs."""
 
-    #: rows, checks: Of each run, in the order of the runs; None where a run lacks the plateau.
+    #: rows, checks: Those of each run, in the order of the runs; None if a run lacks the plateau.
     rows: tuple[VerificationRow | None, ...]
     checks: tuple[ResidualCheck | None, ...]
 
     @property
-    def known(self) -> tuple[VerificationRow, ...]:
-        """Rows of the runs that have the plateau, at least one."""
+    def measured_rows(self) -> tuple[VerificationRow, ...]:
+        """Rows of the runs that have the plateau; at least one."""
         return tuple(row for row in self.rows if row is not None)
 
     def noise_row(self, size: str) -> VerificationRow:
-        """Row with the noise of a size: of the last run that has the size, else of the last one."""
+        """Row that gives the noise of a size: that of the last run with the size, else of the last run."""
         return next(
-            (row for row in reversed(self.known) if not math.isnan(getattr(row, size))), self.known[-1]
+            (row for row in reversed(self.measured_rows) if not math.isnan(getattr(row, size))),
+            self.measured_rows[-1],
         )
 
 
@@ -121,19 +124,20 @@ class PairedPlateau:
 class VerificationResult:
     """Residual bias in new measurements with each compensation derived from a campaign."""
 
-    source: str  #: The campaign, as displayed.
-    closure: Closure  #: Outcome of the search in it.
+    source: str  #: Displayed name of the campaign.
+    closure: Closure  #: Outcome of the search in the campaign.
     models: Mapping[str, LoadableModel]  #: The loadable models, by compensation.
     results: tuple[CompensationResult, ...]  #: One for each compensation measured, at least one.
-    #: new_attitudes, dwells: Dwells of one run that began in a position and azimuth in which no dwell of the
-    #: campaign began, and all dwells of the run.
+    #: new_attitudes, dwells: Number of dwells of one run that began in a position and azimuth in which no
+    #: dwell of the campaign began; number of all dwells of the run.
     new_attitudes: int
     dwells: int
-    #: Whether all runs had the same emulated world and seed, and so the same constants of the power cycle.
+    #: Whether all runs had the same emulated world and seed, and therefore the same constants of power
+    #: cycles.
     is_same_seed: bool
     notes: tuple[str, ...]  #: Remarks; sentences.
-    searches: tuple[Closure, ...] = ()  #: In the campaign, of coefficients beyond the gyros' biases.
-    #: Coefficients with each compensation; empty if they were not asked for.
+    searches: tuple[Closure, ...] = ()  #: Searches of the campaign for coefficients other than gyro biases.
+    #: Coefficients with each compensation; empty if not requested.
     coefficients: tuple[CoefficientResult, ...] = ()
 
     @property
@@ -153,7 +157,7 @@ class VerificationResult:
 
     @property
     def is_complete(self) -> bool:
-        """Whether all dwells are valid in all runs, and each has the same sizes at each plateau."""
+        """Whether all dwells are valid in all runs, and all runs have the same sizes at each plateau."""
         return all(each.total.dwells == self.dwells for each in self.results) and all(
             len({row is not None and math.isfinite(getattr(row, size)) for row in plateau.rows}) == 1
             for plateau in self.plateaus
@@ -163,40 +167,44 @@ class VerificationResult:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredRun:
-    """What one run of a verification measured."""
+    """Measurements of one run of a verification."""
 
     compensation: str  #: :data:`NONE`, :data:`DECLARED` or :data:`EFFECT`.
     dwells: Sequence[DwellRow]
     check_dwells: Sequence[CheckDwell]
-    #: Draws of the model that was loaded, and the effects that the INS subtracts; None without one.
+    #: Draws of the loaded model, and names of the effects that the INS subtracts; None without a
+    #: compensation.
     model: tuple[Draws, Collection[str]] | None = None
-    loaded: Compensation | None = None  #: What was loaded; None without one.
-    is_limited: bool = True  #: Whether the INS got the limits of temperature.
+    loaded: Compensation | None = None  #: The compensation that was loaded; None without one.
+    is_limited: bool = True  #: Whether the INS got the temperature limits.
 
 
 def compare_runs(
     runs: Sequence[MeasuredRun], site: Site, fitted_c: FloatArray
 ) -> tuple[CompensationResult, ...]:
-    """Residual bias in each run of a verification, by what is comparable.
+    """Residual bias in each run of a verification, from comparable dwells.
 
-    A dwell with flags in one run counts in none, unless that run has no dwell at its plateau: the others keep
-    their values there, and all plateaus together are those at which each run has a value. A day needs all
-    six positions, so it takes all dwells of its run. ``fitted_c``: shape (n, 3), temperatures of the gyros in
-    the dwells that the model was fitted to.
+    A dwell with flags in one run is omitted in all runs, unless that run has no dwell at its plateau: the
+    other runs then keep their values for the plateau, but it is omitted from the total. The day of navigation
+    needs all six positions, so it uses all dwells of its run. ``fitted_c``: shape (n, 3), temperatures of the
+    gyros in the dwells to which the model was fitted.
     """
     dwells: list[list[AnyDwell]] = [[*run.dwells, *run.check_dwells] for run in runs]
     plateaus = pair_dwells(dwells)
-    numbers = [[{row.dwell for row in bias_rows(each)} for each in plateau] for plateau in plateaus]
+    bias_dwells = [[{row.dwell for row in bias_rows(each)} for each in plateau] for plateau in plateaus]
     compared = [
-        in_all(biases)
-        | in_all([[each.dwell for each in one if isinstance(each, CheckDwell)] for one in plateau])
-        for biases, plateau in zip(numbers, plateaus, strict=True)
+        comparable_dwells(biases)
+        | comparable_dwells([[each.dwell for each in one if isinstance(each, CheckDwell)] for one in plateau])
+        for biases, plateau in zip(bias_dwells, plateaus, strict=True)
     ]
-    everywhere = {
-        dwell for biases, some in zip(numbers, compared, strict=True) if all(biases) for dwell in some
+    in_all_runs = {
+        dwell
+        for biases, plateau_compared in zip(bias_dwells, compared, strict=True)
+        if all(biases)
+        for dwell in plateau_compared
     }
     measured = [
-        _measured_rows(index, run, plateaus, compared, everywhere, site, fitted_c)
+        _measured_rows(index, run, plateaus, compared, in_all_runs, site, fitted_c)
         for index, run in enumerate(runs)
     ]
     rows = [each.rows for each in measured]
@@ -204,28 +212,28 @@ def compare_runs(
         replace(
             each,
             total=_with_largest(each.total, each.rows, rows),
-            changes=_changes(runs[:index], runs[index], everywhere),
+            changes=_changes_from(runs[:index], runs[index], in_all_runs),
         )
         for index, each in enumerate(measured)
     )
 
 
-def _changes(
+def _changes_from(
     before: Sequence[MeasuredRun], after: MeasuredRun, compared: Collection[int]
 ) -> dict[str, MeasuredChange]:
-    """Change from each of some runs to another, over the dwells that all have."""
+    """Change from each earlier run to a later one, over the dwells that all runs have."""
 
     def rows(run: MeasuredRun) -> list[DwellRow]:
-        good = (row for row in run.dwells if not row.flags and row.dwell in compared)
-        return sorted(good, key=lambda row: row.dwell)
+        usable = (row for row in run.dwells if not row.flags and row.dwell in compared)
+        return sorted(usable, key=lambda row: row.dwell)
 
-    found = {
+    changes = {
         run.compensation: measured_change(
             rows(run), rows(after), (run.loaded, after.loaded), is_limited=after.is_limited
         )
         for run in before
     }
-    return {name: each for name, each in found.items() if each is not None}
+    return {name: each for name, each in changes.items() if each is not None}
 
 
 def _measured_rows(
@@ -233,42 +241,53 @@ def _measured_rows(
     run: MeasuredRun,
     plateaus: Sequence[Sequence[Sequence[AnyDwell]]],
     compared: Sequence[Collection[int]],
-    everywhere: Collection[int],
+    in_all_runs: Collection[int],
     site: Site,
     fitted_c: FloatArray,
 ) -> CompensationResult:
-    """Rows of one run; that of all plateaus without its maxima."""
-    good = [row for row in run.dwells if not row.flags]
-    counts = np.array([row.dwell in everywhere for row in good], dtype=bool)
-    varying = _varying(good, np.array([row.bias_dph for row in good]).reshape(-1, 3), counts)
-    roots = _uncertainty(good, run, counts)
+    """Rows of one run; the total is without maxima, see :func:`_with_largest`."""
+    usable = [row for row in run.dwells if not row.flags]
+    counts = np.array([row.dwell in in_all_runs for row in usable], dtype=bool)
+    varying = _varying_bias(usable, np.array([row.bias_dph for row in usable]).reshape(-1, 3), counts)
+    deviations = _compensation_deviations(usable, run, counts)
     checks, rows = [], []
-    for number, (plateau, some) in enumerate(zip(plateaus, compared, strict=True), start=1):
+    for number, (plateau, plateau_compared) in enumerate(zip(plateaus, compared, strict=True), start=1):
         if plateau[index]:
-            check = check_plateau(plateau[index], some, site)
-            mine = [row.dwell in check.dwells for row in good]
+            check = check_plateau(plateau[index], plateau_compared, site)
+            is_included = [row.dwell in check.dwells for row in usable]
             checks.append(check)
-            rows.append(_row(run.compensation, number, check, varying[mine], roots[:, mine], fitted_c))
-    chosen = [row for row, counted in zip(good, counts, strict=True) if counted]
-    total = _total(run.compensation, chosen, varying[counts], roots[:, counts])
+            rows.append(
+                _plateau_row(
+                    run.compensation,
+                    number,
+                    check,
+                    varying[is_included],
+                    deviations[:, is_included],
+                    fitted_c,
+                )
+            )
+    total_rows = [row for row, is_counted in zip(usable, counts, strict=True) if is_counted]
+    total = _total_row(run.compensation, total_rows, varying[counts], deviations[:, counts])
     return CompensationResult(run.compensation, tuple(checks), tuple(rows), total)
 
 
 def is_worse(after: VerificationRow, before: VerificationRow) -> bool:
     """Whether the varying bias over all plateaus is larger than in another run, by more than the noise.
 
-    Over the noise, each sum of squares has a noncentral chi2 distribution.
+    In units of the noise, each sum of squares has a noncentral chi2 distribution.
     """
-    numbers = 3 * after.dwells
-    sums = np.array([numbers * (each.varying_rms_dph / each.bias_noise_dph) ** 2 for each in (after, before)])
-    sigma = math.sqrt(np.sum(2.0 * numbers + 4.0 * np.maximum(sums - numbers, 0.0)))
-    return bool(sigma > 0.0 and norm.sf((sums[0] - sums[1]) / sigma) < LACK_OF_FIT_P)
+    value_count = 3 * after.dwells
+    chi2_sums = np.array(
+        [value_count * (each.varying_rms_dph / each.bias_noise_dph) ** 2 for each in (after, before)]
+    )
+    sigma = math.sqrt(np.sum(2.0 * value_count + 4.0 * np.maximum(chi2_sums - value_count, 0.0)))
+    return bool(sigma > 0.0 and norm.sf((chi2_sums[0] - chi2_sums[1]) / sigma) < LACK_OF_FIT_P)
 
 
 def is_better(after: CompensationResult, before: CompensationResult) -> bool:
     """Whether the varying bias is smaller than in another run by more than the noise.
 
-    Either the sums of squares show it, or the change follows what was loaded and makes the biases smaller.
+    Either the sums of squares show it, or the change agrees with the loaded one and makes the biases smaller.
     """
     if not after.total.varying_rms_dph < before.total.varying_rms_dph:
         return False
@@ -280,7 +299,7 @@ def is_better(after: CompensationResult, before: CompensationResult) -> bool:
 
 
 def has_worse_constant(after: VerificationRow, before: VerificationRow) -> bool:
-    """Whether the bias including the constant is larger than in another run by half, and beyond the noise."""
+    """Whether the bias with its constant is more than 1.5 times that in another run, beyond the noise."""
     if not after.bias_rms_dph > _WORSE_CONSTANT * before.bias_rms_dph:
         return False
     rows = [replace(each, varying_rms_dph=each.bias_rms_dph) for each in (after, before)]
@@ -305,17 +324,17 @@ def write_verification_table(path: Path, results: Iterable[CompensationResult]) 
     write_text(path, format_csv(VERIFICATION_COLUMNS, map(list, rows)))
 
 
-def _varying(rows: Sequence[DwellRow], bias_dph: FloatArray, counts: BoolArray) -> FloatArray:
-    """Biases (..., n, 3) of a run without its constants; see :func:`without_cycle_means`."""
+def _varying_bias(rows: Sequence[DwellRow], bias_dph: FloatArray, counts: BoolArray) -> FloatArray:
+    """Varying biases (..., n, 3) of a run, without its constants; see :func:`without_cycle_means`."""
     weights = np.array([row.sigma_dph for row in rows]).reshape(-1, 3) ** -2.0
     return without_cycle_means(bias_dph, weights, np.array([row.run for row in rows]), counts)
 
 
-def _uncertainty(rows: Sequence[DwellRow], run: MeasuredRun, counts: BoolArray) -> FloatArray:
-    """Varying bias (N, n, 3) of draws of a compensation; the sum of their squares is its variance.
+def _compensation_deviations(rows: Sequence[DwellRow], run: MeasuredRun, counts: BoolArray) -> FloatArray:
+    """Deviations (N, n, 3) of the varying bias in draws of a compensation, whose squares sum to its variance.
 
-    At temperatures that the INS clips to those fitted it is that at the limit. None (N = 0) without a
-    compensation, or where temperatures are missing that the model needs.
+    Temperatures are clipped to those fitted, as by the INS. N = 0 without a compensation, or if temperatures
+    that the model needs are missing.
     """
     if run.model is None:
         return np.zeros((0, len(rows), 3))
@@ -331,20 +350,20 @@ def _uncertainty(rows: Sequence[DwellRow], run: MeasuredRun, counts: BoolArray) 
         board_c = campaign.board_c + gyro_c - campaign.gyro_c
         campaign = replace(campaign, gyro_c=gyro_c, board_c=board_c)
     order = np.argsort(np.argsort([row.start_s for row in rows], kind="stable"))
-    varying = _varying(rows, draws.bias_dph(campaign, effects)[:, order], counts)
+    varying = _varying_bias(rows, draws.bias_dph(campaign, effects)[:, order], counts)
     return np.asarray((varying - varying.mean(axis=0)) / math.sqrt(len(varying)))
 
 
-def _sigma_dph(roots: FloatArray) -> float:
-    return rms(np.sqrt(np.sum(roots**2, axis=0))) if len(roots) else math.nan
+def _sigma_dph(deviations: FloatArray) -> float:
+    return rms(np.sqrt(np.sum(deviations**2, axis=0))) if len(deviations) else math.nan
 
 
-def _row(
+def _plateau_row(
     compensation: str,
     number: int,
     plateau: ResidualCheck,
     varying: FloatArray,
-    roots: FloatArray,
+    deviations: FloatArray,
     fitted_c: FloatArray,
 ) -> VerificationRow:
     return VerificationRow(
@@ -353,7 +372,7 @@ def _row(
         cycle=plateau.cycle,
         chamber_set_c=plateau.chamber_set_c,
         gyro_c=plateau.gyro_c,
-        fit=_fit(plateau.gyro_c, fitted_c),
+        fit=_relation_to_fit(plateau.gyro_c, fitted_c),
         dwells=len(varying),
         bias_rms_dph=plateau.bias_rms_dph,
         bias_noise_dph=plateau.sigma_rms_dph,
@@ -365,15 +384,15 @@ def _row(
         velocity_noise_mps=plateau.velocity_noise_mps,
         position_nmi=plateau.day.error.max_nmi if plateau.day else math.nan,
         position_noise_nmi=plateau.day.noise_nmi if plateau.day else math.nan,
-        compensation_sigma_dph=_sigma_dph(roots),
+        compensation_sigma_dph=_sigma_dph(deviations),
         agreement_p_value=math.nan,
     )
 
 
-def _total(
-    compensation: str, compared: Sequence[DwellRow], varying: FloatArray, roots: FloatArray
+def _total_row(
+    compensation: str, compared: Sequence[DwellRow], varying: FloatArray, deviations: FloatArray
 ) -> VerificationRow:
-    """All plateaus together, without the maxima over them."""
+    """Row for all plateaus together, without the maxima over them."""
     sigma = np.array([row.sigma_dph for row in compared]).reshape(-1, 3)
     dof = varying.size - varying.shape[1] * len({row.run for row in compared})
     return VerificationRow(
@@ -394,16 +413,18 @@ def _total(
         velocity_noise_mps=math.nan,
         position_nmi=math.nan,
         position_noise_nmi=math.nan,
-        compensation_sigma_dph=_sigma_dph(roots),
-        agreement_p_value=_agreement(varying / sigma, roots / sigma, dof) if len(roots) else math.nan,
+        compensation_sigma_dph=_sigma_dph(deviations),
+        agreement_p_value=_agreement_p_value(varying / sigma, deviations / sigma, dof)
+        if len(deviations)
+        else math.nan,
     )
 
 
-def _agreement(varying: FloatArray, roots: FloatArray, dof: int) -> float:
-    """p-value of a bias (n, 3), given the noise and draws of the compensation, in standard deviations."""
+def _agreement_p_value(varying: FloatArray, deviations: FloatArray, dof: int) -> float:
+    """p-value of a bias (n, 3), given noise and deviations of the compensation, in standard deviations."""
     if dof < 1:
         return math.nan
-    columns = roots.reshape(len(roots), -1)
+    columns = deviations.reshape(len(deviations), -1)
     covariance = np.eye(varying.size) + columns.T @ columns
     return float(chi2.sf(varying.ravel() @ np.linalg.solve(covariance, varying.ravel()), dof))
 
@@ -413,15 +434,17 @@ def _with_largest(
 ) -> VerificationRow:
     """Total with the largest sizes of a run, over the plateaus at which all runs have a value.
 
-    Each comes with the noise of its plateau; both stay NaN without any.
+    Each with the noise of its plateau; both stay NaN without such a plateau.
     """
 
     def largest(size: str, noise: str) -> tuple[float, float]:
-        known = [{row.plateau for row in run if not math.isnan(getattr(row, size))} for run in runs]
+        plateaus_with_size = [
+            {row.plateau for row in run if not math.isnan(getattr(row, size))} for run in runs
+        ]
         pairs = [
             (float(getattr(row, size)), float(getattr(row, noise)))
             for row in rows
-            if row.plateau in set.intersection(*known)
+            if row.plateau in set.intersection(*plateaus_with_size)
         ]
         return max(pairs, default=(math.nan, math.nan))
 
@@ -439,7 +462,7 @@ def _with_largest(
     )
 
 
-def _fit(gyro_c: float, fitted_c: FloatArray) -> str:
+def _relation_to_fit(gyro_c: float, fitted_c: FloatArray) -> str:
     means_c = fitted_c.mean(axis=1)
     if np.abs(means_c - gyro_c).min() <= _FITTED_WITHIN_K:
         return "fitted"

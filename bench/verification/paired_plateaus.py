@@ -1,8 +1,8 @@
-"""Plateaus of several runs of one procedure, paired by what they are.
+"""Pairs the plateaus of several runs of one procedure.
 
-A run may lack what another measured: a dwell has flags, an operator skipped it, a power cycle divides a
-plateau. So plateaus are not paired by their number within a run. The number of a dwell in the plan, its cycle
-and its set point are the same in all runs. Dwells of all runs are therefore grouped together, by the rules of
+A run may lack dwells of another: a dwell has flags, an operator skipped it, a power cycle divides a plateau.
+Plateaus are therefore not paired by their number within a run. The number of a dwell in the plan, its cycle
+and its set point are the same in all runs, so the dwells of all runs are grouped together by the rules of
 :mod:`gyrobench.bench.bias.plateaus`.
 """
 
@@ -31,37 +31,38 @@ class NumberedDwell(PlateauMember, Protocol):
 
     @property
     def flags(self) -> tuple[str, ...]:
-        """What was wrong; empty where nothing was."""
+        """Reasons why the dwell is not valid; empty if it is."""
 
 
 @dataclass(frozen=True)
-class PlateauPlace:
-    """A plateau of one run: what it is paired by."""
+class PlateauProperties:
+    """Properties of a plateau of one run by which it is paired."""
 
     cycle: int
-    chamber_set_c: float | None  #: None or NaN where the chamber had no set point.
+    chamber_set_c: float | None  #: None or NaN if the chamber had no set point.
     gyro_c: float  #: Mean temperature of the gyros.
 
 
 _Dwell = TypeVar("_Dwell", bound=NumberedDwell)
-#: The same dwell of the plan in several runs: number, cycle and set point.
+#: Key of a dwell of the plan, equal in all runs: number, cycle and set point.
 _Key = tuple[int, int, float | None]
 
 
 def pair_dwells(runs: Sequence[Iterable[_Dwell]]) -> list[list[list[_Dwell]]]:
     """Group the dwells of all runs by plateau.
 
-    Returns, for each plateau in the order of the plan, the dwells without flags of each run; empty where a
-    run has none. Those with flags count in the grouping, so that a plateau is neither divided nor joined to
-    the next one by them. Gyros that differ by more than 5 K between two runs are at two plateaus. A power
-    cycle in one run divides the plateau in all runs: each begins with another constant.
+    Returns, for each plateau in the order of the plan, the dwells without flags of each run; an empty list if
+    a run has none. Dwells with flags take part in the grouping, so that they neither divide a plateau nor
+    join it to the next one. If the gyro temperatures of two runs differ by more than 5 K, they are at two
+    plateaus. A power cycle in one run divides the plateau in all runs, since the constant of the bias
+    changes.
     """
     by_key = [{_key(each): each for each in sorted(run, key=lambda each: each.dwell)} for run in runs]
     plateaus: list[list[list[_Dwell]]] = []
-    for group in group_plateaus(_joint(by_key)):
+    for group in group_plateaus(_joint_dwells(by_key)):
         keys = [_key(each) for each in group]
         members = [[run[key] for key in keys if key in run and not run[key].flags] for run in by_key]
-        plateaus += _by_temperature(members)
+        plateaus += _split_by_temperature(members)
     return plateaus
 
 
@@ -69,19 +70,19 @@ def _key(each: NumberedDwell | PlannedDwell) -> _Key:
     return each.dwell, each.cycle, set_point_c(each.chamber_set_c)
 
 
-def _joint(runs: Sequence[dict[_Key, _Dwell]]) -> list[PlannedDwell]:
-    """Each dwell that any run has, with its mean gyro temperature over the runs."""
+def _joint_dwells(runs: Sequence[dict[_Key, _Dwell]]) -> list[PlannedDwell]:
+    """All dwells that any run has, with the mean gyro temperature over the runs."""
     power_cycle = 0
     last = [""] * len(runs)
-    found = []
+    planned = []
     for key in sorted({key for run in runs for key in run}, key=lambda key: key[0]):
-        mine = {index: run[key] for index, run in enumerate(runs) if key in run}
-        power_cycle += any(last[index] not in ("", each.run) for index, each in mine.items())
-        for index, each in mine.items():
+        by_run = {index: run[key] for index, run in enumerate(runs) if key in run}
+        power_cycle += any(last[index] not in ("", each.run) for index, each in by_run.items())
+        for index, each in by_run.items():
             last[index] = each.run
         number, cycle, set_c = key
-        gyro_c = _mean(_gyro_c([each]) for each in mine.values())
-        found.append(
+        gyro_c = _mean(_gyro_c([each]) for each in by_run.values())
+        planned.append(
             PlannedDwell(
                 dwell=number,
                 cycle=cycle,
@@ -91,11 +92,11 @@ def _joint(runs: Sequence[dict[_Key, _Dwell]]) -> list[PlannedDwell]:
                 run=str(power_cycle),
             )
         )
-    return found
+    return planned
 
 
-def _by_temperature(members: Sequence[list[_Dwell]]) -> list[list[list[_Dwell]]]:
-    """Divide a plateau where the gyros of some runs are more than 5 K from those of the others."""
+def _split_by_temperature(members: Sequence[list[_Dwell]]) -> list[list[list[_Dwell]]]:
+    """Divide a plateau if the gyro temperatures of some runs differ by more than 5 K from the others."""
     groups: list[list[int]] = []
     temperatures_c = [_gyro_c(each) for each in members]
     for index, each in enumerate(members):
@@ -111,39 +112,39 @@ def _by_temperature(members: Sequence[list[_Dwell]]) -> list[list[list[_Dwell]]]
     return [[each if index in group else [] for index, each in enumerate(members)] for group in groups]
 
 
-def pair_places(runs: Sequence[Sequence[PlateauPlace]]) -> list[list[int]]:
-    """Pair plateaus of which only cycle, set point and temperature are known.
+def pair_plateaus(runs: Sequence[Sequence[PlateauProperties]]) -> list[list[int]]:
+    """Pair plateaus by cycle, set point and temperature only.
 
-    Returns the number, from 1, of each plateau of each run in the joint order. Plateaus with one number have
-    the cycle, the set point, and gyro temperatures within 5 K in common, and the order of all runs is kept.
+    Returns the number, from 1, of each plateau of each run in the joint order. Plateaus with the same number
+    have the same cycle and set point, and gyro temperatures within 5 K; the order of each run is kept.
     """
-    joint: list[PlateauPlace] = []
+    joint: list[PlateauProperties] = []
     indices: list[list[int]] = []
     for run in runs:
-        mine: list[int] = []
-        for place in run:
-            begin = mine[-1] + 1 if mine else 0
-            fits = [index for index in range(begin, len(joint)) if _is_same(place, joint[index])]
-            found = min(fits, key=lambda index: abs(joint[index].gyro_c - place.gyro_c), default=-1)
-            if found < 0:
-                found = begin
-                joint.insert(found, place)
-                indices = [[each + (each >= found) for each in other] for other in indices]
-            mine.append(found)
-        indices.append(mine)
-    return [[each + 1 for each in mine] for mine in indices]
+        run_indices: list[int] = []
+        for plateau in run:
+            begin = run_indices[-1] + 1 if run_indices else 0
+            candidates = [index for index in range(begin, len(joint)) if _is_same(plateau, joint[index])]
+            match = min(candidates, key=lambda index: abs(joint[index].gyro_c - plateau.gyro_c), default=-1)
+            if match < 0:
+                match = begin
+                joint.insert(match, plateau)
+                indices = [[each + (each >= match) for each in other] for other in indices]
+            run_indices.append(match)
+        indices.append(run_indices)
+    return [[each + 1 for each in run_indices] for run_indices in indices]
 
 
-def _is_same(one: PlateauPlace, other: PlateauPlace) -> bool:
+def _is_same(plateau: PlateauProperties, other: PlateauProperties) -> bool:
     return (
-        one.cycle == other.cycle
-        and set_point_c(one.chamber_set_c) == set_point_c(other.chamber_set_c)
-        and not abs(one.gyro_c - other.gyro_c) > MAX_FROM_MEAN_K
+        plateau.cycle == other.cycle
+        and set_point_c(plateau.chamber_set_c) == set_point_c(other.chamber_set_c)
+        and not abs(plateau.gyro_c - other.gyro_c) > MAX_FROM_MEAN_K
     )
 
 
-def in_all(runs: Sequence[Iterable[int]]) -> set[int]:
-    """Numbers of the dwells that all runs have which have any: these are comparable."""
+def comparable_dwells(runs: Sequence[Iterable[int]]) -> set[int]:
+    """Numbers of the comparable dwells: those in all runs that have any dwells."""
     measured = [set(each) for each in runs]
     return set.intersection(*(each for each in measured if each)) if any(measured) else set()
 
@@ -153,6 +154,6 @@ def _gyro_c(dwells: Iterable[NumberedDwell]) -> float:
 
 
 def _mean(values: Iterable[float]) -> float:
-    """Mean of what is known; NaN without any."""
-    known = [each for each in values if math.isfinite(each)]
-    return math.fsum(known) / len(known) if known else math.nan
+    """Mean of the finite values; NaN without any."""
+    finite = [each for each in values if math.isfinite(each)]
+    return math.fsum(finite) / len(finite) if finite else math.nan

@@ -1,4 +1,4 @@
-"""What is left of the biases in one run: at each plateau, and as position error after a day."""
+"""Residual biases of one run: at each plateau, and as position error of a day of navigation."""
 
 from __future__ import annotations
 
@@ -32,35 +32,38 @@ from gyrobench.bench.navigation.rotational_ins import (
 
 @dataclass(frozen=True, eq=False)
 class ResidualCheck:
-    """What is left on one plateau, all positions together."""
+    """Residual biases of one plateau, over all positions."""
 
-    #: cycle, chamber_set_c: Which plateau; None where the chamber had no set point.
+    #: cycle, chamber_set_c: Identify the plateau; set point None if the chamber had none.
     cycle: int
     chamber_set_c: float | None
-    dwells: tuple[int, ...]  #: Numbers of the dwells whose biases are in it.
+    dwells: tuple[int, ...]  #: Numbers of the dwells whose biases are included.
     gyro_c: float  #: Mean temperature of the gyros.
-    #: bias_rms_dph, sigma_rms_dph: Of all biases, and of their standard uncertainties; NaN without dwells.
+    #: bias_rms_dph, sigma_rms_dph: Rms of all biases, and of their standard uncertainties; NaN without
+    #: dwells.
     bias_rms_dph: float
     sigma_rms_dph: float
-    #: spread_dph, spread_noise_dph: Largest difference between two positions in the bias of one gyro, and
-    #: what the uncertainties alone give in its place; NaN without two.
+    #: spread_dph, spread_noise_dph: Largest difference between two positions in the bias of one gyro, and the
+    #: value expected from the uncertainties alone; NaN with fewer than two positions.
     spread_dph: float
     spread_noise_dph: float
-    #: velocity_east_mps, velocity_noise_mps: Largest error of the velocity East in the navigations straight
-    #: from an alignment, of either sign, and what the noise of the sensors alone gives in its place; NaN
-    #: without any.
+    #: velocity_east_mps, velocity_noise_mps: Largest absolute error of the velocity East in navigations
+    #: directly after an alignment, and the value expected from the sensor noise alone; NaN without any.
     velocity_east_mps: float
     velocity_noise_mps: float
-    day: DayOfNavigation | None  #: Position error of a day; None unless all six positions were measured.
+    day: DayOfNavigation | None  #: Errors of a day; None unless all six positions were measured.
 
 
 AnyDwell = DwellRow | CheckDwell
 
 
 def check_plateau(plateau: Sequence[AnyDwell], compared: Collection[int], site: Site) -> ResidualCheck:
-    """Check one plateau by the dwells that other runs have too; a day takes all, to have six positions."""
+    """Evaluate one plateau from the dwells ``compared``, which other runs have too.
+
+    The day of navigation uses all dwells, since it needs six positions.
+    """
     measured = bias_rows(plateau)
-    measured_c = [each.gyro_c for each in measured or plateau]
+    gyro_c = [each.gyro_c for each in measured or plateau]
     all_six = {row.position for row in measured} == POSITIONS.keys()
     rows = [each for each in measured if each.dwell in compared]
     check_dwells = [each for each in plateau if isinstance(each, CheckDwell) and each.dwell in compared]
@@ -69,7 +72,7 @@ def check_plateau(plateau: Sequence[AnyDwell], compared: Collection[int], site: 
         cycle=plateau[0].cycle,
         chamber_set_c=set_point_c(plateau[0].chamber_set_c),
         dwells=tuple(row.dwell for row in rows),
-        gyro_c=float(np.mean(measured_c)),
+        gyro_c=float(np.mean(gyro_c)),
         bias_rms_dph=rms(biases),
         sigma_rms_dph=rms(sigmas),
         spread_dph=_spread(rows),
@@ -81,12 +84,12 @@ def check_plateau(plateau: Sequence[AnyDwell], compared: Collection[int], site: 
 
 
 def bias_rows(plateau: Iterable[AnyDwell]) -> list[DwellRow]:
-    """The dwells that measure biases."""
+    """Dwells that measure biases."""
     return [each for each in plateau if isinstance(each, DwellRow)]
 
 
 def _velocity_noise(check_dwells: Sequence[CheckDwell], site: Site) -> float:
-    """Median of the largest of some velocities, if there is nothing but noise in them."""
+    """Median of the largest of several velocities that consist of noise only."""
     sigmas = [_velocity_sigma(each, site) for each in check_dwells]
     if not sigmas:
         return math.nan
@@ -94,15 +97,15 @@ def _velocity_noise(check_dwells: Sequence[CheckDwell], site: Site) -> float:
 
 
 def _velocity_sigma(each: CheckDwell, site: Site) -> float:
-    """Standard deviation of the velocity at the end, by the noise of alignment and navigation."""
+    """Standard deviation of the final velocity due to the noise of alignment and navigation."""
     if each.navigation is None:
         return math.nan
     noise, time_s = each.navigation.noise, each.navigation.dwell.windows[-1].time_s
-    at_the_end = np.zeros(len(time_s))
-    at_the_end[-1] = 1.0
-    levelled = noise.velocity_random_walk / math.sqrt(each.marks.align_s) * float(np.ptp(time_s))
-    walked = float(noise.velocity_variance(time_s, at_the_end, site.gravity))
-    return math.hypot(levelled, math.sqrt(walked))
+    final_weights = np.zeros(len(time_s))
+    final_weights[-1] = 1.0
+    levelling_mps = noise.velocity_random_walk / math.sqrt(each.marks.align_s) * float(np.ptp(time_s))
+    walk_variance = float(noise.velocity_variance(time_s, final_weights, site.gravity))
+    return math.hypot(levelling_mps, math.sqrt(walk_variance))
 
 
 def _spread(rows: Sequence[DwellRow]) -> float:
@@ -116,7 +119,7 @@ def _spread(rows: Sequence[DwellRow]) -> float:
 
 
 def _spread_noise(rows: Sequence[DwellRow]) -> float:
-    """Median of the largest of three ranges, if nothing but noise differs between the positions."""
+    """Median of the largest of three ranges, if only noise differs between the positions."""
     counts = Counter(row.position for row in rows)
     if len(counts) < 2:
         return math.nan
@@ -136,38 +139,37 @@ def _largest_velocity_east(each: CheckDwell) -> float:
     return max(float(np.abs(window.velocity_enu_mps[:, 0]).max()) for window in each.navigation.dwell.windows)
 
 
-_UNIT_DPH = 0.001
+_UNIT_BIAS_DPH = 0.001
 
 
 @dataclass(frozen=True, eq=False)
 class DayOfNavigation:
-    """Errors of a day, and how much of them the uncertainty of the biases explains."""
+    """Errors of a day of navigation, and the error expected from the uncertainty of the biases."""
 
-    #: With the biases as measured; those that are the same in all positions average out.
+    #: Error with the measured biases; the part that is equal in all positions averages out.
     error: PositionError
-    #: What biases that are the same in all positions would show in its place: the largest rms distance that
-    #: the uncertainties of the measured ones alone give.
+    #: Largest rms distance expected from the uncertainties of the biases alone.
     noise_nmi: float
 
 
 def day_of_navigation(rows: Iterable[DwellRow], site: Site) -> DayOfNavigation:
-    """Turn the biases of one temperature through the six positions for a day.
+    """Propagate the biases of one temperature through a day of rotation over the six positions.
 
-    ``rows``: in all six positions; several in one position are averaged, those with flags are left
-    out. Raises MeasurementError if a position was not measured.
+    ``rows``: in all six positions; several in one position are averaged, those with flags are omitted. Raises
+    MeasurementError if a position was not measured.
     """
-    good = [row for row in rows if not row.flags]
-    missing = POSITIONS.keys() - {row.position for row in good}
+    usable = [row for row in rows if not row.flags]
+    missing = POSITIONS.keys() - {row.position for row in usable}
     if missing:
         raise MeasurementError(
             f"a day of navigation needs all six positions; no bias in {', '.join(sorted(missing))}"
         )
-    means = {name: _mean([row for row in good if row.position == name]) for name in POSITIONS}
+    means = {name: _mean([row for row in usable if row.position == name]) for name in POSITIONS}
     error = rotate_for(
         DAY_S, SIX_POSITIONS, bias_by_position({name: mean for name, (mean, _) in means.items()}), site
     )
     sigmas = np.array([means[name][1] for name in POSITIONS]).ravel()
-    distances_m = np.hypot(*np.einsum("k,kct->ct", sigmas**2, _responses(site) ** 2) ** 0.5)
+    distances_m = np.hypot(*np.einsum("k,kct->ct", sigmas**2, _displacement_responses(site) ** 2) ** 0.5)
     return DayOfNavigation(error, float(distances_m.max()) / NAUTICAL_MILE_M)
 
 
@@ -181,9 +183,9 @@ def _mean(rows: list[DwellRow]) -> tuple[FloatArray, FloatArray]:
 
 
 @lru_cache(maxsize=4)
-def _responses(site: Site) -> FloatArray:
-    """Way East and North, m per deg/h, for each gyro in each position: shape (18, 2, n)."""
-    nothing = dict.fromkeys(POSITIONS, np.zeros(3))
-    alone = [nothing | {name: unit} for name in POSITIONS for unit in _UNIT_DPH * np.eye(3)]
-    error = rotate_for_each(DAY_S, SIX_POSITIONS, alone, site)
-    return np.stack([error.east_m.T, error.north_m.T], axis=1) / _UNIT_DPH
+def _displacement_responses(site: Site) -> FloatArray:
+    """Displacement East and North, m per deg/h, for the bias of each gyro in each position: (18, 2, n)."""
+    zero_bias = dict.fromkeys(POSITIONS, np.zeros(3))
+    single_biases = [zero_bias | {name: unit} for name in POSITIONS for unit in _UNIT_BIAS_DPH * np.eye(3)]
+    error = rotate_for_each(DAY_S, SIX_POSITIONS, single_biases, site)
+    return np.stack([error.east_m.T, error.north_m.T], axis=1) / _UNIT_BIAS_DPH

@@ -81,7 +81,7 @@ def day_figure(result: VerificationResult) -> Figure:
             )
         noise_nmi = plateau.noise_row("position_nmi").position_noise_nmi
         axes.axhline(noise_nmi, color=_NOISE_COLOUR, linewidth=0.8, label="noise")
-        axes.set_title(f"{plateau.known[0].gyro_c:.0f} °C", fontsize=9)
+        axes.set_title(f"{plateau.measured_rows[0].gyro_c:.0f} °C", fontsize=9)
         axes.set_ylabel("distance / nmi")
     panels[-1].set_xlabel("time / h")
     panels[-1].set_xlim(0.0, 24.0)
@@ -93,7 +93,9 @@ def day_figure(result: VerificationResult) -> Figure:
 
 def _bars(axes: Axes, result: VerificationResult, size: str, noise: str, factor: float) -> None:
     plateaus = [
-        each for each in result.plateaus if any(math.isfinite(getattr(row, size)) for row in each.known)
+        each
+        for each in result.plateaus
+        if any(math.isfinite(getattr(row, size)) for row in each.measured_rows)
     ]
     if not plateaus:
         say_empty(axes, "not measured")
@@ -113,7 +115,7 @@ def _bars(axes: Axes, result: VerificationResult, size: str, noise: str, factor:
             label=LABELS[each.compensation],
         )
     noises = [factor * getattr(plateau.noise_row(size), noise) for plateau in plateaus]
-    rows = [plateau.known[0] for plateau in plateaus]
+    rows = [plateau.measured_rows[0] for plateau in plateaus]
     axes.hlines(
         noises,
         places - 0.5 * _GROUP_WIDTH,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.verification.compensation_verification import MeasuredRun, compare_runs
-from gyrobench.bench.verification.paired_plateaus import PlateauPlace, pair_dwells, pair_places
+from gyrobench.bench.verification.paired_plateaus import PlateauProperties, pair_dwells, pair_plateaus
 from tests.bench.report.made_up_verification import SITE, rows_of
 
 FITTED_C = np.array([[62.0], [20.0], [0.0]]) + np.zeros(3)
@@ -112,11 +112,15 @@ def test_a_plateau_that_one_run_lacks_keeps_its_values_and_is_not_in_the_total()
 
 
 def test_places_are_paired_by_cycle_set_point_and_temperature():
-    places = [PlateauPlace(1, 50.0, 62.0), PlateauPlace(2, 20.0, 32.0), PlateauPlace(1, -10.0, 2.0)]
-    assert pair_places([places, places]) == [[1, 2, 3]] * 2
-    assert pair_places([places, [places[0], places[2]]]) == [[1, 2, 3], [1, 3]]
-    assert pair_places([[places[0], places[2]], places]) == [[1, 3], [1, 2, 3]]
+    places = [
+        PlateauProperties(1, 50.0, 62.0),
+        PlateauProperties(2, 20.0, 32.0),
+        PlateauProperties(1, -10.0, 2.0),
+    ]
+    assert pair_plateaus([places, places]) == [[1, 2, 3]] * 2
+    assert pair_plateaus([places, [places[0], places[2]]]) == [[1, 2, 3], [1, 3]]
+    assert pair_plateaus([[places[0], places[2]], places]) == [[1, 3], [1, 2, 3]]
     warm = replace(places[1], gyro_c=38.0)
-    assert pair_places([places, [places[0], warm, places[2]]]) == [[1, 3, 4], [1, 2, 4]]
+    assert pair_plateaus([places, [places[0], warm, places[2]]]) == [[1, 3, 4], [1, 2, 4]]
     unknown = [replace(each, chamber_set_c=np.nan) for each in places]
-    assert pair_places([unknown, unknown[1:]]) == [[1, 2, 3], [2, 3]]
+    assert pair_plateaus([unknown, unknown[1:]]) == [[1, 2, 3], [2, 3]]
