@@ -281,7 +281,7 @@ def _report(
                 "hours": found.spent_h,
                 "blocks": len(found.stages) - 1,
                 "verdict": found.closure.verdict,
-                "effects": found.closure.posterior.of_effect,
+                "effects": found.closure.posterior.effect_probabilities,
                 "uncertainty_ratio": found.calibration.ratio if found.calibration else None,
                 "verification": table_records(proof.results) if proof else None,
             }

@@ -24,7 +24,7 @@ from gyrobench.bench.navigation.positions import POSITIONS
 
 #: Largest share of dwells without a reading of a sensor, other than a gyro's, that is interpolated.
 _MAX_MISSING = 0.1
-#: Headings that differ by less are one.
+#: Headings that differ by less than this are the same.
 _SAME_HEADING_DEG = 5.0
 
 
@@ -34,10 +34,10 @@ class Table:
 
     name: str  #: Its path.
     cycles: tuple[int, ...]  #: Its cycles, numbered as in the campaign.
-    added: int = 0  #: What was added to the numbers of its dwells.
+    added: int = 0  #: Offset that was added to the numbers of its dwells.
     start_s: float = 0.0  #: Start of its first dwell on the campaign's clock.
-    placed: str = ""  #: How its place on that clock was found; empty for the first.
-    doubt: str = ""  #: Why it may be of another unit than the first, or of another firmware; empty if known.
+    placed: str = ""  #: How its position on that clock was determined; empty for the first table.
+    doubt: str = ""  #: Reason why it may be of another unit or firmware than the first; empty if known.
 
 
 @dataclass(frozen=True)
@@ -67,24 +67,24 @@ class Campaign:
     rate_c_per_h: FloatArray
     board_c: FloatArray
     #: bias_dph, sigma_dph: Shape (n, 3). Measured biases, or values of another :attr:`quantity`, and their
-    #: standard uncertainties: infinite where nothing was measured.
+    #: standard uncertainties: infinite if not measured.
     bias_dph: FloatArray
     sigma_dph: FloatArray
     record: TemperatureRecord  #: Temperatures of the gyros at all times, also between dwells.
     unit: str  #: Serial number of the INS.
-    #: Shape (n,). Dwells of which not even the temperatures may influence a fit to the others.
+    #: Shape (n,). Dwells that must not influence a fit to the others, not even by their temperatures.
     held_out: BoolArray
-    #: Dwells of the table that are left out because a gyro's temperature is missing.
+    #: Dwells of the table that were omitted because a gyro's temperature is missing.
     without_temperatures: tuple[int, ...] = ()
-    #: Shape (n,). Azimuth at the start of each dwell, NaN where not known; None as NaN.
+    #: Shape (n,). Azimuth at the start of each dwell, NaN if unknown; None if all are unknown.
     azimuth_deg: FloatArray | None = None
-    #: Shape (n,) each. Other numbers of the dwells, by column of the table.
+    #: Shape (n,) each. Other numeric columns of the table, by name.
     columns: Mapping[str, FloatArray] = field(default_factory=dict)
-    quantity: Quantity = GYRO_BIAS  #: What was measured.
-    tables: tuple[Table, ...] = ()  #: What it was read from, in the order of time; empty without files.
-    #: Shape (n, 3). Temperature of the electronics above the optics, where dwells are forecast.
+    quantity: Quantity = GYRO_BIAS  #: The coefficients that were measured.
+    tables: tuple[Table, ...] = ()  #: The tables it was read from, in the order of time; empty without files.
+    #: Shape (n, 3). Temperature of the electronics above the optics, for forecast dwells.
     forecast_above_optics_c: FloatArray | None = None
-    #: The campaign including the dwells without a result, and which of its dwells these are.
+    #: The campaign including the dwells without a result, and a mask of the dwells of this one in it.
     part_of: tuple[Campaign, BoolArray] | None = None
 
     def __len__(self) -> int:
@@ -103,7 +103,7 @@ class Campaign:
 
     @property
     def fingerprints(self) -> list[str]:
-        """Each dwell by its biases and temperatures, as they remain in a copied, joined or renamed table."""
+        """Hash of each dwell's biases and temperatures, which identifies it in any copied or joined table."""
         rows = np.concatenate([self.bias_dph, self.gyro_c], axis=1).tolist()
         texts = (" ".join(f"{value:.5f}" for value in row) for row in rows)
         return [f"d{hashlib.sha256(text.encode()).hexdigest()[:10]}" for text in texts]
@@ -117,7 +117,8 @@ class Campaign:
     def last_cycle(self) -> int:
         """The last cycle; of several tables, that of the first one with several cycles.
 
-        It is what a search of that table alone holds out: tables measured later add to what is searched.
+        A search of that table alone holds out the same cycle, so tables measured later only add searched
+        dwells.
         """
         for table in self.tables if len(self.tables) > 1 else ():
             cycles = [cycle for cycle in self.cycles if cycle in table.cycles]
@@ -126,7 +127,7 @@ class Campaign:
         return self.cycles[-1]
 
     def cycles_of(self, name: str) -> list[int]:
-        """Cycles of one of the tables. Raises MeasurementError if it is none of them."""
+        """Cycles of one of the tables. Raises MeasurementError if there is no table with that name."""
         for table in self.tables:
             if Path(table.name) == Path(name):
                 return [cycle for cycle in self.cycles if cycle in table.cycles]
@@ -134,47 +135,47 @@ class Campaign:
         raise MeasurementError(f"{name} can't be held out: it is not searched. Name one of {names}")
 
     def holding_out(self, cycles: Sequence[int]) -> Campaign:
-        """Same campaign with the temperatures of some cycles excluded from all fits."""
+        """The campaign with the temperatures of some cycles excluded from all fits."""
         whole = self.whole
         held_out: BoolArray = np.isin(whole.cycle, cycles)
         parts = list(whole.record.parts or (whole.record,))
-        starts_s = [table.start_s for table in whole.tables[1:]] if len(parts) > 1 else []
-        table = np.searchsorted(starts_s, whole.start_s, side="right")
+        starts_s = [table_index.start_s for table_index in whole.tables[1:]] if len(parts) > 1 else []
+        table_index = np.searchsorted(starts_s, whole.start_s, side="right")
         for index, part in enumerate(parts):
             if part.is_of_dwells:
-                mine = table == index
+                in_part = table_index == index
                 dwells = (whole.start_s, whole.end_s, whole.gyro_c, whole.rate_c_per_h, held_out)
-                parts[index] = record_of_dwells(*(each[mine] for each in dwells))
+                parts[index] = record_of_dwells(*(each[in_part] for each in dwells))
         record = TemperatureRecord.joined(parts)
         whole = replace(whole, held_out=held_out, record=record)
         return whole if self.part_of is None else whole.part(self.part_of[1])
 
     def part(self, chosen: BoolArray) -> Campaign:
-        """Some of the dwells; the course of temperatures remains that of all."""
+        """Campaign with some of the dwells; the temperature record remains that of all."""
         arrays: dict[str, Any] = {
             each.name: value[chosen]
             for each in fields(self)
             if isinstance(value := getattr(self, each.name), np.ndarray)
         }
-        position = tuple(name for name, taken in zip(self.position, chosen, strict=True) if taken)
+        position = tuple(name for name, is_chosen in zip(self.position, chosen, strict=True) if is_chosen)
         columns = {name: values[chosen] for name, values in self.columns.items()}
         return replace(self, **arrays, position=position, columns=columns, part_of=(self, chosen))
 
     def with_uncertainties(self, sigma_dph: FloatArray) -> Campaign:
-        """Same campaign with other standard uncertainties (n, 3); what is computed of the rest is shared."""
-        everything = self.part_of or (self, np.ones(len(self), dtype=bool))
-        changed = replace(self, sigma_dph=sigma_dph, part_of=everything)
+        """The campaign with other standard uncertainties (n, 3); shares the cache of this one."""
+        part_of = self.part_of or (self, np.ones(len(self), dtype=bool))
+        changed = replace(self, sigma_dph=sigma_dph, part_of=part_of)
         vars(changed)["_computed"] = self._computed
         return changed
 
     @property
     def is_measured(self) -> BoolArray:
-        """Which of the values were measured, shape (n, 3)."""
+        """Whether each value was measured, shape (n, 3)."""
         return np.isfinite(self.sigma_dph)
 
     @property
     def known_sigma_dph(self) -> FloatArray:
-        """Standard uncertainties (n, 3), NaN where nothing was measured."""
+        """Standard uncertainties (n, 3), NaN if not measured."""
         return np.where(self.is_measured, self.sigma_dph, np.nan)
 
     @property
@@ -184,25 +185,25 @@ class Campaign:
 
     @property
     def reported_unit(self) -> str:
-        """Serial number of the INS; empty where it does not report one."""
+        """Serial number of the INS; empty if it does not report one."""
         return "" if self.unit == UNKNOWN_UNIT else self.unit
 
     @property
     def has_one_heading(self) -> bool | None:
-        """Whether all known headings are one or its opposite; None if none is known."""
+        """Whether all known headings are parallel or opposite; None if none is known."""
         headings_deg = np.zeros(0) if self.azimuth_deg is None else self.azimuth_deg
         headings_deg = headings_deg[np.isfinite(headings_deg)]
-        # A pair at 0 and 180 deg is the pair at 180 and 360 deg.
-        off_deg = (headings_deg - headings_deg[:1] + 90.0) % 180.0 - 90.0
-        return bool(np.all(np.abs(off_deg) < _SAME_HEADING_DEG)) if len(off_deg) else None
+        # Differences modulo half a turn.
+        difference_deg = (headings_deg - headings_deg[:1] + 90.0) % 180.0 - 90.0
+        return bool(np.all(np.abs(difference_deg) < _SAME_HEADING_DEG)) if len(difference_deg) else None
 
     def slow_time(self, degree: int) -> FloatArray:
-        """Chebyshev polynomials of the dwells' time up to a degree, without the constant: (n, degree)."""
+        """Chebyshev polynomials (n, degree) of the dwells' time, without the constant."""
         time = np.interp(self.middle_s, [self.middle_s.min(), self.middle_s.max()], [-1.0, 1.0])
         return np.asarray(np.polynomial.chebyshev.chebvander(time, degree)[:, 1:], dtype=np.float64)
 
     def computed_once(self, key: object, compute: Callable[[], FloatArray]) -> FloatArray:
-        """What is computed for these dwells, kept by a key: terms of an effect, or the course of a driver."""
+        """Cached result of ``compute`` for these dwells: terms of an effect, or the course of a driver."""
         if key not in self._computed:
             self._computed[key] = compute()
         return self._computed[key]
@@ -213,7 +214,7 @@ class Campaign:
 
     @cached_property
     def means_over_dwells(self) -> Callable[[FloatArray], FloatArray]:
-        """Function of values at the record's times (m, k): their means over the dwells (n, k)."""
+        """Function that maps values at the record's times (m, k) to their means over the dwells (n, k)."""
         return self.record.means_over(self.start_s, self.end_s)
 
     @cached_property
@@ -226,7 +227,7 @@ class Campaign:
 
     @cached_property
     def run_shares(self) -> FloatArray:
-        """Share of each dwell in each run, shape (n, runs): a dwell may contain a power-on."""
+        """Share of each dwell in each run, shape (n, runs); a dwell may contain a power-on."""
         if self.part_of is not None:
             return self.whole.run_shares[self.part_of[1]]
         runs = np.arange(len(self.run_names))
@@ -250,7 +251,7 @@ class Campaign:
     def above_optics_c(self) -> FloatArray | None:
         """Temperature of each gyro's electronics above its optics (n, 3); None if unknown.
 
-        By the thermal network if that describes the temperatures, otherwise as measured.
+        From the thermal network if that describes the temperatures, otherwise as measured.
         """
         if self.forecast_above_optics_c is not None:
             return self.forecast_above_optics_c
@@ -258,12 +259,12 @@ class Campaign:
             whole_c = self.whole.above_optics_c
             return None if whole_c is None else whole_c[self.part_of[1]]
         readings = np.stack([self.gyro_c, self.rate_c_per_h, self.board_c], axis=2)
-        fitted = electronics_above_optics(
+        network_c = electronics_above_optics(
             self.start_s, self.end_s, self.case_c, readings, self.up_body, ~self.held_out
         )
-        if fitted is None and np.isfinite(self.board_c).all():
+        if network_c is None and np.isfinite(self.board_c).all():
             return self.board_c - self.gyro_c
-        return fitted
+        return network_c
 
 
 def campaign_of(
@@ -273,59 +274,65 @@ def campaign_of(
     *,
     is_forecast: bool = False,
 ) -> Campaign:
-    """Collect the dwells that have a result and no flags; of the others only temperatures are used.
+    """Campaign of the dwells that have a result and no flags; only temperatures of the others are used.
 
     ``rows``: in any order. ``record``: temperatures of the gyros over the whole time; by default
-    interpolated between the dwells. ``quantity``: what the rows have in the place of the biases; of others
-    than the gyros' biases one measured value is a result. ``is_forecast``: some are not measured. Raises
-    MeasurementError if no dwell has a result, the dwells are of several units, or the table of measured ones
-    is implausible.
+    interpolated between the dwells. ``quantity``: the coefficients that the rows have in place of the biases;
+    except for gyro biases, one measured value is a result. ``is_forecast``: some rows are predicted, so their
+    plausibility is not checked. Raises MeasurementError if no dwell has a result, the dwells are of several
+    units, or the table of measured dwells is implausible.
     """
     if not rows:
         raise MeasurementError("has no dwells. Search a run with finished dwells")
     if not is_forecast and (problems := implausible(rows, quantity)):
         raise MeasurementError("\n".join(["implausible:", *problems]))
     ordered = sorted(rows, key=lambda row: (row.start_s, row.dwell))
-    is_warm = [bool(np.isfinite([*row.gyro_c, *row.gyro_rate_c_per_h]).all()) for row in ordered]
-    warm = list(itertools.compress(ordered, is_warm))
-    enough = 3 if quantity.is_gyro_bias else 1
-    good = [
-        not row.flags and np.isfinite([row.bias_dph, row.sigma_dph]).all(axis=0).sum() >= enough
-        for row in warm
+    has_temperatures = [bool(np.isfinite([*row.gyro_c, *row.gyro_rate_c_per_h]).all()) for row in ordered]
+    with_temperatures = list(itertools.compress(ordered, has_temperatures))
+    min_values = 3 if quantity.is_gyro_bias else 1
+    is_good = [
+        not row.flags and np.isfinite([row.bias_dph, row.sigma_dph]).all(axis=0).sum() >= min_values
+        for row in with_temperatures
     ]
-    if not any(good):
+    if not any(is_good):
         raise MeasurementError(
             "no dwell of the table has a result without flags. Measure the flagged dwells again"
         )
-    units = sorted({row.unit for row in warm})
+    units = sorted({row.unit for row in with_temperatures})
     if len(units) > 1:
         raise MeasurementError(
             f"the table has dwells of {len(units)} units ({', '.join(units)}). Split it into one table per "
             "unit"
         )
-    cold = tuple(row.dwell for row, known in zip(ordered, is_warm, strict=True) if not known)
-    whole = replace(_of_rows(warm, record, quantity), without_temperatures=cold)
-    return whole if all(good) else whole.part(np.array(good))
+    without_temperatures = tuple(
+        row.dwell for row, known in zip(ordered, has_temperatures, strict=True) if not known
+    )
+    whole = replace(
+        _campaign_of_rows(with_temperatures, record, quantity), without_temperatures=without_temperatures
+    )
+    return whole if all(is_good) else whole.part(np.array(is_good))
 
 
-def _of_rows(rows: Sequence[DwellRow], record: TemperatureRecord | None, quantity: Quantity) -> Campaign:
+def _campaign_of_rows(
+    rows: Sequence[DwellRow], record: TemperatureRecord | None, quantity: Quantity
+) -> Campaign:
     """Campaign of all dwells with temperatures, in the order of time; gyro biases may be NaN."""
 
     def gather(name: str) -> FloatArray:
         return np.array([getattr(row, name) for row in rows], dtype=np.float64)
 
-    names = list(dict.fromkeys(row.run for row in rows))
+    run_names = list(dict.fromkeys(row.run for row in rows))
     start_s, end_s, gyro_c, rate_c_per_h = map(gather, ("start_s", "end_s", "gyro_c", "gyro_rate_c_per_h"))
     bias_dph, sigma_dph, boards_c = gather("bias_dph"), gather("sigma_dph"), gather("board_c").T
     if not quantity.is_gyro_bias:
         is_unknown = ~(np.isfinite(bias_dph) & np.isfinite(sigma_dph))
         bias_dph[is_unknown], sigma_dph[is_unknown] = 0.0, np.inf
     return Campaign(
-        run_names=tuple(names),
+        run_names=tuple(run_names),
         position=tuple(row.position for row in rows),
         dwell=np.array([row.dwell for row in rows]),
         cycle=np.array([row.cycle for row in rows]),
-        run=np.array([names.index(row.run) for row in rows]),
+        run=np.array([run_names.index(row.run) for row in rows]),
         up_body=np.array([POSITIONS[row.position].C_nb()[2] for row in rows]),
         start_s=start_s,
         end_s=end_s,
@@ -348,16 +355,17 @@ def _of_rows(rows: Sequence[DwellRow], record: TemperatureRecord | None, quantit
 
 
 def _other_columns(rows: Sequence[DwellRow], start_s: FloatArray) -> dict[str, FloatArray]:
-    known = [dict(row.other) for row in rows]
-    names = dict.fromkeys(name for each in known for name in each)
+    columns_of_rows = [dict(row.other) for row in rows]
+    names = dict.fromkeys(name for each in columns_of_rows for name in each)
     return {
-        name: _interpolated(start_s, np.array([each.get(name, np.nan) for each in known])) for name in names
+        name: _interpolated(start_s, np.array([each.get(name, np.nan) for each in columns_of_rows]))
+        for name in names
     }
 
 
 def _interpolated(time_s: FloatArray, readings: FloatArray) -> FloatArray:
-    """Interpolate a few missing readings linearly; return many missing ones unchanged."""
-    known = np.isfinite(readings)
-    if np.mean(known) < 1.0 - _MAX_MISSING:
+    """Interpolate missing readings linearly if they are few; otherwise return them unchanged."""
+    is_valid = np.isfinite(readings)
+    if np.mean(is_valid) < 1.0 - _MAX_MISSING:
         return readings
-    return np.interp(time_s, time_s[known], readings[known])
+    return np.interp(time_s, time_s[is_valid], readings[is_valid])

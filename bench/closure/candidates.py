@@ -1,7 +1,4 @@
-"""Candidate effects fitted to a problem, and hypotheses: sets of effects compared by their BIC.
-
-The comparison of hypotheses is here alone: :class:`Hypothesis` ranks them, states ties and odds.
-"""
+"""Candidate effects fitted to a problem, and hypotheses: sets of effects compared by their BIC."""
 
 from __future__ import annotations
 
@@ -18,10 +15,10 @@ from gyrobench.bench.closure.problem import Problem, Solution, explained_by, sol
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 
 _MAX_EVALUATIONS = 60
-#: Precision of a parameter in units of its first step, and of chi2.
+#: Convergence limits: of a parameter in units of its first step, and of chi2.
 _PARAMETER_PRECISION = 1e-2
 _CHI2_PRECISION = 0.05
-#: Factor beyond the upper bound of a parameter at which the effect is another one to a few percent.
+#: At this factor above its upper bound, a parameter gives another effect's terms within a few percent.
 _BEYOND = 10.0
 _OTHER_SCALES = (0.5, 2.0)
 
@@ -42,7 +39,10 @@ class Candidate:
 
     @property
     def beyond_open_end(self) -> Candidate | None:
-        """The effect far above an open end, where it becomes another one; None if no parameter is there."""
+        """The effect with parameters that are at an open end moved far beyond; None if there are none.
+
+        Beyond an open end the effect becomes another one.
+        """
         pairs = zip(self.form.parameters, self.values, strict=True)
         factors = [
             _BEYOND if each.is_open_end and value >= 0.999 * each.high else 1.0 for each, value in pairs
@@ -52,14 +52,14 @@ class Candidate:
 
     @property
     def at_other_scales(self) -> list[Candidate]:
-        """The effect with each width or time constant at half and at twice its value, within the bounds."""
-        found = []
-        for place, each in enumerate(self.form.parameters):
+        """The effect with each width or time constant halved and doubled in turn, within the bounds."""
+        scaled = []
+        for index, each in enumerate(self.form.parameters):
             for factor in _OTHER_SCALES if each.is_scale else ():
-                value = min(max(self.values[place] * factor, each.low), each.high)
-                values = (*self.values[:place], value, *self.values[place + 1 :])
-                found.append(replace(self, values=values))
-        return found
+                value = min(max(self.values[index] * factor, each.low), each.high)
+                values = (*self.values[:index], value, *self.values[index + 1 :])
+                scaled.append(replace(self, values=values))
+        return scaled
 
     @property
     def parameter_count(self) -> int:
@@ -92,9 +92,9 @@ class Hypothesis:
         """Number of fitted sizes and parameters of all effects."""
         return sum(each.parameter_count for each in self.candidates)
 
-    def without(self, one: Candidate) -> list[Candidate]:
-        """All effects but one."""
-        return [each for each in self.candidates if each is not one]
+    def without(self, candidate: Candidate) -> list[Candidate]:
+        """The effects except one."""
+        return [each for each in self.candidates if each is not candidate]
 
     def is_better_than(self, other: Hypothesis) -> bool:
         """Whether the data prefer this hypothesis."""
@@ -112,15 +112,15 @@ def bic_penalty(problem: Problem) -> float:
 
 
 def fit_hypothesis(problem: Problem, candidates: Sequence[Candidate]) -> Hypothesis:
-    """Hypothesis of candidates, without the terms that do not lower the BIC.
+    """Hypothesis of candidates whose parameters are fitted, without terms that do not lower the BIC.
 
-    ``problem`` has the declared model alone; the parameters of the candidates are fitted.
+    ``problem`` has the declared model alone.
     """
-    return hypothesis(problem, _prune(problem, candidates) if candidates else ())
+    return hypothesis_with(problem, _prune(problem, candidates) if candidates else ())
 
 
-def hypothesis(problem: Problem, candidates: Sequence[Candidate]) -> Hypothesis:
-    """Hypothesis of candidates with the terms that they keep."""
+def hypothesis_with(problem: Problem, candidates: Sequence[Candidate]) -> Hypothesis:
+    """Hypothesis of candidates with exactly the terms that they keep."""
     chi2 = problem.chi2
     if candidates:
         chi2 -= problem.chi2_reduction(*stack(candidates, problem.campaign))[0]
@@ -134,20 +134,20 @@ def starts(form: Form, campaign: Campaign) -> list[tuple[float, ...]]:
 
 
 def start_count(effect: Effect, campaign: Campaign) -> int:
-    """Number of starting values of an effect, over all its forms."""
+    """Number of combinations of starting values of an effect, over all its forms."""
     return sum(len(starts(form, campaign)) for form in effect.forms)
 
 
 def best_start(problem: Problem, effect: Effect, form: Form) -> Candidate:
-    """Form at the starting values that reduce chi2 most."""
+    """The form with the starting values that reduce chi2 most."""
     all_terms = np.ones((3, len(form.terms)), dtype=bool)
-    found = [Candidate(effect, form, values, all_terms) for values in starts(form, problem.campaign)]
-    reductions = [problem.chi2_reduction(each.columns(problem.campaign))[0] for each in found]
-    return found[int(np.argmax(reductions))]
+    candidates = [Candidate(effect, form, values, all_terms) for values in starts(form, problem.campaign)]
+    reductions = [problem.chi2_reduction(each.columns(problem.campaign))[0] for each in candidates]
+    return candidates[int(np.argmax(reductions))]
 
 
 def refine(problem: Problem, candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Fit the parameters of several candidates together; the terms that they keep do not change.
+    """Fit the nonlinear parameters of several candidates together, with the terms that they keep.
 
     ``problem`` has the declared model alone.
     """
@@ -160,48 +160,53 @@ def refine(problem: Problem, candidates: Sequence[Candidate]) -> list[Candidate]
     )
 
     kept = np.concatenate([each.kept for each in candidates], axis=1)
-    known: dict[tuple[tuple[float, ...], ...], float] = {}  # beyond a bound the values are those at the bound
+    cached: dict[tuple[tuple[float, ...], ...], float] = {}  # by values within the bounds
 
-    def split(offsets: FloatArray) -> tuple[tuple[float, ...], ...]:
-        moved = (start + widths * offsets).tolist()
+    def values_at(offsets: FloatArray) -> tuple[tuple[float, ...], ...]:
+        parameter_values = (start + widths * offsets).tolist()
         values = iter(
-            [min(max(value, each.low), each.high) for value, each in zip(moved, parameters, strict=True)]
+            [
+                min(max(value, each.low), each.high)
+                for value, each in zip(parameter_values, parameters, strict=True)
+            ]
         )
         return tuple([tuple(itertools.islice(values, len(each.values))) for each in candidates])
 
     def negative_reduction(offsets: FloatArray) -> float:
-        values = split(offsets)
-        if values not in known:
+        values = values_at(offsets)
+        if values not in cached:
             columns = [
-                _terms(each.form, problem.campaign, mine)
-                for each, mine in zip(candidates, values, strict=True)
+                _terms(each.form, problem.campaign, own_values)
+                for each, own_values in zip(candidates, values, strict=True)
             ]
-            together = columns[0] if len(columns) == 1 else np.concatenate(columns, axis=2)
-            known[values] = -problem.chi2_reduction(together, kept)[0]
-        return known[values]
+            terms = columns[0] if len(columns) == 1 else np.concatenate(columns, axis=2)
+            cached[values] = -problem.chi2_reduction(terms, kept)[0]
+        return cached[values]
 
     simplex = np.vstack([np.zeros(len(start)), np.eye(len(start))])
-    most = _MAX_EVALUATIONS * len(start)
-    best = split(lowest(negative_reduction, simplex, most, _PARAMETER_PRECISION, _CHI2_PRECISION))
+    max_evaluations = _MAX_EVALUATIONS * len(start)
+    best = values_at(
+        nelder_mead(negative_reduction, simplex, max_evaluations, _PARAMETER_PRECISION, _CHI2_PRECISION)
+    )
     return [replace(each, values=values) for each, values in zip(candidates, best, strict=True)]
 
 
-def lowest(
+def nelder_mead(
     cost: Callable[[FloatArray], float],
     simplex: FloatArray,
     max_evaluations: int,
     point_precision: float,
     cost_precision: float,
 ) -> FloatArray:
-    """Point (n,) of the lowest cost by the method of Nelder and Mead (1965), from a simplex (n + 1, n).
+    """Minimize a cost by the method of Nelder and Mead (1965), from a simplex (n + 1, n); returns (n,).
 
-    The steps are those of scipy.optimize, whose import takes longer than all searches of a campaign. It ends
+    The steps are those of scipy.optimize, whose import takes longer than all searches of a campaign. Ends
     with the first step after ``max_evaluations``, or as soon as both precisions are reached.
     """
     costs = np.array([cost(corner) for corner in simplex])
     evaluations = len(costs)
 
-    def tried(factor: float) -> tuple[float, FloatArray]:
+    def evaluate(factor: float) -> tuple[float, FloatArray]:
         nonlocal evaluations
         evaluations += 1
         point = (1.0 + factor) * centre - factor * simplex[-1]
@@ -216,23 +221,23 @@ def lowest(
         ):
             return np.asarray(simplex[0])
         centre = np.add.reduce(simplex[:-1]) / len(simplex[0])
-        found, point = tried(1.0)
-        if found < costs[0]:
-            found, point = min((found, point), tried(2.0), key=itemgetter(0))
-        elif found >= costs[-2]:
-            outside = found < costs[-1]
-            limit = found if outside else costs[-1]
-            found, point = tried(0.5 if outside else -0.5)
-            if found > limit or (found == limit and not outside):
+        trial, point = evaluate(1.0)
+        if trial < costs[0]:
+            trial, point = min((trial, point), evaluate(2.0), key=itemgetter(0))
+        elif trial >= costs[-2]:
+            outside = trial < costs[-1]
+            limit = trial if outside else costs[-1]
+            trial, point = evaluate(0.5 if outside else -0.5)
+            if trial > limit or (trial == limit and not outside):
                 simplex[1:] = simplex[0] + 0.5 * (simplex[1:] - simplex[0])
                 costs[1:] = [cost(corner) for corner in simplex[1:]]
                 evaluations += len(costs) - 1
                 continue
-        simplex[-1], costs[-1] = point, found
+        simplex[-1], costs[-1] = point, trial
 
 
 def stack(candidates: Sequence[Candidate], campaign: Campaign) -> tuple[FloatArray, BoolArray]:
-    """Terms of several candidates side by side, and the ones kept by each gyro."""
+    """Terms (n, 3, k) of several candidates, concatenated, and which of them each gyro keeps (3, k)."""
     columns = np.concatenate([each.columns(campaign) for each in candidates], axis=2)
     return columns, np.concatenate([each.kept for each in candidates], axis=1)
 
@@ -253,12 +258,12 @@ def solve_with(problem: Problem, candidates: Sequence[Candidate]) -> Solution:
 
 
 def _terms(form: Form, campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
-    """Terms (n, 3, k) of a form, computed once for each of its values."""
+    """Terms (n, 3, k) of a form, cached by its parameter values."""
     return campaign.computed_once((form, values), lambda: form.columns(campaign, values))
 
 
 def _width(value: float, low: float, high: float, problem: Problem) -> float:
-    """First step of a parameter: a quarter of it, or a dwell for a time without bounds."""
+    """First step of a parameter: a quarter of its value; for a time without bounds, a dwell's length."""
     if np.isinf(low):
         campaign = problem.campaign
         return float(np.median(campaign.end_s - campaign.start_s))
@@ -269,19 +274,19 @@ def _width(value: float, low: float, high: float, problem: Problem) -> float:
 def _prune(problem: Problem, candidates: Sequence[Candidate]) -> list[Candidate]:
     """Drop terms, gyro by gyro, as long as the BIC falls.
 
-    Each effect keeps one term per gyro: an effect present in one gyro is present in all of them.
+    Each effect keeps at least one term per gyro: an effect present in one gyro is present in all of them.
     """
     columns, kept = stack(candidates, problem.campaign)
-    products, with_residuals = problem.inner_products(columns, kept)
+    products, residual_products = problem.inner_products(columns, kept)
     owner = owners(candidates)
 
     def reduction(gyro: int, terms: IntArray) -> float:
-        return explained_by(products[gyro][np.ix_(terms, terms)], with_residuals[gyro, terms])[0]
+        return explained_by(products[gyro][np.ix_(terms, terms)], residual_products[gyro, terms])[0]
 
-    fewer = np.zeros_like(kept)
+    pruned = np.zeros_like(kept)
     for gyro in range(3):
         terms = np.flatnonzero(kept[gyro])
-        whole = reduction(gyro, terms)
+        current = reduction(gyro, terms)
         while True:
             trials = [
                 (reduction(gyro, terms[terms != each]), int(each))
@@ -289,10 +294,12 @@ def _prune(problem: Problem, candidates: Sequence[Candidate]) -> list[Candidate]
                 if np.count_nonzero(owner[terms] == owner[each]) > 1
             ]
             best, dropped = max(trials, default=(-np.inf, -1))
-            if whole - best >= bic_penalty(problem):
+            if current - best >= bic_penalty(problem):
                 break
-            whole, terms = best, terms[terms != dropped]
-        fewer[gyro, terms] = True
+            current, terms = best, terms[terms != dropped]
+        pruned[gyro, terms] = True
     bounds = np.cumsum([0, *(each.kept.shape[1] for each in candidates)])
-    parts = [fewer[:, low:high] for low, high in itertools.pairwise(bounds)]
-    return [replace(each, kept=part) for each, part in zip(candidates, parts, strict=True)]
+    pruned_by_candidate = [pruned[:, low:high] for low, high in itertools.pairwise(bounds)]
+    return [
+        replace(each, kept=own_kept) for each, own_kept in zip(candidates, pruned_by_candidate, strict=True)
+    ]

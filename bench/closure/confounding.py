@@ -1,4 +1,4 @@
-"""What the design of a campaign can't distinguish, with any biases."""
+"""Effects that the design of a campaign can't distinguish, whatever the biases."""
 
 from __future__ import annotations
 
@@ -12,55 +12,59 @@ from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 
 #: Two sets of terms can't be distinguished if at most this share of the length of one is independent.
 _CONFOUNDED_SHARE = 0.3
-#: Degree of the slow course of time that attitudes are compared with, and times the time constant over the
-#: length of the campaign for the slow warm-up.
-_TIME_DEGREE, _SLOW = 3, 0.5
+#: Degree of the polynomial in time that attitudes are compared with; time constant of the slow warm-up over
+#: the length of the campaign.
+_TIME_DEGREE, _SLOW_WARM_UP = 3, 0.5
 _NO_HEADINGS = "Headings were not recorded (column azimuth_deg)"
 
 
 def confounding(campaign: Campaign, searched: BoolArray) -> tuple[str, ...]:
     """Sentences on effects that the dwells searched (n,) can't distinguish, each with its reason.
 
-    An effect is confounded with another one if its terms, beside the declared model, are theirs.
+    Two effects are confounded if their terms are dependent after projecting out the declared model.
     """
-    seen, slow_time = campaign.part(searched), campaign.slow_time(_TIME_DEGREE)
-    sentences, is_dwells = [], campaign.quantity.row == "dwell"
-    if not is_dwells:
+    searched_part, slow_time = campaign.part(searched), campaign.slow_time(_TIME_DEGREE)
+    sentences, is_of_dwells = [], campaign.quantity.row == "dwell"
+    if not is_of_dwells:
         sentences.append(
             "The coefficients of a plateau are those of all its attitudes: no effect of attitude can be seen "
             "or excluded."
         )
-    elif len(set(seen.position)) == 1:
+    elif len(set(searched_part.position)) == 1:
         sentences.append("All dwells are in one attitude: no effect of attitude can be seen or excluded.")
-    elif _stretches(seen.position) == len(set(seen.position)):
+    elif _stretch_count(searched_part.position) == len(set(searched_part.position)):
         sentences.append(
             "Each attitude was measured once, in one stretch of time: attitude cannot be distinguished from "
             "drift, except by the form assumed for the drift."
         )
-    elif _independent(campaign, searched, campaign.up_body, slow_time) < _CONFOUNDED_SHARE:
+    elif _independent_share(campaign, searched, campaign.up_body, slow_time) < _CONFOUNDED_SHARE:
         sentences.append(
             "The attitudes follow each other as slowly as a drift: attitude cannot be distinguished from "
             "drift."
         )
-    if len(set(seen.run.tolist())) == 1:
-        decay = np.exp(-campaign.since_power_on_s / (_SLOW * max(float(np.ptp(seen.middle_s)), 1.0)))
-        if _independent(campaign, searched, decay[:, np.newaxis], slow_time) < _CONFOUNDED_SHARE:
+    if len(set(searched_part.run.tolist())) == 1:
+        decay = np.exp(
+            -campaign.since_power_on_s / (_SLOW_WARM_UP * max(float(np.ptp(searched_part.middle_s)), 1.0))
+        )
+        if _independent_share(campaign, searched, decay[:, np.newaxis], slow_time) < _CONFOUNDED_SHARE:
             sentences.append(
                 "All dwells searched are in one power cycle: a slow warm-up cannot be distinguished from "
                 "drift."
             )
-    if is_dwells and campaign.quantity.name == "accelerometer_bias":
+    if is_of_dwells and campaign.quantity.name == "accelerometer_bias":
         sentences.append(
             "A dwell shows an accelerometer's bias relative to the axis of its turn, as the gyros sense it: "
             "biases that follow gravity linearly cannot be distinguished from misalignments of gyros or "
             "accelerometers, at any temperature."
         )
-    elif is_dwells and seen.has_one_heading is not False:
-        headings = "All dwells have one heading or its opposite" if seen.has_one_heading else _NO_HEADINGS
+    elif is_of_dwells and searched_part.has_one_heading is not False:
+        headings = (
+            "All dwells have one heading or its opposite" if searched_part.has_one_heading else _NO_HEADINGS
+        )
         sentences.append(
             f"{headings}: an effect of the Earth's magnetic field cannot be distinguished from g-sensitivity."
         )
-    if len(np.unique(seen.cycle)) == 1:
+    if len(np.unique(searched_part.cycle)) == 1:
         sentences.append(
             "One cycle was searched: what repeats with the temperature profile cannot be distinguished from "
             "what happens once."
@@ -68,12 +72,14 @@ def confounding(campaign: Campaign, searched: BoolArray) -> tuple[str, ...]:
     return tuple(sentences)
 
 
-def _stretches(positions: tuple[str, ...]) -> int:
+def _stretch_count(positions: tuple[str, ...]) -> int:
     return len(list(itertools.groupby(positions)))
 
 
-def _independent(campaign: Campaign, searched: BoolArray, terms: FloatArray, others: FloatArray) -> float:
-    """Largest share of terms (n, k), beside the declared model, that is independent of others (n, l)."""
+def _independent_share(
+    campaign: Campaign, searched: BoolArray, terms: FloatArray, others: FloatArray
+) -> float:
+    """Largest share of terms (n, k) that is independent of others (n, l), without the declared model."""
     problem = declared_problem(campaign, searched)
-    beside = problem.with_columns(np.repeat(others[:, np.newaxis], 3, axis=1))
-    return beside.independent_share(np.repeat(terms[:, np.newaxis], 3, axis=1))
+    with_others = problem.with_columns(np.repeat(others[:, np.newaxis], 3, axis=1))
+    return with_others.independent_share(np.repeat(terms[:, np.newaxis], 3, axis=1))

@@ -26,7 +26,7 @@ _T = TypeVar("_T")
 _CLOSURE_FILE = "closure.json"
 #: Effect file of the most probable composed law.
 _COMPOSED_LAW = "composed_law.yaml"
-#: Most probable hypotheses in the document.
+#: Number of the most probable hypotheses in the document.
 _HYPOTHESES = 10
 _MAX_BYTES = 100_000_000
 
@@ -60,14 +60,16 @@ def holds_search(folder: Path) -> bool:
 def is_written(folder: Path, closure: Closure) -> bool:
     """Whether a folder holds this search already.
 
-    By any path of its tables, with each cycle held out in turn or not, with composed laws or not.
+    The paths of the tables may differ, and whether cycles were held out in turn and laws composed.
     """
     try:
         written = _read(folder)
     except RunFolderError:
         return False
-    own = closure_document(closure)
-    return written | {key: own[key] for key in ("tables", "simulated", "rotation", "composed")} == own
+    document = closure_document(closure)
+    return (
+        written | {key: document[key] for key in ("tables", "simulated", "rotation", "composed")} == document
+    )
 
 
 def has_composed_laws(folder: Path) -> bool:
@@ -92,7 +94,7 @@ def read_held_out_cycles(folder: Path) -> list[int]:
 
 
 def read_quantity(folder: Path) -> Quantity:
-    """What an earlier search explained.
+    """Coefficients that an earlier search explained.
 
     Raises RunFolderError if there is none, or its file is damaged.
     """
@@ -133,21 +135,21 @@ def _damaged(folder: Path, reason: str) -> RunFolderError:
 
 
 def closure_document(closure: Closure) -> dict[str, Any]:
-    """Content of ``closure.json``; of another quantity than gyro biases its name and unit come first."""
-    searched = closure.quantity
-    own = {} if searched.is_gyro_bias else {"quantity": searched.name, "unit": searched.unit}
-    return {**own, **searched.in_unit(_document(closure))}
+    """Content of ``closure.json``; name and unit of the quantity come first if it is not the gyro biases."""
+    quantity = closure.quantity
+    header = {} if quantity.is_gyro_bias else {"quantity": quantity.name, "unit": quantity.unit}
+    return {**header, **quantity.in_unit(_gyro_bias_document(closure))}
 
 
-def _document(closure: Closure) -> dict[str, Any]:
+def _gyro_bias_document(closure: Closure) -> dict[str, Any]:
     return {
         "verdict": closure.verdict,
-        "effects": [_effect(each) for each in closure.effects],
+        "effects": [_effect_document(each) for each in closure.effects],
         "probabilities": {
             "found": closure.probability,
-            "nothing": closure.posterior.nothing,
-            "not_on_the_list": closure.posterior.not_on_list,
-            "effects": closure.posterior.of_effect,
+            "nothing": closure.posterior.no_effect_probability,
+            "not_on_the_list": closure.posterior.unlisted_probability,
+            "effects": closure.posterior.effect_probabilities,
         },
         "hypotheses": [
             {
@@ -157,7 +159,7 @@ def _document(closure: Closure) -> dict[str, Any]:
             }
             for each in closure.posterior.hypotheses[:_HYPOTHESES]
         ],
-        "composed": None if closure.composed is None else _composed(closure.composed),
+        "composed": None if closure.composed is None else _composed_document(closure.composed),
         "remainder_shown_from_dph": {
             name: size if math.isfinite(size) else None for name, size in closure.detectable_dph.items()
         },
@@ -176,10 +178,10 @@ def _document(closure: Closure) -> dict[str, Any]:
         "lack_of_fit_p_before": closure.before.p_value,
         "lack_of_fit_p_after": closure.after.p_value,
         "held_out_p": dict(zip(closure.quantity.axes, closure.held_out.p_values, strict=True)),
-        "error_before_dph": _known(closure.error_before_dph),
-        "error_after_dph": _known(closure.error_after_dph),
-        "error_before_sigma_dph": _known(closure.error_before_sigma_dph),
-        "error_after_sigma_dph": _known(closure.error_after_sigma_dph),
+        "error_before_dph": _none_if_nan(closure.error_before_dph),
+        "error_after_dph": _none_if_nan(closure.error_after_dph),
+        "error_before_sigma_dph": _none_if_nan(closure.error_before_sigma_dph),
+        "error_after_sigma_dph": _none_if_nan(closure.error_after_sigma_dph),
         "tables": [
             {
                 "path": table.name,
@@ -198,7 +200,10 @@ def _document(closure: Closure) -> dict[str, Any]:
                 "held_out_cycle": turn.cycle,
                 "verdict": turn.verdict or None,
                 "effects": list(turn.effects),
-                **{name: _known(getattr(turn, name)) for name in ("error_before_dph", "error_after_dph")},
+                **{
+                    name: _none_if_nan(getattr(turn, name))
+                    for name in ("error_before_dph", "error_after_dph")
+                },
             }
             for turn in closure.held_out_in_turn
         ],
@@ -206,7 +211,7 @@ def _document(closure: Closure) -> dict[str, Any]:
             {
                 "effect": each.effect.name,
                 "lacks": each.missing_input,
-                "share_explained_alone": _known(each.share),
+                "share_explained_alone": _none_if_nan(each.share),
                 "p_value_alone": None if each.candidate is None else each.p_value,
                 "rejected": each.rejected or None,
             }
@@ -215,17 +220,17 @@ def _document(closure: Closure) -> dict[str, Any]:
     }
 
 
-def _known(value: float) -> float | None:
+def _none_if_nan(value: float) -> float | None:
     return None if math.isnan(value) else value
 
 
-def _composed(found: Composed) -> dict[str, Any]:
+def _composed_document(composed: Composed) -> dict[str, Any]:
     return {
         "status": "empirical: hypotheses until cycles of other runs confirm them",
-        "laws_tried": found.tried,
-        "drivers": found.of_driver,
-        "other": found.other,
-        "law_and_something_else": found.law_and_remainder,
+        "laws_tried": composed.tried,
+        "drivers": composed.driver_probabilities,
+        "other": composed.other,
+        "law_and_something_else": composed.law_and_remainder,
         "laws": [
             {
                 "driver": law.file.driver,
@@ -242,13 +247,13 @@ def _composed(found: Composed) -> dict[str, Any]:
                 "error_after_dph": law.error_after_dph,
                 "statement": law.file.statement,
             }
-            for law in found.laws
+            for law in composed.laws
         ],
     }
 
 
 def format_predictions(closure: Closure) -> str:
-    """CSV text: the bias of every dwell by both models and its uncertainty; empty without a temperature."""
+    """CSV text with the bias of every dwell by both models and its uncertainty; empty without temperature."""
     whole = closure.campaign.whole
     columns = [each.candidate.columns(whole) for each in closure.effects]
     before = predict(whole, closure.declared.declared, [], [])
@@ -257,12 +262,12 @@ def format_predictions(closure: Closure) -> str:
         draws.sigma(draws.bias_dph(whole), stated)
         for draws, stated in ((closure.declared_draws, before), (closure.model_draws, after))
     ]
-    known = dict(zip(whole.dwell.tolist(), np.hstack([before, after, *sigmas]).tolist(), strict=True))
+    by_dwell = dict(zip(whole.dwell.tolist(), np.hstack([before, after, *sigmas]).tolist(), strict=True))
     columns_written = prediction_columns(closure.quantity)
     missing: list[float] = [math.nan] * (len(columns_written) - 1)
     rows = [
-        [str(dwell), *("" if math.isnan(value) else f"{value:.9g}" for value in known.get(dwell, missing))]
-        for dwell in sorted([*known, *whole.without_temperatures])
+        [str(dwell), *("" if math.isnan(value) else f"{value:.9g}" for value in by_dwell.get(dwell, missing))]
+        for dwell in sorted([*by_dwell, *whole.without_temperatures])
     ]
     return format_csv(columns_written, rows)
 
@@ -313,32 +318,32 @@ def _declared(closure: Closure, coefficients: FloatArray) -> dict[str, Any]:
     }
 
 
-def _by_parameter(found: FoundEffect | OtherForm, values: Iterable[_T]) -> dict[str, _T]:
-    names = (each.name for each in found.candidate.form.parameters)
+def _by_parameter(effect: FoundEffect | OtherForm, values: Iterable[_T]) -> dict[str, _T]:
+    names = (each.name for each in effect.candidate.form.parameters)
     return dict(zip(names, values, strict=True))
 
 
-def _by_term(found: FoundEffect, sizes: FloatArray) -> dict[str, dict[str, float]]:
-    terms = found.candidate.form.terms
-    axes = found.quantity.axes
+def _by_term(effect: FoundEffect, sizes: FloatArray) -> dict[str, dict[str, float]]:
+    terms = effect.candidate.form.terms
+    axes = effect.quantity.axes
     return {axis: dict(zip(terms, row.tolist(), strict=True)) for axis, row in zip(axes, sizes, strict=True)}
 
 
-def _effect(found: FoundEffect) -> dict[str, Any]:
+def _effect_document(effect: FoundEffect) -> dict[str, Any]:
     return {
-        "effect": found.effect.name,
-        "axes": list(found.axes),
-        "probability": found.probability,
-        "p_value": found.p_value,
-        "rms_dph": found.rms_dph,
-        "rms_sigma_dph": found.rms_sigma_dph,
-        "tied_with": list(found.tied_with),
-        "statement": found.statement,
-        "form": found.candidate.form.name,
-        "parameters": _by_parameter(found, found.candidate.values),
-        "parameters_sigma": _by_parameter(found, found.values_sigma.tolist()),
-        "parameters_95": _by_parameter(found, map(list, found.values_range)),
-        "at_bound": list(found.at_bound),
+        "effect": effect.effect.name,
+        "axes": list(effect.axes),
+        "probability": effect.probability,
+        "p_value": effect.p_value,
+        "rms_dph": effect.rms_dph,
+        "rms_sigma_dph": effect.rms_sigma_dph,
+        "tied_with": list(effect.tied_with),
+        "statement": effect.statement,
+        "form": effect.candidate.form.name,
+        "parameters": _by_parameter(effect, effect.candidate.values),
+        "parameters_sigma": _by_parameter(effect, effect.values_sigma.tolist()),
+        "parameters_95": _by_parameter(effect, map(list, effect.values_range)),
+        "at_bound": list(effect.at_bound),
         "other_forms": [
             {
                 "form": each.candidate.form.name,
@@ -346,7 +351,7 @@ def _effect(found: FoundEffect) -> dict[str, Any]:
                 "parameters": _by_parameter(each, each.candidate.values),
                 "parameters_95": _by_parameter(each, map(list, each.values_range)),
             }
-            for each in found.other_forms
+            for each in effect.other_forms
         ],
-        "gain_in_cycles_left_out": {str(cycle): gain for cycle, gain in found.gains.items()},
+        "gain_in_cycles_left_out": {str(cycle): gain for cycle, gain in effect.gains.items()},
     }

@@ -1,4 +1,4 @@
-"""Do held-out dwells follow a model, and confirm effects? Its errors there, against noise and uncertainty."""
+"""Tests of a model's errors in held-out dwells: lack of fit, and confirmation of effects."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrobench.bench.bias.statistics import chi2_p_value, f_p_value
-from gyrobench.bench.closure.noise import MEDIAN, OUTLIER_SHARE, OUTLIER_SIGMA, Outlier
+from gyrobench.bench.closure.noise import MEDIAN_ABS_NORMAL, OUTLIER_SHARE, OUTLIER_SIGMA, Outlier
 from gyrobench.bench.closure.problem import Problem
 from gyrobench.bench.closure.validation import LACK_OF_FIT_P
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms
 
-#: A gyro that is off to the same side in this number of dwells in a row has changed: these are no outliers.
-_IN_A_ROW = 3
-#: Degree of the slow course in time that the errors are tested for, with its constant.
+#: Deviations with the same sign in this number of consecutive dwells are a change of the gyro, not outliers.
+_CONSECUTIVE = 3
+#: Degree of the polynomial in time, including its constant, that the errors are tested for.
 _DEGREE = 3
-#: A direction is independent of others that leave at least this share of its length.
+#: Directions shorter than this share of their original length count as dependent.
 _MIN_SHARE = 1e-3
 #: Limits of a ratio of variances, against division by zero.
 _MIN_VARIANCE, _MAX_RATIO = 1e-300, 1e12
@@ -27,11 +27,11 @@ _MIN_VARIANCE, _MAX_RATIO = 1e-300, 1e12
 
 @dataclass(frozen=True)
 class HeldOutTest:
-    """Outcome of the tests; without held-out dwells all p-values are 1."""
+    """Outcome of the tests; all p-values are 1 without held-out dwells."""
 
-    #: For each gyro the smallest p-value of its tests, corrected for the number of tests of all gyros.
+    #: Smallest p-value of each gyro, corrected for the number of tests of all gyros.
     p_values: tuple[float, ...] = (1.0, 1.0, 1.0)
-    #: Biases that are off as outliers are in a search; they count as one standard deviation.
+    #: Outliers by the same limit as in a search; they count as one standard deviation.
     outliers: tuple[Outlier, ...] = ()
 
     @property
@@ -53,23 +53,23 @@ class HeldOutTest:
 def held_out_test(problem: Problem, errors_dph: FloatArray, deviations_dph: FloatArray) -> HeldOutTest:
     """Test the errors of each gyro in the held-out dwells.
 
-    The sum of squares, a slow course in time, and what follows attitude and temperature rate.
+    Tested are the sum of squares, a slow course in time, and terms of attitude and temperature rate.
 
     Parameters
     ----------
     problem : Problem
-        The dwells searched after a fit of the model, and the noise.
+        The dwells searched, after a fit of the model.
     errors_dph : ndarray, shape (n, 3)
-        Measured minus predicted bias in all dwells; NaN where nothing was measured.
+        Measured minus predicted bias in all dwells; NaN if not measured.
     deviations_dph : ndarray, shape (N, n, 3)
-        Bias by each draw of the model's parameters minus the predicted one.
+        Bias for each draw of the model's parameters minus the predicted bias.
 
     Notes
     -----
-    The covariance of the errors is that of the noise and of the draws. The constant of a power cycle that was
-    not searched is free. The sum is without the largest error: a difference must not rest on one dwell. Each
-    p-value is the larger one by the stated noise and by the scatter in the dwells searched, since either may
-    be too small.
+    The covariance of the errors is the sum of those of the noise and of the draws. The constant of a power
+    cycle that was not searched is free. The sum of squares omits the largest error, so that no difference
+    rests on one dwell. Each p-value is the larger of two, one with the stated noise and one with the scatter
+    of the dwells searched, since either may be too small.
     """
     campaign, held_out = problem.campaign, ~problem.searched
     if not held_out.any():
@@ -77,26 +77,31 @@ def held_out_test(problem: Problem, errors_dph: FloatArray, deviations_dph: Floa
     errors_dph, deviations_dph = errors_dph[held_out], deviations_dph[:, held_out]
     noise_dph = campaign.sigma_dph[held_out] * problem.noise_scale
     run = campaign.run[held_out]
-    unseen = np.setdiff1d(run, campaign.run[problem.searched])
-    constants = np.asarray(run[:, np.newaxis] == unseen, dtype=np.float64)
-    course = np.column_stack([np.ones(len(run)), campaign.part(held_out).slow_time(_DEGREE)])
+    unsearched = np.setdiff1d(run, campaign.run[problem.searched])
+    constants = np.asarray(run[:, np.newaxis] == unsearched, dtype=np.float64)
+    time_polynomial = np.column_stack([np.ones(len(run)), campaign.part(held_out).slow_time(_DEGREE)])
     up_body, rate = campaign.up_body[held_out], np.nan_to_num(campaign.rate_c_per_h[held_out])
     prediction_dph = np.sqrt(np.mean(deviations_dph**2, axis=0))
     centred_dph = _without_medians(errors_dph, constants)
-    off = np.nan_to_num(centred_dph / np.hypot(noise_dph, prediction_dph))
-    is_outlier = _are_outliers(off)
-    sigma_dph = noise_dph * np.where(is_outlier, np.abs(off), 1.0)
+    deviations_sigma = np.nan_to_num(centred_dph / np.hypot(noise_dph, prediction_dph))
+    is_outlier = _are_outliers(deviations_sigma)
+    sigma_dph = noise_dph * np.where(is_outlier, np.abs(deviations_sigma), 1.0)
     p_values = []
-    for gyro, known in enumerate(~np.isnan(errors_dph).T):
-        followed = course[known], np.column_stack([up_body, rate[:, gyro]])[known]
-        of_gyro = sigma_dph[known, gyro], deviations_dph[:, known, gyro], constants[known], followed
-        p_values.append(_p_values(problem, gyro, errors_dph[known, gyro], *of_gyro))
-    tests = sum(map(len, p_values))
+    for gyro, is_measured in enumerate(~np.isnan(errors_dph).T):
+        regressors = time_polynomial[is_measured], np.column_stack([up_body, rate[:, gyro]])[is_measured]
+        arguments = (
+            sigma_dph[is_measured, gyro],
+            deviations_dph[:, is_measured, gyro],
+            constants[is_measured],
+            regressors,
+        )
+        p_values.append(_p_values(problem, gyro, errors_dph[is_measured, gyro], *arguments))
+    test_count = sum(map(len, p_values))
     dwells, axes = campaign.dwell[held_out], campaign.quantity.axes
     return HeldOutTest(
-        tuple(min(1.0, tests * min(each, default=1.0)) for each in p_values),
+        tuple(min(1.0, test_count * min(each, default=1.0)) for each in p_values),
         tuple(
-            Outlier(int(dwells[dwell]), axes[gyro], float(off[dwell, gyro]))
+            Outlier(int(dwells[dwell]), axes[gyro], float(deviations_sigma[dwell, gyro]))
             for dwell, gyro in np.argwhere(is_outlier)
         ),
     )
@@ -105,35 +110,35 @@ def held_out_test(problem: Problem, errors_dph: FloatArray, deviations_dph: Floa
 def _without_medians(errors_dph: FloatArray, constants: FloatArray) -> FloatArray:
     """Errors (n, 3) minus their median in each power cycle of ``constants`` (n, r).
 
-    An outlier shifts the mean of all others.
+    The median, since an outlier would shift the mean.
     """
     centred_dph = errors_dph.copy()
-    for gyro, mine in itertools.product(range(3), constants.T > 0.0):
-        known = mine & ~np.isnan(errors_dph[:, gyro])
-        if known.any():
-            centred_dph[known, gyro] -= np.median(errors_dph[known, gyro])
+    for gyro, in_cycle in itertools.product(range(3), constants.T > 0.0):
+        is_used = in_cycle & ~np.isnan(errors_dph[:, gyro])
+        if is_used.any():
+            centred_dph[is_used, gyro] -= np.median(errors_dph[is_used, gyro])
     return centred_dph
 
 
-def _are_outliers(off: FloatArray) -> BoolArray:
-    """Which errors (n, 3) are outliers as in a search; ``off``: in standard deviations.
+def _are_outliers(deviations_sigma: FloatArray) -> BoolArray:
+    """Which deviations (n, 3), in standard deviations, are outliers.
 
-    Of one or two dwells none is. Where those of a gyro are improbably many or follow one another, it has
-    changed, and none of them is.
+    None if there are fewer than three dwells. If a gyro has improbably many or consecutive ones, the gyro has
+    changed and none of them is an outlier.
     """
-    dwells = len(off)
-    if dwells < _IN_A_ROW:
-        return np.zeros(off.shape, dtype=bool)
-    scale = max(1.0, float(np.median(np.abs(off))) / MEDIAN)
-    side = np.where(np.abs(off) > OUTLIER_SIGMA * scale, np.sign(off), 0.0)
-    rows = np.lib.stride_tricks.sliding_window_view(side, _IN_A_ROW, axis=0).sum(axis=2)
-    has_changed = np.any(np.abs(rows) == _IN_A_ROW, axis=0)
-    counts = np.count_nonzero(side, axis=0).tolist()
-    are_many = np.array([_p_of_outliers(count, dwells) < LACK_OF_FIT_P for count in counts])
-    return np.asarray((side != 0.0) & ~has_changed & ~are_many)
+    dwells = len(deviations_sigma)
+    if dwells < _CONSECUTIVE:
+        return np.zeros(deviations_sigma.shape, dtype=bool)
+    scale = max(1.0, float(np.median(np.abs(deviations_sigma))) / MEDIAN_ABS_NORMAL)
+    sign = np.where(np.abs(deviations_sigma) > OUTLIER_SIGMA * scale, np.sign(deviations_sigma), 0.0)
+    sign_sums = np.lib.stride_tricks.sliding_window_view(sign, _CONSECUTIVE, axis=0).sum(axis=2)
+    has_changed = np.any(np.abs(sign_sums) == _CONSECUTIVE, axis=0)
+    counts = np.count_nonzero(sign, axis=0).tolist()
+    has_too_many = np.array([_outlier_count_p_value(count, dwells) < LACK_OF_FIT_P for count in counts])
+    return np.asarray((sign != 0.0) & ~has_changed & ~has_too_many)
 
 
-def _p_of_outliers(count: int, dwells: int) -> float:
+def _outlier_count_p_value(count: int, dwells: int) -> float:
     """Probability of at least this number of outliers of one gyro."""
     fewer = (
         math.comb(dwells, each) * OUTLIER_SHARE**each * (1.0 - OUTLIER_SHARE) ** (dwells - each)
@@ -149,88 +154,92 @@ def _p_values(
     sigma_dph: FloatArray,
     deviations_dph: FloatArray,
     constants: FloatArray,
-    followed: Sequence[FloatArray],
+    regressors: Sequence[FloatArray],
 ) -> list[float]:
-    """p-values of one gyro's tests that its held-out values (k,) allow.
+    """p-values of those tests of one gyro for which its k held-out values suffice.
 
-    ``constants`` (k, r): flags of the power cycles that were not searched. ``followed``: columns (k, c) of
-    what the errors may follow, for one test each.
+    ``constants`` (k, r): flags of the power cycles that were not searched. ``regressors``: columns (k, c) for
+    one test each.
     """
     if not len(errors_dph):
         return []
     covariance = np.diag(sigma_dph**2) + deviations_dph.T @ deviations_dph / len(deviations_dph)
-    root = np.linalg.cholesky(covariance)
-    white = [np.linalg.solve(root, each) for each in (errors_dph[:, np.newaxis], constants, *followed)]
-    free = _directions(white[1], white[1])
-    errors, _, *columns = (each - free @ (free.T @ each) for each in white)
-    along = [_directions(left, whole).T @ errors for left, whole in zip(columns, white[2:], strict=True)]
+    covariance_root = np.linalg.cholesky(covariance)
+    whitened = [
+        np.linalg.solve(covariance_root, each) for each in (errors_dph[:, np.newaxis], constants, *regressors)
+    ]
+    free_basis = _independent_basis(whitened[1], whitened[1])
+    errors, _, *columns = (each - free_basis @ (free_basis.T @ each) for each in whitened)
+    projections = [
+        _independent_basis(remaining, original).T @ errors
+        for remaining, original in zip(columns, whitened[2:], strict=True)
+    ]
     residuals = problem.residuals[:, gyro]
-    own_dof = int(problem.campaign.is_measured[problem.searched, gyro].sum()) - problem.bases[gyro].shape[1]
-    own_variance = float(residuals @ residuals) / max(own_dof, 1)
-    variance = max(problem.chi2 / max(problem.dof, 1), own_variance, _MIN_VARIANCE)
+    gyro_dof = int(problem.campaign.is_measured[problem.searched, gyro].sum()) - problem.bases[gyro].shape[1]
+    gyro_variance = float(residuals @ residuals) / max(gyro_dof, 1)
+    variance = max(problem.chi2 / max(problem.dof, 1), gyro_variance, _MIN_VARIANCE)
 
     def p_value(count: int, chi2: float) -> float:
         ratio = min(chi2 / count / variance, _MAX_RATIO)
-        by_scatter = f_p_value(count, problem.dof, ratio) if problem.dof > 0 else 0.0
-        return max(chi2_p_value(count, chi2), by_scatter)
+        p_scatter = f_p_value(count, problem.dof, ratio) if problem.dof > 0 else 0.0
+        return max(chi2_p_value(count, chi2), p_scatter)
 
     squares = errors**2
     tests = [
-        (len(errors) - free.shape[1] - 1, float(squares.sum() - squares.max())),
-        *((len(each), float(np.sum(each**2))) for each in along),
+        (len(errors) - free_basis.shape[1] - 1, float(squares.sum() - squares.max())),
+        *((len(each), float(np.sum(each**2))) for each in projections),
     ]
     return [p_value(count, chi2) for count, chi2 in tests if count > 0]
 
 
-def _directions(columns: FloatArray, whole: FloatArray) -> FloatArray:
-    """Orthonormal directions (k, r) of columns that keep a share of their ``whole`` length."""
-    lengths = np.maximum(np.linalg.norm(whole, axis=0), _MIN_VARIANCE)
-    left, kept, _ = np.linalg.svd(columns / lengths, full_matrices=False)
-    return np.asarray(left[:, kept > _MIN_SHARE])
+def _independent_basis(columns: FloatArray, originals: FloatArray) -> FloatArray:
+    """Orthonormal basis (k, r) of columns, without those much shorter than their ``originals``."""
+    lengths = np.maximum(np.linalg.norm(originals, axis=0), _MIN_VARIANCE)
+    directions, singular_values, _ = np.linalg.svd(columns / lengths, full_matrices=False)
+    return np.asarray(directions[:, singular_values > _MIN_SHARE])
 
 
-#: What effects predict counts as seen in held-out dwells from this many standard deviations of its size on. A
-#: gyro where it is this many times as large also decides alone.
-_MIN_T, _DECIDES_ALONE = 3.0, 3.0
-#: Range of the size of what effects predict: 1 if they are right.
+#: Held-out dwells confirm a prediction if its fitted size is at least this many standard deviations. A gyro
+#: in which the prediction is this many times as large must also confirm it by itself.
+_MIN_T, _SINGLE_GYRO_FACTOR = 3.0, 3.0
+#: Accepted range of the fitted size of the prediction; 1 if the effects are right.
 _MIN_SIZE, _MAX_SIZE = 0.5, 2.0
-#: Errors beyond this many standard deviations are outliers; held-out dwells are like those searched up to
-#: this ratio of their errors to the noise.
+#: Errors beyond this many standard deviations are outliers. Largest ratio of the errors to the noise with
+#: which held-out dwells can confirm anything.
 _MAX_ERROR, _MAX_HELD_OUT_NOISE = 5.0, 2.0
-_STEPS_TO_SIZE = 30
+_SIZE_ITERATIONS = 30
 
 
 def is_confirmed(before_dph: FloatArray, after_dph: FloatArray, noise_dph: FloatArray) -> bool:
-    """Whether effects reduce the errors in held-out dwells by more than chance, and to their noise.
+    """Whether effects reduce the errors in held-out dwells by more than chance, down to the noise.
 
-    Decided for all gyros together, and for each where the effects predict enough. ``before_dph``,
+    Required of all gyros together, and of each gyro in which the effects predict enough. ``before_dph``,
     ``after_dph`` (n, 3): measured minus predicted bias without and with the effects. ``noise_dph`` (n, 3):
     standard deviation of the noise.
 
-    Notes
-    -----
-    The size of what the effects predict is fitted to the errors without them, outliers at a lower weight: it
-    is 1 if they are right, and 0 if these dwells show nothing of them. Its standard deviation follows from
-    the errors left. The sum of squared errors, an outlier counted as :data:`_MAX_ERROR`, must fall too.
+    Notes ----- The size of the prediction is fitted to the errors without the effects, with a lower weight
+    for outliers: it is 1 if the effects are right, and 0 if these dwells do not show them. Its standard
+    deviation follows from the remaining errors. The sum of squared errors, with outliers clipped at
+    :data:`_MAX_ERROR`, must decrease too.
     """
     before, after = (np.nan_to_num(each / noise_dph) for each in (before_dph, after_dph))
-    lengths = np.linalg.norm(before - after, axis=0)
-    decisive = np.flatnonzero(lengths > _DECIDES_ALONE * _MIN_T)
+    predicted_sizes = np.linalg.norm(before - after, axis=0)
+    decisive = np.flatnonzero(predicted_sizes > _SINGLE_GYRO_FACTOR * _MIN_T)
     pairs = [(before.ravel(), after.ravel()), *((before[:, each], after[:, each]) for each in decisive)]
-    return all(_are_reduced(*each) for each in pairs)
+    return all(_is_reduced(*each) for each in pairs)
 
 
-def _are_reduced(before: FloatArray, after: FloatArray) -> bool:
-    """Whether errors (n,) in units of the noise are reduced by more than chance, and to the noise."""
+def _is_reduced(before: FloatArray, after: FloatArray) -> bool:
+    """Whether errors (n,), in units of the noise, decrease by more than chance, down to the noise."""
     predicted = before - after
-    noise = max(1.0, float(np.median(np.abs(after))) / MEDIAN)
+    noise = max(1.0, float(np.median(np.abs(after))) / MEDIAN_ABS_NORMAL)
     if not predicted.any() or noise > _MAX_HELD_OUT_NOISE:
         return False
     limit, size = _MAX_ERROR * noise, 1.0
-    for _ in range(_STEPS_TO_SIZE):
-        weighted = predicted * limit / np.maximum(np.abs(before - size * predicted), limit)
-        size = float(weighted @ before / (weighted @ predicted))
-    left = np.clip(before - size * predicted, -limit, limit)
-    is_seen = size * float(np.linalg.norm(predicted)) > _MIN_T * max(1.0, rms(left))
-    is_less = rms(np.clip(after, -limit, limit)) < rms(np.clip(before, -limit, limit))
-    return is_seen and is_less and _MIN_SIZE < size < _MAX_SIZE
+    for _ in range(_SIZE_ITERATIONS):
+        weighted_prediction = predicted * limit / np.maximum(np.abs(before - size * predicted), limit)
+        size = float(weighted_prediction @ before / (weighted_prediction @ predicted))
+    remaining = np.clip(before - size * predicted, -limit, limit)
+    is_observed = size * float(np.linalg.norm(predicted)) > _MIN_T * max(1.0, rms(remaining))
+    is_smaller = rms(np.clip(after, -limit, limit)) < rms(np.clip(before, -limit, limit))
+    return is_observed and is_smaller and _MIN_SIZE < size < _MAX_SIZE

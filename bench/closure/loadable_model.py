@@ -17,44 +17,46 @@ from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import plain_name
 from gyrobench.drivers.ins.compensation import CORRECTION_DEGREE, PARAMETER_NAMES, Compensation, Correction
 
-#: Terms that an INS has for other coefficients than the gyros' biases, as they are called for these.
-_OF_OTHERS = {"polynomial_dph", "rate_dph_per_c_per_h", "rate_limit_c_per_h", "gravity_dph_per_g"}
-#: What follows gravity at rest as the bias of a quantity would: a part of the sensors' matrix.
-_SEEN_AS_GRAVITY = {"accelerometer_bias": ("accelerometer_scale", "accelerometer_misalignment")}
-#: Coefficients that several effects may contribute to.
+#: Terms that an INS has also for coefficients other than gyro biases, with their names for gyro biases.
+_TERMS_OF_COEFFICIENTS = {"polynomial_dph", "rate_dph_per_c_per_h", "rate_limit_c_per_h", "gravity_dph_per_g"}
+#: Elements of the sensors' matrix that follow gravity at rest like the biases of a quantity.
+_FOLLOWS_GRAVITY = {"accelerometer_bias": ("accelerometer_scale", "accelerometer_misalignment")}
+#: Coefficients to which several effects may contribute.
 _SUMMED = ("polynomial_dph", "gradient_dph_per_k")
 
 
 @dataclass(frozen=True, eq=False)
 class LoadableModel:
-    """A bias model as an INS can subtract it."""
+    """The part of a bias model that an INS can subtract."""
 
     #: Limited to the temperatures, rates and differences that were fitted, with standard uncertainties.
     compensation: Compensation
-    effects: tuple[str, ...]  #: Names of the effects in it.
-    notes: tuple[str, ...]  #: What of the model is not in it, or only in part; sentences without a period.
-    is_limited: bool = True  #: Whether the INS gets the limits of temperature; without them it extrapolates.
+    effects: tuple[str, ...]  #: Names of the effects included.
+    notes: tuple[str, ...]  #: Parts of the model that are left out or only partly included; without a period.
+    is_limited: bool = True  #: Whether the INS gets the temperature limits; without them it extrapolates.
 
 
 def declared_model(closure: Closure) -> LoadableModel:
-    """The declared model alone: a polynomial for each gyro.
+    """Loadable form of the declared model: a polynomial for each gyro.
 
-    Its constant is the mean over the power cycles searched: the best estimate for the next one.
+    Its constant is the mean over the power cycles searched, which is the best estimate for the next one.
     """
-    coefficients = _declared(closure, closure.declared.declared)
-    sigma = _sigma(coefficients, lambda index: _declared(closure, closure.declared_draws.declared[index]))
+    coefficients = _declared_coefficients(closure, closure.declared.declared)
+    sigma = _sigma(
+        coefficients, lambda index: _declared_coefficients(closure, closure.declared_draws.declared[index])
+    )
     return LoadableModel(_compensation(coefficients, sigma), (), (_constant_note(closure),))
 
 
 def model_with_effects(closure: Closure) -> LoadableModel:
-    """The model with the effects found, as far as an INS can subtract them.
+    """Loadable form of the model with the effects found, as far as an INS can subtract them.
 
     Raises MeasurementError if an effect of another package names a coefficient that an INS does not have.
     """
     loaded, notes = [], [_constant_note(closure)]
     for found in closure.effects:
         name = found.effect.display_name
-        terms = _terms(closure, found)
+        terms = _ins_terms(closure, found)
         if terms.left_out:
             notes.append(f"{name} is left out: {terms.left_out}")
             continue
@@ -70,83 +72,96 @@ def model_with_effects(closure: Closure) -> LoadableModel:
         if found.tied_with:
             rivals = " or ".join(map(closure.label, found.tied_with))
             notes.append(f"{name} is loaded, but {rivals} fits the data equally well")
-    coefficients = _with_terms(closure, closure.model.declared, [_terms(closure, each) for each in loaded])
+    coefficients = _coefficients(
+        closure, closure.model.declared, [_ins_terms(closure, each) for each in loaded]
+    )
     draws = closure.model_draws
 
-    def drawn(index: int) -> dict[str, FloatArray]:
-        terms = [_terms(closure, each, draws, index) for each in loaded]
-        return _with_terms(closure, draws.declared[index], terms)
+    def coefficients_of_draw(index: int) -> dict[str, FloatArray]:
+        terms = [_ins_terms(closure, each, draws, index) for each in loaded]
+        return _coefficients(closure, draws.declared[index], terms)
 
-    compensation = _compensation(coefficients, _sigma(coefficients, drawn))
+    compensation = _compensation(coefficients, _sigma(coefficients, coefficients_of_draw))
     return LoadableModel(compensation, tuple(each.effect.name for each in loaded), tuple(notes))
 
 
 def with_coefficients(model: LoadableModel, closures: Iterable[Closure], *, effects: bool) -> LoadableModel:
-    """A model of the gyros' biases with what an INS can take of other coefficients.
+    """Model of the gyro biases, with models of other coefficients added as far as an INS can subtract them.
 
-    ``closures``: searches of these. ``effects``: whether with the effects that they found. Without one the
-    polynomial that the model has already stays: searches see less, of accelerometers single dwells.
+    ``closures``: searches of these coefficients. ``effects``: whether to include the effects that they found.
+    A coefficient without effects keeps the polynomial that ``model`` already has, which rests on more data
+    than a search.
     """
     corrections = dict(model.compensation.coefficients)
-    limit, names, notes = model.compensation.rate_limit_c_per_h.copy(), list(model.effects), list(model.notes)
+    rate_limit, names, notes = (
+        model.compensation.rate_limit_c_per_h.copy(),
+        list(model.effects),
+        list(model.notes),
+    )
     for closure in closures:
         quantity, loaded = closure.quantity, []
-        for found in closure.effects if effects else ():
-            terms = _terms(closure, found)
-            label = f"{found.effect.display_name} in the {plain_name(quantity.name)}"
-            is_gravity = found.effect.as_misalignment is not None or "gravity_dph_per_g" in terms.coefficients
+        for effect in closure.effects if effects else ():
+            terms = _ins_terms(closure, effect)
+            label = f"{effect.effect.display_name} in the {plain_name(quantity.name)}"
+            is_gravity = (
+                effect.effect.as_misalignment is not None or "gravity_dph_per_g" in terms.coefficients
+            )
             if is_gravity and any(
-                each.startswith(_SEEN_AS_GRAVITY.get(quantity.name, ())) for each in corrections
+                each.startswith(_FOLLOWS_GRAVITY.get(quantity.name, ())) for each in corrections
             ):
                 notes.append(
                     f"the effect {label} is left out: scale factors and misalignments compensate it already"
                 )
                 continue
             degree = terms.coefficients.get("polynomial_dph", np.zeros((3, 1))).shape[1] - 1
-            if terms.left_out or terms.coefficients.keys() - _OF_OTHERS or degree > CORRECTION_DEGREE:
+            if (
+                terms.left_out
+                or terms.coefficients.keys() - _TERMS_OF_COEFFICIENTS
+                or degree > CORRECTION_DEGREE
+            ):
                 reason = terms.left_out or "the INS has no term for it there"
                 notes.append(f"the effect {label} is left out: {reason}")
                 continue
             loaded.append(terms)
-            names.append(f"{found.effect.name} in {quantity.name}")
+            names.append(f"{effect.effect.name} in {quantity.name}")
         solution = (closure.model if effects else closure.declared).declared
-        numbers = _with_terms(closure, solution, loaded)
-        np.maximum.at(limit, list(quantity.sensors), numbers.get("rate_limit_c_per_h", np.zeros(3)))
-        rates = numbers.get("rate_dph_per_c_per_h", np.zeros(3))
-        gravity = numbers.get("gravity_dph_per_g", np.zeros((3, 3)))
+        coefficients = _coefficients(closure, solution, loaded)
+        np.maximum.at(rate_limit, list(quantity.sensors), coefficients.get("rate_limit_c_per_h", np.zeros(3)))
+        rates = coefficients.get("rate_dph_per_c_per_h", np.zeros(3))
+        gravity = coefficients.get("gravity_dph_per_g", np.zeros((3, 3)))
         is_measured = closure.campaign.is_measured[closure.searched]
         gyro_c = closure.campaign.gyro_c[closure.searched]
-        for place, coefficient in enumerate(quantity.coefficients):
-            at_c = gyro_c[is_measured[:, place], place]
-            if len(at_c) and (loaded or coefficient not in corrections):
+        for index, coefficient in enumerate(quantity.coefficients):
+            measured_c = gyro_c[is_measured[:, index], index]
+            if len(measured_c) and (loaded or coefficient not in corrections):
                 corrections[coefficient] = Correction(
-                    numbers["polynomial_dph"][place],
-                    float(rates[place]),
-                    gravity[place],
-                    (float(at_c.min()), float(at_c.max())),
+                    coefficients["polynomial_dph"][index],
+                    float(rates[index]),
+                    gravity[index],
+                    (float(measured_c.min()), float(measured_c.max())),
                 )
-    compensation = replace(model.compensation, coefficients=corrections, rate_limit_c_per_h=limit)
+    compensation = replace(model.compensation, coefficients=corrections, rate_limit_c_per_h=rate_limit)
     return replace(model, compensation=compensation, effects=tuple(names), notes=tuple(notes))
 
 
 def _compensation(coefficients: Mapping[str, FloatArray], sigma: Mapping[str, FloatArray]) -> Compensation:
-    numbers: dict[str, Any] = {**coefficients, "sigma": sigma}
-    return Compensation(**numbers)
+    arguments: dict[str, Any] = {**coefficients, "sigma": sigma}
+    return Compensation(**arguments)
 
 
-def _terms(closure: Closure, found: FoundEffect, draws: Draws | None = None, index: int = 0) -> InsTerms:
-    """What an INS subtracts of an effect: as fitted, or as drawn."""
-    candidate, name = found.candidate, found.effect.name
-    values, sizes = candidate.values, found.sizes_dph
+def _ins_terms(closure: Closure, effect: FoundEffect, draws: Draws | None = None, index: int = 0) -> InsTerms:
+    """Terms with which an INS subtracts an effect: as fitted, or for one draw."""
+    candidate, name = effect.candidate, effect.effect.name
+    values, sizes = candidate.values, effect.sizes_dph
     if draws is not None:
         values, sizes = tuple(draws.values[name][index].tolist()), draws.sizes_dph[name][index]
     fitted = FittedForm(closure.campaign, closure.searched, candidate.form, values, sizes)
-    return found.effect.compensation(fitted)
+    return effect.effect.compensation(fitted)
 
 
-def _with_terms(closure: Closure, solution: FloatArray, terms: Sequence[InsTerms]) -> dict[str, FloatArray]:
-    """Numbers of the declared model and of effects."""
-    coefficients = _declared(closure, solution)
+def _coefficients(closure: Closure, solution: FloatArray, terms: Sequence[InsTerms]) -> dict[str, FloatArray]:
+    """Coefficients of the declared model and of effects."""
+    coefficients = _declared_coefficients(closure, solution)
     for each in terms:
         for key, values in each.coefficients.items():
             is_sum = key in coefficients and key in _SUMMED
@@ -155,10 +170,10 @@ def _with_terms(closure: Closure, solution: FloatArray, terms: Sequence[InsTerms
 
 
 def _sigma(
-    stated: Mapping[str, FloatArray], drawn: Callable[[int], Mapping[str, FloatArray]]
+    stated: Mapping[str, FloatArray], coefficients_of_draw: Callable[[int], Mapping[str, FloatArray]]
 ) -> dict[str, FloatArray]:
-    """Standard uncertainties of numbers, from those of each draw; limits have none."""
-    draws = [drawn(index) for index in range(DRAWS)]
+    """Standard uncertainties of coefficients, from their values in each draw; limits have none."""
+    draws = [coefficients_of_draw(index) for index in range(DRAWS)]
     sigma = {
         name: np.sqrt(np.mean([(each[name] - value) ** 2 for each in draws], axis=0))
         for name, value in stated.items()
@@ -166,17 +181,17 @@ def _sigma(
     return {name: value for name, value in sigma.items() if value.any()}
 
 
-def _sum(coefficients: FloatArray, more: FloatArray) -> FloatArray:
+def _sum(coefficients: FloatArray, added: FloatArray) -> FloatArray:
     """Sum of coefficients; a shorter polynomial has zeros for the missing degrees."""
-    if more.ndim == 1:
-        return coefficients + more
-    degree = max(coefficients.shape[1], more.shape[1])
-    longer = [np.pad(each, ((0, 0), (0, degree - each.shape[1]))) for each in (coefficients, more)]
-    return np.asarray(longer[0] + longer[1])
+    if added.ndim == 1:
+        return coefficients + added
+    degree = max(coefficients.shape[1], added.shape[1])
+    padded = [np.pad(each, ((0, 0), (0, degree - each.shape[1]))) for each in (coefficients, added)]
+    return np.asarray(padded[0] + padded[1])
 
 
-def _declared(closure: Closure, solution: FloatArray) -> dict[str, FloatArray]:
-    """Polynomial in degrees Celsius and its limits, from (3, DEGREE + runs) coefficients."""
+def _declared_coefficients(closure: Closure, solution: FloatArray) -> dict[str, FloatArray]:
+    """Polynomial in degrees Celsius and its temperature limits, from coefficients (3, DEGREE + runs)."""
     powers = solution[:, :DEGREE] / SCALE_C ** np.arange(1, DEGREE + 1)
     constants = _constants(closure, solution).mean(axis=1, keepdims=True)
     gyro_c = closure.campaign.gyro_c[closure.searched]
@@ -188,7 +203,7 @@ def _declared(closure: Closure, solution: FloatArray) -> dict[str, FloatArray]:
 
 
 def _constants(closure: Closure, solution: FloatArray) -> FloatArray:
-    """Constants (3, runs) of the power cycles searched; a part of one dwell is not enough."""
+    """Constants (3, runs) of the power cycles searched that have at least one whole dwell."""
     runs = np.unique(closure.campaign.run[closure.searched])
     return np.asarray(solution[:, DEGREE + runs])
 

@@ -1,4 +1,4 @@
-"""Closing the loop on one campaign: residual, effects, verdict, error before and after."""
+"""Closes the loop on one campaign: residual, effects, verdict, error before and after."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from gyrobench.bench.closure.problem import DEGREE, Problem, Solution, declared_
 from gyrobench.bench.closure.search import Search
 from gyrobench.bench.closure.selection import Selected, select
 from gyrobench.bench.closure.uncertainty import Draws, draw, interval
-from gyrobench.bench.closure.validation import LackOfFit, lack_of_fit, leave_out_cycles, measured_minus
+from gyrobench.bench.closure.validation import LackOfFit, lack_of_fit, leave_out_cycles, measured_minus_model
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, nan_rms, rms
 from gyrobench.bench.foundations.errors import MeasurementError, RunFolderError
 from gyrobench.bench.foundations.text import counted, listed
@@ -32,66 +32,76 @@ from gyrobench.bench.runs.folder import RunFolder
 
 #: Verdict without a search.
 NOT_SEARCHED = "not searched"
-#: Fewest degrees of freedom of the three gyros together beside the declared model.
+#: Smallest number of degrees of freedom of the three gyros together with the declared model.
 _MIN_DOF = 18
 
 
 def close_loop(
     campaign: Campaign, hold_out_cycles: Sequence[int] = (), effects: Sequence[Effect] | None = None
 ) -> Closure:
-    """Search a campaign for effects that the declared model lacks.
+    """Search a campaign for effects that the declared model lacks, and test them on held-out cycles.
 
-    Raises MeasurementError if there is no such cycle, or too little is left without it. Raises DocumentError
-    if an effect of another package or of a file can't be used.
+    Raises MeasurementError if a cycle to hold out does not exist, or too few dwells remain without it. Raises
+    DocumentError if an effect of another package or of a file can't be used.
 
     Parameters
     ----------
     campaign : Campaign
         The measured dwells.
     hold_out_cycles : sequence of int
-        Cycles that the search does not use; by default :attr:`Campaign.last_cycle`, of one cycle none.
+        Cycles that the search does not use; by default :attr:`Campaign.last_cycle`, none if there is only
+        one.
     effects : sequence of Effect, optional
-        Candidates; by default all installed ones and those of the user's files.
+        Candidate effects; by default all installed ones and those of the user's files.
     """
     sensor = campaign.quantity.sensor
     candidates = all_effects(*campaign.sources, sensor=sensor) if effects is None else tuple(effects)
-    searched = _searched(campaign, hold_out_cycles)
+    searched = _dwells_to_search(campaign, hold_out_cycles)
     campaign = campaign.holding_out(np.unique(campaign.cycle[~searched]).tolist())
-    return _closure(campaign, searched, candidates)
+    return _search_and_test(campaign, searched, candidates)
 
 
 def without_search(campaign: Campaign) -> Closure:
-    """The declared model fitted to all dwells, with the verdict "not searched".
+    """Fit the declared model to all dwells, with the verdict "not searched".
 
-    For a campaign of one cycle, where none can be held out. Raises MeasurementError if it has too few dwells.
+    For a campaign of one cycle, which can't be held out. Raises MeasurementError if it has too few dwells.
     """
-    return replace(_closure(campaign, _searched(campaign, ()), ()), verdict=NOT_SEARCHED)
+    return replace(_search_and_test(campaign, _dwells_to_search(campaign, ()), ()), verdict=NOT_SEARCHED)
 
 
-def _closure(campaign: Campaign, searched: BoolArray, candidates: Sequence[Effect]) -> Closure:
-    """Search the dwells ``searched`` (n,); the errors in the others are NaN where there are none."""
+def _search_and_test(campaign: Campaign, searched: BoolArray, candidates: Sequence[Effect]) -> Closure:
+    """Search the dwells ``searched`` (n,) and test the others; errors are NaN if no dwells are held out."""
     selected = select(campaign, searched, candidates)
-    search, found, posterior, after = selected.search, selected.found, selected.posterior, selected.after
+    search, accepted, posterior, residual_test = (
+        selected.search,
+        selected.accepted,
+        selected.posterior,
+        selected.residual_test,
+    )
     problem = search.problem
-    declared, model = (solve_with(problem, each) for each in ((), found.candidates))
-    declared_draws, model_draws = (draw(problem, each) for each in ((), found.candidates))
-    errors_dph = [measured_minus(campaign, searched, each) for each in (declared, model)]
+    declared, model = (solve_with(problem, each) for each in ((), accepted.candidates))
+    declared_draws, model_draws = (draw(problem, each) for each in ((), accepted.candidates))
+    errors_dph = [measured_minus_model(campaign, searched, each) for each in (declared, model)]
     before_dph, after_dph = (each[~searched] for each in errors_dph)
     held_out = held_out_test(
-        after_fit(problem, found.candidates), errors_dph[1], model_draws.bias_dph(campaign) - model.bias_dph
+        after_fit(problem, accepted.candidates),
+        errors_dph[1],
+        model_draws.bias_dph(campaign) - model.bias_dph,
     )
     noise_dph = campaign.sigma_dph[~searched] * problem.noise_scale
-    others = campaign.part(~searched)
-    circular = tuple(each.effect.name for each in found.candidates if _is_circular(each.effect, others))
+    held_out_part = campaign.part(~searched)
+    circular = tuple(
+        each.effect.name for each in accepted.candidates if _is_circular(each.effect, held_out_part)
+    )
     return Closure(
         campaign=campaign,
         searched=searched,
         verdict=_verdict(
-            found,
-            after,
+            accepted,
+            residual_test,
             posterior,
             held_out,
-            is_confirmed=bool(found.candidates)
+            is_confirmed=bool(accepted.candidates)
             and not searched.all()
             and not circular
             and is_confirmed(before_dph, after_dph, noise_dph),
@@ -99,11 +109,11 @@ def _closure(campaign: Campaign, searched: BoolArray, candidates: Sequence[Effec
         circular=circular,
         posterior=posterior,
         not_accepted=selected.not_accepted,
-        detectable_dph=detectable_dph(selected.with_effects),
-        effects=_found_effects(search, found, model, model_draws, posterior),
-        evidence=_evidence(selected),
+        detectable_dph=detectable_dph(selected.problem_with_effects),
+        effects=_describe_effects(search, accepted, model, model_draws, posterior),
+        evidence=_candidate_results(selected),
         before=lack_of_fit(problem, 0),
-        after=after,
+        after=residual_test,
         held_out=held_out,
         declared=declared,
         model=model,
@@ -120,29 +130,29 @@ def _closure(campaign: Campaign, searched: BoolArray, candidates: Sequence[Effec
 
 
 def repeat_search(folder: Path) -> Closure:
-    """Repeat the search of which the files are in a folder, on its tables.
+    """Repeat the search whose files are in a folder, on the same tables.
 
-    ``folder``: as ``gyrobench close`` writes it, or the run folder that it is in. Tables that are not at
-    their path are looked for beside the folder. Raises RunFolderError if there is no search, it is damaged,
-    or its tables are missing; DocumentError or MeasurementError if the tables can't be used.
+    ``folder``: written by ``gyrobench close``, or the run folder that contains it. A table that is not at its
+    path is looked for beside the folder. Raises RunFolderError if there is no search, it is damaged, or its
+    tables are missing; DocumentError or MeasurementError if the tables can't be used.
     """
     folder = folder if holds_search(folder) else RunFolder(folder).closure
-    beside = RunFolder(folder.parent)
-    own = beside.path if beside.journal.exists() else beside.dwells
-    names = read_tables(folder) or [str(own)]
+    run = RunFolder(folder.parent)
+    run_table = run.path if run.journal.exists() else run.dwells
+    table_names = read_tables(folder) or [str(run_table)]
     paths = []
-    for path in map(Path, names):
-        places = [path, beside.path / path.name, *([own] if len(names) == 1 else [])]
-        if not any(place.exists() for place in places):
+    for path in map(Path, table_names):
+        candidate_paths = [path, run.path / path.name, *([run_table] if len(table_names) == 1 else [])]
+        if not any(candidate.exists() for candidate in candidate_paths):
             raise RunFolderError(
                 f"{folder}: the table searched, {path}, is not there. Repeat gyrobench close"
             )
-        paths.append(next(place for place in places if place.exists()))
+        paths.append(next(candidate for candidate in candidate_paths if candidate.exists()))
     return close_loop(read_campaign(*paths, quantity=read_quantity(folder)), read_held_out_cycles(folder))
 
 
 def composed(closure: Closure) -> Closure:
-    """Same closure with laws composed from the grammar of effects, if the dwells searched are unexplained."""
+    """The closure with laws composed from the grammar of effects, if the dwells searched are unexplained."""
     if closure.verdict != "unexplained" or closure.differs_held_out:
         return closure
     problem = closure.noise.problem(closure.campaign, closure.searched)
@@ -150,7 +160,7 @@ def composed(closure: Closure) -> Closure:
 
 
 def hold_out_each(closure: Closure) -> Closure:
-    """Same closure with the outcome of a search for each cycle, held out alone."""
+    """The closure with the outcome of one more search for each cycle, which holds out only that cycle."""
     campaign, effects = closure.campaign, [each.effect for each in closure.evidence]
     return replace(
         closure,
@@ -173,150 +183,163 @@ def _with_cycle_held_out(campaign: Campaign, cycle: int, effects: Sequence[Effec
     )
 
 
-def too_few_dwells(campaign: Campaign, searched: BoolArray) -> str:
-    """Why the dwells ``searched`` (n,) can't be searched, and what to measure; empty if they can."""
+def reason_too_few_dwells(campaign: Campaign, searched: BoolArray) -> str:
+    """Reason why the dwells ``searched`` (n,) can't be searched, and what to measure; empty if they can."""
     dof, row = declared_problem(campaign, searched).dof, campaign.quantity.row
     if dof >= _MIN_DOF:
         return ""
     cycles = sorted(set(campaign.cycle[~searched].tolist()))
-    without = f" without cycle {_numbers(cycles)}" if cycles else ""
+    omitted = f" without cycle {_cycle_list(cycles)}" if cycles else ""
     needed = _MIN_DOF // 3 + DEGREE + len(np.unique(campaign.run[searched]))
     return (
         f"a cubic in temperature leaves {dof} degrees of freedom in {counted(int(searched.sum()), row)}"
-        f"{without}, required: {_MIN_DOF}. Measure the profile at least twice, each time with {needed} "
+        f"{omitted}, required: {_MIN_DOF}. Measure the profile at least twice, each time with {needed} "
         f"{row}s or more, at temperatures reached from below and from above"
     )
 
 
-def _searched(campaign: Campaign, hold_out_cycles: Sequence[int]) -> BoolArray:
+def _dwells_to_search(campaign: Campaign, hold_out_cycles: Sequence[int]) -> BoolArray:
     cycles = campaign.cycles
     held_out = list(hold_out_cycles) or [campaign.last_cycle] * (len(cycles) > 1)
     unknown = sorted(set(held_out) - set(cycles))
     if unknown:
         raise MeasurementError(
-            f"there is no cycle {_numbers(unknown)} to hold out; the table has {_numbers(cycles)}"
+            f"there is no cycle {_cycle_list(unknown)} to hold out; the table has {_cycle_list(cycles)}"
         )
     if len(cycles) == len(set(held_out)):
         raise MeasurementError(
-            f"with cycle {_numbers(held_out)} held out nothing remains to search. Measure the profile at "
+            f"with cycle {_cycle_list(held_out)} held out nothing remains to search. Measure the profile at "
             "least twice, preferably three times"
         )
     searched: BoolArray = ~np.isin(campaign.cycle, held_out)
-    if text := too_few_dwells(campaign, searched):
-        raise MeasurementError(text)
+    if reason := reason_too_few_dwells(campaign, searched):
+        raise MeasurementError(reason)
     return searched
 
 
 def _verdict(
-    found: Hypothesis, after: LackOfFit, posterior: Posterior, held_out: HeldOutTest, *, is_confirmed: bool
+    accepted: Hypothesis,
+    residual_test: LackOfFit,
+    posterior: Posterior,
+    held_out: HeldOutTest,
+    *,
+    is_confirmed: bool,
 ) -> str:
-    if after.is_significant or posterior.not_on_list > 0.5:
+    if residual_test.is_significant or posterior.unlisted_probability > 0.5:
         return "unexplained"
-    if not found.candidates:
+    if not accepted.candidates:
         if held_out.is_significant:
             return "unexplained"
-        return "clean" if posterior.nothing >= CLEAN else "ambiguous"
-    is_settled = posterior.of_all(found.names) >= EXPLAINED and not posterior.rivals(found.names)
-    return "explained" if is_settled and is_confirmed and not held_out.is_significant else "ambiguous"
+        return "clean" if posterior.no_effect_probability >= CLEAN else "ambiguous"
+    is_certain = posterior.joint_probability(accepted.names) >= EXPLAINED and not posterior.rivals(
+        accepted.names
+    )
+    return "explained" if is_certain and is_confirmed and not held_out.is_significant else "ambiguous"
 
 
 def _is_circular(effect: Effect, held_out: Campaign) -> bool:
-    """Whether a law was composed from held-out dwells, or from their runs if its dwells are not known."""
+    """Whether a law was composed from held-out dwells, or from their runs if its dwells are unknown."""
     if effect.composed_from_dwells:
         return not set(effect.composed_from_dwells).isdisjoint(held_out.fingerprints)
     return not {held_out.run_names[run] for run in held_out.run}.isdisjoint(effect.composed_from)
 
 
-def _found_effects(
-    search: Search, found: Hypothesis, model: Solution, draws: Draws, posterior: Posterior
+def _describe_effects(
+    search: Search, accepted: Hypothesis, model: Solution, draws: Draws, posterior: Posterior
 ) -> tuple[FoundEffect, ...]:
     problem, quantity = search.problem, search.problem.campaign.quantity
     result = []
-    for index, each in enumerate(found.candidates):
+    for index, each in enumerate(accepted.candidates):
         sizes = model.sizes[index]
-        left_out_cycles = leave_out_cycles(problem, found.without(each), found.candidates)
-        part = np.einsum("ngk,gk->ng", each.columns(problem.campaign), sizes)[problem.searched]
-        part = part - part.mean(axis=0)
+        left_out_cycles = leave_out_cycles(problem, accepted.without(each), accepted.candidates)
+        effect_dph = np.einsum("ngk,gk->ng", each.columns(problem.campaign), sizes)[problem.searched]
+        effect_dph = effect_dph - effect_dph.mean(axis=0)
         values, sizes_drawn = (drawn[each.effect.name] for drawn in (draws.values, draws.sizes_dph))
-        parts = draws.effect_dph(problem.campaign, each.effect.name)[:, problem.searched]
-        parts -= parts.mean(axis=1, keepdims=True)
+        drawn_dph = draws.effect_dph(problem.campaign, each.effect.name)[:, problem.searched]
+        drawn_dph -= drawn_dph.mean(axis=1, keepdims=True)
         weights = each.form.weights(problem.campaign, each.values)
-        weights_drawn = np.array([each.form.weights(problem.campaign, tuple(one)) for one in values])
-        shows = search.shows(found, index)
+        weights_drawn = np.array(
+            [each.form.weights(problem.campaign, tuple(values_drawn)) for values_drawn in values]
+        )
+        is_significant = search.significant_gyros(accepted, index)
         result.append(
             FoundEffect(
                 candidate=each,
                 sizes_dph=sizes,
-                axes=tuple(axis for axis, seen in zip(quantity.axes, shows, strict=True) if seen),
-                p_value=search.p_value(found, index),
+                axes=tuple(axis for axis, seen in zip(quantity.axes, is_significant, strict=True) if seen),
+                p_value=search.p_value(accepted, index),
                 candidate_fits=search.candidate_fits(each.effect),
-                rms_dph=rms(part),
+                rms_dph=rms(effect_dph),
                 gains={cycle: left_out.gain for cycle, left_out in left_out_cycles.items()},
-                tied_with=posterior.tied_with(found.names, each.effect.name),
-                probability=posterior.of_all([each.effect.name], has_remainder=None),
+                tied_with=posterior.tied_with(accepted.names, each.effect.name),
+                probability=posterior.joint_probability([each.effect.name], has_remainder=None),
                 sizes_sigma_dph=draws.sigma(sizes_drawn, sizes),
                 values_sigma=draws.sigma(values, np.array(each.values)),
-                rms_sigma_dph=float(draws.sigma(np.sqrt(np.mean(parts**2, axis=(1, 2))), rms(part))),
+                rms_sigma_dph=float(
+                    draws.sigma(np.sqrt(np.mean(drawn_dph**2, axis=(1, 2))), rms(effect_dph))
+                ),
                 values_range=tuple(map(interval, each.form.parameters, each.values, values.T)),
                 weights=weights,
                 weighted_sigma_dph=draws.sigma(sizes_drawn * weights_drawn[:, None, :], sizes * weights),
                 quantity=quantity,
-                other_forms=tuple(_other_forms(problem, found, each, posterior)),
+                other_forms=tuple(_describe_other_forms(problem, accepted, each, posterior)),
             )
         )
     return tuple(sorted(result, key=lambda each: -each.rms_dph))
 
 
-def _other_forms(
-    problem: Problem, found: Hypothesis, one: Candidate, posterior: Posterior
+def _describe_other_forms(
+    problem: Problem, accepted: Hypothesis, candidate: Candidate, posterior: Posterior
 ) -> Iterator[OtherForm]:
-    for probability, candidates in posterior.other_forms(found.names, one):
-        [other] = [each for each in candidates if each.effect.name == one.effect.name]
+    for probability, candidates in posterior.other_forms(accepted.names, candidate):
+        [other] = [each for each in candidates if each.effect.name == candidate.effect.name]
         drawn = draw(problem, candidates)
         values = drawn.values[other.effect.name]
         ranges = tuple(map(interval, other.form.parameters, other.values, values.T))
         yield OtherForm(other, probability, drawn.sigma(values, np.array(other.values)), ranges)
 
 
-def _evidence(selected: Selected) -> tuple[CandidateResult, ...]:
-    search, found = selected.search, selected.found
+def _candidate_results(selected: Selected) -> tuple[CandidateResult, ...]:
+    search, accepted = selected.search, selected.accepted
     problem = search.problem
     excess = problem.chi2 - problem.dof
 
-    def odds(alone: Hypothesis) -> float:
-        return search.evidences.log_odds(found, alone)
+    def odds(single_effect: Hypothesis) -> float:
+        return search.evidences.log_odds(accepted, single_effect)
 
     result = []
     for effect in search.effects:
-        alone = search.alone.get(effect.name)
+        single_effect = search.single_effects.get(effect.name)
         missing = effect.missing_input(problem.campaign)
         if missing:
             result.append(CandidateResult(effect, missing))
-        elif alone is None:
+        elif single_effect is None:
             rejected = selected.rejection(effect)
             result.append(CandidateResult(effect, log_odds_against=odds(search.declared), rejected=rejected))
         else:
-            share = (problem.chi2 - alone.chi2) / excess if excess > 0.0 else np.nan
-            p_value, rejected = search.p_value(alone, 0), selected.rejection(effect)
+            share = (problem.chi2 - single_effect.chi2) / excess if excess > 0.0 else np.nan
+            p_value, rejected = search.p_value(single_effect, 0), selected.rejection(effect)
             result.append(
-                CandidateResult(effect, None, alone.candidates[0], share, p_value, odds(alone), rejected)
+                CandidateResult(
+                    effect, None, single_effect.candidates[0], share, p_value, odds(single_effect), rejected
+                )
             )
     return tuple(sorted(result, key=lambda each: (each.missing_input is not None, each.log_odds_against)))
 
 
-def _numbers(cycles: Sequence[int]) -> str:
+def _cycle_list(cycles: Sequence[int]) -> str:
     return listed(list(map(str, cycles)))
 
 
 def _rms_sigma(errors_dph: FloatArray, noise_dph: FloatArray) -> float:
-    """Standard uncertainty of an rms error by the noise of what was measured; NaN of none.
+    """Standard uncertainty of an rms error due to noise; NaN without measured errors.
 
-    The square of an error with the noise s has the variance ``2 s^4 + 4 s^2 d^2`` with its true part d.
+    The square of an error with noise s and true part d has the variance ``2 s^4 + 4 s^2 d^2``.
     """
-    known = ~np.isnan(errors_dph)
-    if not known.any():
+    is_measured = ~np.isnan(errors_dph)
+    if not is_measured.any():
         return np.nan
-    errors_dph, noise_dph = errors_dph[known], noise_dph[known]
-    true = max(float(np.sum(errors_dph**2) - np.sum(noise_dph**2)), 0.0) / errors_dph.size
-    variance = np.sum(2.0 * noise_dph**4 + 4.0 * noise_dph**2 * true)
+    errors_dph, noise_dph = errors_dph[is_measured], noise_dph[is_measured]
+    true_square = max(float(np.sum(errors_dph**2) - np.sum(noise_dph**2)), 0.0) / errors_dph.size
+    variance = np.sum(2.0 * noise_dph**4 + 4.0 * noise_dph**2 * true_square)
     return float(np.sqrt(variance)) / (2.0 * errors_dph.size * max(rms(errors_dph), 1e-300))

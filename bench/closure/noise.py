@@ -1,7 +1,7 @@
-"""Noise of the measured biases: its ratio to the stated uncertainties, and dwells far beyond it.
+"""Noise of the measured biases: its ratio to the stated uncertainties, and outliers.
 
-Noise is what follows nothing: scatter beside a model of which the residual has no structure. Outliers are
-down-weighted in the fit: each gets the standard deviation by which it is off.
+Noise is the scatter about a model whose residual has no structure. Outliers are down-weighted in the fit:
+each gets its deviation from the model as its standard deviation.
 """
 
 from __future__ import annotations
@@ -23,28 +23,28 @@ from gyrobench.bench.navigation.positions import AXES
 
 #: A measured bias further from the model than this many standard deviations is an outlier.
 OUTLIER_SIGMA = 5.0
-#: Median of the absolute value of a standard normal number.
-MEDIAN = 0.6745
-#: With a larger share the outliers are no exceptions: all count in full.
-_MAX_OUTLIERS = 0.1
+#: Median of the absolute value of a standard normal variable.
+MEDIAN_ABS_NORMAL = 0.6745
+#: If a larger share are outliers, none is down-weighted.
+_MAX_OUTLIER_SHARE = 0.1
 #: Scatter without structure is noise up to this ratio to the stated uncertainties.
 _MAX_SCALE = 1.7
-#: p-values: below them, scatter is larger than stated, and has structure.
+#: p-values below which scatter is larger than stated, and below which it has structure.
 _LARGER_P, _STRUCTURE_P = 1e-2, 1e-2
-#: Noises are the same if their scales differ by less than this share.
-_SAME = 0.03
+#: Two noise estimates agree if their scales differ by less than this share.
+_SCALE_TOLERANCE = 0.03
 _ROUNDS = 30
-#: Where too many are off, those within this share of the farthest one become outliers first.
-_FARTHEST = 0.5
-#: Share of a dwell's reduction of chi2 from which on a gyro is off itself.
-_OWN_SHARE = 0.1
+#: If too many deviate, those beyond this share of the largest deviation become outliers first.
+_FARTHEST_SHARE = 0.5
+#: A gyro of an outlying dwell is an outlier itself above this share of the dwell's reduction of chi2.
+_MIN_GYRO_SHARE = 0.1
 _TIME_DEGREE = 5
-#: Share of outliers, and twice the negative log likelihood of one beyond that of other dwells: ten times the
-#: noise.
+#: Expected share of outliers; twice the negative log likelihood that an outlier adds, for a standard
+#: deviation of ten times the noise.
 OUTLIER_SHARE = 0.02
 _OUTLIER_COST = 2.0 * math.log(10.0 / OUTLIER_SHARE)
-#: Of the variance of a residual in that of the noise, at least.
-_MIN_SHARE = 1e-3
+#: Lower limit of the ratio of a residual's variance to that of the noise.
+_MIN_RESIDUAL_SHARE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -57,11 +57,11 @@ class Outlier:
 
 
 def outliers_text(outliers: Sequence[Outlier]) -> str:
-    """Name outliers by dwell: "dwell 20 (x +7 sigma)"."""
-    off: dict[int, list[str]] = {}
+    """Text of outliers by dwell: "dwell 20 (x +7 sigma)"."""
+    by_dwell: dict[int, list[str]] = {}
     for each in outliers:
-        off.setdefault(each.dwell, []).append(f"{each.gyro} {each.residual_sigma:+.0f} sigma")
-    return listed([f"dwell {dwell} ({', '.join(gyros)})" for dwell, gyros in sorted(off.items())])
+        by_dwell.setdefault(each.dwell, []).append(f"{each.gyro} {each.residual_sigma:+.0f} sigma")
+    return listed([f"dwell {dwell} ({', '.join(gyros)})" for dwell, gyros in sorted(by_dwell.items())])
 
 
 @dataclass(frozen=True)
@@ -70,38 +70,38 @@ class CampaignNoise:
 
     scale: float  #: Ratio of the noise to the stated uncertainties; at least 1.
     outliers: tuple[Outlier, ...]  #: Farthest first.
-    #: Shape (n, 3). Ratio of the standard deviation used for an outlier to that of its noise; 1 for others.
+    #: Shape (n, 3). Factor on the standard deviation of each bias; 1 except for outliers.
     factors: FloatArray
 
     @classmethod
     def stated(cls, campaign: Campaign) -> CampaignNoise:
-        """As stated, without outliers."""
+        """The stated uncertainties, without outliers."""
         return cls(1.0, (), np.ones_like(campaign.sigma_dph))
 
     def problem(self, campaign: Campaign, searched: BoolArray) -> Problem:
         """Declared model of a campaign with this noise."""
-        weighted = campaign.with_uncertainties(campaign.sigma_dph * self.factors)
-        return declared_problem(weighted, searched, self.scale)
+        reweighted = campaign.with_uncertainties(campaign.sigma_dph * self.factors)
+        return declared_problem(reweighted, searched, self.scale)
 
     def weighted(self, rows: Sequence[DwellRow]) -> list[DwellRow]:
-        """Rows of a dwell table with the standard deviations used for outliers."""
-        off = {(each.dwell, each.gyro): abs(each.residual_sigma) for each in self.outliers}
-        factors = [[off.get((row.dwell, axis), 1.0) for axis in AXES] for row in rows]
+        """Rows of a dwell table with the standard deviations of outliers increased."""
+        by_bias = {(each.dwell, each.gyro): abs(each.residual_sigma) for each in self.outliers}
+        factors = [[by_bias.get((row.dwell, axis), 1.0) for axis in AXES] for row in rows]
         return [
-            replace(row, sigma_dph=tuple((np.array(row.sigma_dph) * mine).tolist()))
-            for row, mine in zip(rows, factors, strict=True)
+            replace(row, sigma_dph=tuple((np.array(row.sigma_dph) * row_factors).tolist()))
+            for row, row_factors in zip(rows, factors, strict=True)
         ]
 
-    def sentences(self, *, is_all: bool) -> list[str]:
-        """The ratio to the stated uncertainties and the outliers; empty if there are none.
+    def sentences(self, *, is_structureless: bool) -> list[str]:
+        """Sentences about the ratio to the stated uncertainties and the outliers; empty if as stated.
 
-        ``is_all``: whether the residual has no structure.
+        ``is_structureless``: whether the residual has no structure.
         """
         sentences = []
         if self.scale > 1.0:
-            left = "; what is left follows nothing" if is_all else ""
+            note = "; the residual has no structure" if is_structureless else ""
             sentences.append(
-                f"The noise is {self.scale:.2f} times the stated uncertainties{left}. It is included in the "
+                f"The noise is {self.scale:.2f} times the stated uncertainties{note}. It is included in the "
                 "noise stated here."
             )
         if self.outliers:
@@ -112,22 +112,22 @@ class CampaignNoise:
         return sentences
 
     def cost(self, bic: float, dwells: int) -> float:
-        """Twice the negative log likelihood of all dwells, outliers included, beside a hypothesis.
+        """Twice the negative log likelihood of all dwells, outliers included, plus the BIC penalty.
 
-        ``bic``: of the hypothesis in this noise.
+        ``bic``: of a hypothesis fitted with this noise.
         """
         return bic + 3 * dwells * 2.0 * math.log(self.scale) + _OUTLIER_COST * len(self.outliers)
 
-    def beside_none(self, campaign: Campaign, searched: BoolArray) -> CampaignNoise:
-        """The same outliers with the scale that the dwells searched show beside the declared model alone."""
-        alone = replace(self, scale=1.0)
-        return replace(self, scale=_scale(lack_of_fit(alone.problem(campaign, searched), 0)))
+    def without_effects(self, campaign: Campaign, searched: BoolArray) -> CampaignNoise:
+        """The same outliers, with the scale estimated from the residual of the declared model alone."""
+        unscaled = replace(self, scale=1.0)
+        return replace(self, scale=_scale_of(lack_of_fit(unscaled.problem(campaign, searched), 0)))
 
-    def is_like(self, other: CampaignNoise) -> bool:
+    def is_close_to(self, other: CampaignNoise) -> bool:
         """Whether the scales are about equal and the outliers are the same."""
-        return self.has_outliers_of(other) and abs(self.scale / other.scale - 1.0) < _SAME
+        return self.has_same_outliers(other) and abs(self.scale / other.scale - 1.0) < _SCALE_TOLERANCE
 
-    def has_outliers_of(self, other: CampaignNoise) -> bool:
+    def has_same_outliers(self, other: CampaignNoise) -> bool:
         """Whether the outliers are the same."""
         return np.array_equal(self.factors > 1.0, other.factors > 1.0)
 
@@ -135,106 +135,122 @@ class CampaignNoise:
 def estimate_campaign_noise(
     campaign: Campaign, searched: BoolArray, effects: Sequence[Candidate] = (), *, smooth: bool = False
 ) -> CampaignNoise:
-    """Noise of the dwells searched, beside the declared model and effects.
+    """Estimate the noise of the dwells searched from the residual of the declared model with ``effects``.
 
-    ``campaign`` has the stated uncertainties. Where the residual of the declared model alone has structure,
-    the noise is as stated: effects may account for it. So it is where the fit leaves no degree of freedom.
-    ``smooth`` adds functions of time, temperature rate and attitude that take up most of any effect.
+    ``campaign`` has the stated uncertainties. The noise is as stated if the residual of the declared model
+    alone has structure, since effects may account for it, and if the fit leaves no degrees of freedom.
+    ``smooth`` adds functions of time, temperature rate and attitude to the fit, which absorb most of any
+    effect.
     """
-    extra: list[tuple[FloatArray, BoolArray | None]] = [(_smooth(campaign), None)] if smooth else []
+    extra_columns: list[tuple[FloatArray, BoolArray | None]] = (
+        [(_smooth_columns(campaign), None)] if smooth else []
+    )
     if effects:
-        extra.append(stack(effects, campaign))
+        extra_columns.append(stack(effects, campaign))
     stated = noise = CampaignNoise.stated(campaign)
     parameters = sum(len(each.values) for each in effects)
-    if _fitted(stated, campaign, searched, extra).dof <= parameters:
+    if _fit_columns(stated, campaign, searched, extra_columns).dof <= parameters:
         return stated  # a fit of as many parameters as measured values leaves no scatter
-    is_settled = False
+    is_converged = False
     for _ in range(_ROUNDS):
-        after = _fitted(noise, campaign, searched, extra)
-        updated = _with_outliers(noise, after)
-        if np.mean(updated.factors[searched] > 1.0) > _MAX_OUTLIERS:
+        problem = _fit_columns(noise, campaign, searched, extra_columns)
+        updated = _update_outliers(noise, problem)
+        if np.mean(updated.factors[searched] > 1.0) > _MAX_OUTLIER_SHARE:
             break
-        is_settled = updated.is_like(noise) and np.allclose(updated.factors, noise.factors, rtol=_SAME)
+        is_converged = updated.is_close_to(noise) and np.allclose(
+            updated.factors, noise.factors, rtol=_SCALE_TOLERANCE
+        )
         noise = updated
-        if is_settled:
+        if is_converged:
             break
-    if not is_settled:
-        noise, after = stated, _fitted(stated, campaign, searched, extra)
-    test = lack_of_fit(after, parameters)
-    if test.p_any_structure < _STRUCTURE_P and not extra:
+    if not is_converged:
+        noise, problem = stated, _fit_columns(stated, campaign, searched, extra_columns)
+    test = lack_of_fit(problem, parameters)
+    if test.p_any_structure < _STRUCTURE_P and not extra_columns:
         return stated
-    return replace(noise, scale=_scale(test))
+    return replace(noise, scale=_scale_of(test))
 
 
 def outweighing_dwell(campaign: Campaign, searched: BoolArray) -> CampaignNoise:
-    """Noise as stated, with the dwell as outlier without which chi2 is less than half, if there is one.
+    """Noise as stated, with one outlier: the dwell whose removal reduces chi2 to less than half, if any.
 
-    Where several are, the one without which it is least. A gyro with little of the reduction is none: it
-    may only stand beside an outlier.
+    Of several such dwells, the one that reduces it most. A gyro with little of the reduction is not an
+    outlier: only another gyro of this dwell is.
     """
     problem = CampaignNoise.stated(campaign).problem(campaign, searched)
-    off = problem.residuals / np.sqrt(_shares_left(problem))
-    reductions = off**2  # of chi2, without each dwell
-    first = int(np.argmax(reductions.sum(axis=1)))
-    is_outlier = np.zeros(off.shape, dtype=bool)
-    if (total := reductions[first].sum()) > 0.5 * problem.chi2:
-        is_outlier[first] = (np.abs(off[first]) > OUTLIER_SIGMA) & (reductions[first] > _OWN_SHARE * total)
-    return _of_outliers(problem, off, is_outlier)
+    deviations_sigma = problem.residuals / np.sqrt(_residual_shares(problem))
+    reductions = deviations_sigma**2  # of chi2, without each dwell
+    dominant = int(np.argmax(reductions.sum(axis=1)))
+    is_outlier = np.zeros(deviations_sigma.shape, dtype=bool)
+    if (total := reductions[dominant].sum()) > 0.5 * problem.chi2:
+        is_outlier[dominant] = (np.abs(deviations_sigma[dominant]) > OUTLIER_SIGMA) & (
+            reductions[dominant] > _MIN_GYRO_SHARE * total
+        )
+    return _noise_with_outliers(problem, deviations_sigma, is_outlier)
 
 
-def _scale(test: LackOfFit) -> float:
-    """Ratio of the noise to the stated uncertainties, where scatter without structure shows one."""
+def _scale_of(test: LackOfFit) -> float:
+    """Ratio of the noise to the stated uncertainties; 1 unless scatter without structure shows another."""
     is_larger = test.p_noise < _LARGER_P and 1.0 < test.noise_ratio < _MAX_SCALE
     return test.noise_ratio if is_larger and test.p_any_structure >= _STRUCTURE_P else 1.0
 
 
-def _fitted(
+def _fit_columns(
     noise: CampaignNoise,
     campaign: Campaign,
     searched: BoolArray,
     extra: Sequence[tuple[FloatArray, BoolArray | None]],
 ) -> Problem:
-    """The problem after a fit of further columns, with those of their terms that are kept."""
-    after = noise.problem(campaign, searched)
+    """Problem after a fit of additional columns and their terms kept."""
+    problem = noise.problem(campaign, searched)
     for columns, kept in extra:
-        after = after.with_columns(columns, kept)
-    return after
+        problem = problem.with_columns(columns, kept)
+    return problem
 
 
-def _smooth(campaign: Campaign) -> FloatArray:
-    common = np.repeat(
+def _smooth_columns(campaign: Campaign) -> FloatArray:
+    shared = np.repeat(
         np.hstack([campaign.slow_time(_TIME_DEGREE), campaign.up_body])[:, np.newaxis], 3, axis=1
     )
     by_attitude = campaign.up_body[:, np.newaxis] * campaign.gyro_c[:, :, np.newaxis] / SCALE_C
-    return np.concatenate([common, by_attitude, campaign.rate_c_per_h[:, :, np.newaxis]], axis=2)
+    return np.concatenate([shared, by_attitude, campaign.rate_c_per_h[:, :, np.newaxis]], axis=2)
 
 
-def _with_outliers(noise: CampaignNoise, after: Problem) -> CampaignNoise:
-    """Same noise with the outliers of the residuals of a problem that has it."""
-    searched = after.searched
-    shares = _shares_left(after)
-    off = after.residuals * noise.factors[searched] / np.sqrt(shares)
-    off /= max(1.0, float(np.median(np.abs(off))) / MEDIAN)
-    is_outlier = np.abs(off) > OUTLIER_SIGMA
-    if np.mean(is_outlier) > _MAX_OUTLIERS:  # the farthest ones may pull the model away from others
-        is_known = noise.factors[searched] > 1.0
-        is_outlier &= is_known | (np.abs(off) > _FARTHEST * np.abs(off[~is_known]).max(initial=0.0))
-    return _of_outliers(after, off, is_outlier)
+def _update_outliers(noise: CampaignNoise, problem: Problem) -> CampaignNoise:
+    """Noise with the outliers among the residuals of a ``problem`` that was fitted with ``noise``."""
+    searched = problem.searched
+    shares = _residual_shares(problem)
+    deviations_sigma = problem.residuals * noise.factors[searched] / np.sqrt(shares)
+    deviations_sigma /= max(1.0, float(np.median(np.abs(deviations_sigma))) / MEDIAN_ABS_NORMAL)
+    is_outlier = np.abs(deviations_sigma) > OUTLIER_SIGMA
+    if np.mean(is_outlier) > _MAX_OUTLIER_SHARE:  # the largest may pull the model from other dwells
+        was_outlier = noise.factors[searched] > 1.0
+        is_outlier &= was_outlier | (
+            np.abs(deviations_sigma)
+            > _FARTHEST_SHARE * np.abs(deviations_sigma[~was_outlier]).max(initial=0.0)
+        )
+    return _noise_with_outliers(problem, deviations_sigma, is_outlier)
 
 
-def _shares_left(after: Problem) -> FloatArray:
-    """Variance of the residuals of a problem (m, 3) in that of the noise: what the fit does not take up."""
-    leverage = np.stack([np.sum(basis**2, axis=1) for basis in after.bases], axis=1)
-    return np.maximum(1.0 - leverage, _MIN_SHARE)
+def _residual_shares(problem: Problem) -> FloatArray:
+    """Ratio (m, 3) of the variance of the residuals to that of the noise: 1 minus the leverage of the fit."""
+    leverage = np.stack([np.sum(basis**2, axis=1) for basis in problem.bases], axis=1)
+    return np.maximum(1.0 - leverage, _MIN_RESIDUAL_SHARE)
 
 
-def _of_outliers(problem: Problem, off: FloatArray, is_outlier: BoolArray) -> CampaignNoise:
-    """Noise with outliers among the dwells searched, which are this far off (m, 3), in sigma."""
+def _noise_with_outliers(
+    problem: Problem, deviations_sigma: FloatArray, is_outlier: BoolArray
+) -> CampaignNoise:
+    """Noise with outliers among the dwells searched; ``deviations_sigma`` (m, 3): from the model."""
     campaign, searched = problem.campaign, problem.searched
     factors = np.ones((len(campaign), 3))
-    factors[searched] = np.where(is_outlier, np.abs(off), 1.0)
+    factors[searched] = np.where(is_outlier, np.abs(deviations_sigma), 1.0)
     outliers = [
-        Outlier(int(campaign.dwell[searched][dwell]), campaign.quantity.axes[gyro], float(off[dwell, gyro]))
+        Outlier(
+            int(campaign.dwell[searched][dwell]),
+            campaign.quantity.axes[gyro],
+            float(deviations_sigma[dwell, gyro]),
+        )
         for dwell, gyro in np.argwhere(is_outlier)
     ]
     return CampaignNoise(1.0, tuple(sorted(outliers, key=lambda each: -abs(each.residual_sigma))), factors)

@@ -1,4 +1,4 @@
-"""The dwells that a plan would give: times, positions and forecast temperatures, without biases."""
+"""Predicts the dwells of a plan: times, positions and forecast temperatures, without biases."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from gyrobench.bench.procedure.steps import Navigate, PowerOn
 _STEPS_A_LAG = 20
 _MAX_STEP_S = 60.0
 _MAX_STEPS = 20_000
-#: Angle random walk of a ring laser gyro of navigation grade, deg/sqrt(h), where the station declares none.
+#: Angle random walk of a ring laser gyro of navigation grade, deg/sqrt(h), if the station declares none.
 _TYPICAL_RANDOM_WALK = 0.001
 #: Keys of the limits of acceptance.
 _LIMITS: Mapping[JudgedQuantity, str] = MappingProxyType(
@@ -42,13 +42,13 @@ _LIMITS: Mapping[JudgedQuantity, str] = MappingProxyType(
 class UnitProperties:
     """Properties of a unit that determine the uncertainty of its dwells."""
 
-    #: Angle random walk of each gyro; of all three, or shape (3,).
+    #: Angle random walk: one number for all three gyros, or shape (3,).
     angle_random_walk_deg_per_sqrt_h: float | FloatArray = _TYPICAL_RANDOM_WALK
-    noise_source: str = "a typical value, none is declared"  #: Where it is from.
+    noise_source: str = "a typical value, none is declared"  #: Source of the random walk, for messages.
     #: has_boards, has_case: Whether the temperatures of the electronics and of the case are measured.
     has_boards: bool = True
     has_case: bool = True
-    thermal: UnitThermal | None = None  #: Its temperatures; None for those of a typical unit.
+    thermal: UnitThermal | None = None  #: Its thermal model; None for that of a typical unit.
 
 
 @dataclass(frozen=True)
@@ -71,8 +71,8 @@ def planned_campaign(plan: Plan, unit: UnitProperties) -> Campaign:
 
     The biases are zero. Their uncertainty is the angle random walk over the navigation time of a dwell.
     Accelerometer noise is neglected: it adds about 6 % for the level gyros in windows of 10 min, more in
-    shorter ones. Dwells of a calibration check are left out. Raises MeasurementError if the plan has no dwell
-    that measures a bias.
+    shorter ones. Dwells of a calibration check are omitted. Raises MeasurementError if no dwell of the plan
+    measures a bias.
     """
     navigations = list(_navigations(plan.steps))
     if not navigations:
@@ -122,9 +122,10 @@ def planned_campaign(plan: Plan, unit: UnitProperties) -> Campaign:
 
 
 def unreachable_limits(plan: Plan, unit: UnitProperties) -> list[str]:
-    """Which acceptance limits no unit can be judged to be within, even one without any bias.
+    """Sentences on acceptance limits that no unit can be shown to meet, even one without any bias.
 
-    By the angle random walk alone, see :func:`planned_campaign`; other contributions make it worse.
+    From the angle random walk only, see :func:`planned_campaign`; other contributions increase the
+    uncertainty.
     """
     limits = plan.procedure.acceptance
     if limits is None or not any(_navigations(plan.steps)):
@@ -150,19 +151,19 @@ def unreachable_limits(plan: Plan, unit: UnitProperties) -> list[str]:
     ]
     worst: dict[JudgedQuantity, Judgement] = {}
     for each in judge(rows, limits, width_c=plan.procedure.bin_width_c).judgements:
-        known = worst.get(each.quantity, each)
-        worst[each.quantity] = max(known, each, key=lambda judged: judged.at_most_dph)
+        worst_so_far = worst.get(each.quantity, each)
+        worst[each.quantity] = max(worst_so_far, each, key=lambda judged: judged.at_most_dph)
     texts = [
         f"{_LIMITS[quantity]}: at best below {each.at_most_dph:.2g} deg/h ({100.0 * limits.confidence:g} %), "
         f"limit {each.limit_dph:g} deg/h"
         for quantity, each in worst.items()
         if each.verdict != "pass"
     ]
-    most_dph = math.inf if limits.bias_sigma_dph is None else limits.bias_sigma_dph
-    if beyond := int((campaign.sigma_dph > most_dph).any(axis=1).sum()):
+    max_sigma_dph = math.inf if limits.bias_sigma_dph is None else limits.bias_sigma_dph
+    if count_above := int((campaign.sigma_dph > max_sigma_dph).any(axis=1).sum()):
         texts.append(
             f"bias_sigma_dph: up to {campaign.sigma_dph.max():.2g} deg/h, above the limit of "
-            f"{most_dph:g} deg/h in {beyond} of {counted(len(rows), 'dwell')}"
+            f"{max_sigma_dph:g} deg/h in {count_above} of {counted(len(rows), 'dwell')}"
         )
     return texts
 
@@ -193,10 +194,10 @@ def _navigations(steps: Sequence[PlannedStep]) -> Iterator[_Navigation]:
 
 
 def forecast_temperatures(plan: Plan, thermal: UnitThermal | None = None) -> Course:
-    """Forecast the temperatures over a plan from the bench state before its first step, at equal steps.
+    """Forecast the temperatures over a plan at equal time steps, from the bench state before its first step.
 
-    The chamber air follows the ramped set point, and the unit the air. ``thermal``: by default that of a
-    typical unit with the lag and self-heating of ``unit.thermal`` in the station file.
+    The chamber air follows the ramped set point, and the unit follows the air. ``thermal``: by default that
+    of a typical unit with the lag and self-heating of ``unit.thermal`` in the station file.
     """
     estimate = plan.steps[0].before.thermal
     step_s = min(_MAX_STEP_S, estimate.time_constant_s / _STEPS_A_LAG)
@@ -207,14 +208,14 @@ def forecast_temperatures(plan: Plan, thermal: UnitThermal | None = None) -> Cou
 
 
 def _inputs(steps: tuple[PlannedStep, ...], time_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Ramped set point, power (0 or 1), and Up in body axes (m, 3), at all times."""
+    """Ramped set point (m,), power (m,) (0 or 1), and Up in body axes (m, 3) at all times (m,)."""
     ends_s = np.array([planned.end_s for planned in steps])
     index = np.minimum(np.searchsorted(ends_s, time_s), len(steps) - 1)
     set_c, power, up_body = np.empty_like(time_s), np.empty_like(time_s), np.zeros((len(time_s), 3))
     for number, (step, now_s) in enumerate(zip(index.tolist(), time_s.tolist(), strict=True)):
         planned = steps[step]
         since_s = max(now_s - planned.start_s, 0.0)
-        # Until the first step the bench is at rest.
+        # The bench is at rest before the first step.
         bench = planned.step.after(planned.before, since_s) if number else planned.before
         set_c[number], power[number] = bench.chamber_c, bench.powered
         if bench.position is not None:

@@ -1,10 +1,10 @@
-"""Plausibility of a dwell table: what a search would take for data although no bench measures it.
+"""Plausibility of a dwell table: detects values that no bench can have measured.
 
-Columns are tested by themselves, then against each other: a wrong unit or sign makes a search name another
-cause, with certainty. Within a power cycle, start_s minus since_power_on_s is constant; between neighbouring
-dwells on a ramp, a temperature changes by its mean rate times the time between their middles, and while it
-settles after a ramp, by the logarithmic mean of both rates times that time. Each gives a factor, and both
-together the column that is wrong.
+Columns are tested by themselves, then against each other: a wrong unit or sign makes a search find a wrong
+cause with certainty. Within a power cycle, start_s minus since_power_on_s is constant. Between neighbouring
+dwells on a ramp, a temperature changes by its mean rate times the time between their middles; while it
+settles after a ramp, by the logarithmic mean of both rates times that time. Each relation gives a factor, and
+both factors together identify the wrong column.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from gyrobench.bench.navigation.positions import AXES
 
 #: Temperatures at which no INS is calibrated, degC.
 _COLDEST_C, _HOTTEST_C = -150.0, 200.0
-#: From this on, a temperature that is too high is probably in kelvin.
+#: Columns whose values are all above this, and some too high, are probably in kelvin.
 _KELVIN_FROM = 213.15
-#: Sigmas this many times the spread of all biases of a gyro are wrong. With right ones that has a
-#: probability below 1e-7 in the least number of dwells.
+#: Sigmas above this multiple of the spread of a gyro's biases are wrong. For correct sigmas this has a
+#: probability below 1e-7 with the smallest number of dwells tested.
 _MAX_SIGMA_TO_SPREAD, _MIN_DWELLS = 10.0, 8
-#: No gyro has a smaller angle random walk, deg/sqrt(h): the best ones have 1e-5. A unit that columns may be
-#: in, by the factor that brings them to deg/h, fits if it gives a random walk that gyros have.
+#: No gyro has a smaller angle random walk, deg/sqrt(h): the best ones have 1e-5. Another unit, with its
+#: factor to deg/h, is suggested if it gives a usual random walk.
 _MIN_RANDOM_WALK, _USUAL_RANDOM_WALK = 3e-6, (3e-5, 3e-2)
 _RATE_UNITS = {"deg/s": 3600.0, "rad/s": math.degrees(3600.0)}
-#: Spread of the biases, in sigmas, from which a wrong unit is that of the sigmas alone.
+#: If the spread of the biases is at least this many sigmas, only the unit of the sigmas is wrong.
 _MAX_SPREAD_TO_SIGMA = 1e3
-#: Copies that are no chance of rounded values: their number, and their share of the dwells.
+#: Equal dwells are copies, not chance, from this number and this share of the dwells on.
 _MIN_COPIES, _MIN_COPIED = 3, 0.05
 _TEMPERATURES = {
     "gyro_{}_c": "gyro_c",
@@ -47,38 +47,43 @@ _TEMPERATURES = {
 
 
 def implausible(rows: Sequence[DwellRow], quantity: Quantity = GYRO_BIAS) -> list[str]:
-    """Everything about the dwells without flags that can't be measured data, each as one sentence."""
-    good = [row for row in rows if not row.flags]
-    if not good:
+    """Sentences on everything in the dwells without flags that can't be measured data."""
+    unflagged = [row for row in rows if not row.flags]
+    if not unflagged:
         return []
-    problems = [*_times(good), *_copies(good), *_temperatures(good), *_sigmas(good, quantity)]
+    problems = [
+        *_times(unflagged),
+        *_copies(unflagged),
+        *_temperatures(unflagged),
+        *_large_sigmas(unflagged, quantity),
+    ]
     if not problems and quantity.is_gyro_bias:
-        problems += _too_small(good)
-    return problems or _contradictions(good)
+        problems += _small_sigmas(unflagged)
+    return problems or _contradictions(unflagged)
 
 
 def _times(rows: Sequence[DwellRow]) -> Iterator[str]:
     starts = Counter(row.start_s for row in rows)
-    most_s, count = starts.most_common(1)[0]
+    start_s, count = starts.most_common(1)[0]
     if count > 1:
         yield (
-            f"{count} of {len(rows)} dwells start at {most_s:g} s: start_s has to be on one clock for the "
+            f"{count} of {len(rows)} dwells start at {start_s:g} s: start_s has to be on one clock for the "
             "whole table"
         )
         return
     for run in dict.fromkeys(row.run for row in rows):
         ordered = sorted((row for row in rows if row.run == run), key=lambda row: row.start_s)
-        for row, after in pairwise(ordered):
-            if after.start_s < row.end_s - 1e-3:
+        for row, later in pairwise(ordered):
+            if later.start_s < row.end_s - 1e-3:
                 yield (
-                    f"dwell {after.dwell} starts at {after.start_s:g} s, before dwell {row.dwell} ends at "
+                    f"dwell {later.dwell} starts at {later.start_s:g} s, before dwell {row.dwell} ends at "
                     f"{row.end_s:g} s"
                 )
                 return
 
 
 def _copies(rows: Sequence[DwellRow]) -> Iterator[str]:
-    """Dwells that are pasted twice: a held-out copy follows the model, noise and all."""
+    """Dwells that were pasted twice: the model would predict a held-out copy including its noise."""
     first: dict[tuple[float, ...], DwellRow] = {}
     copies = []
     for row in rows:
@@ -99,26 +104,26 @@ def _temperatures(rows: Sequence[DwellRow]) -> Iterator[str]:
     for pattern, name in _TEMPERATURES.items():
         values = _values(rows, name).reshape(len(rows), -1)
         for axis, column in zip("xyz", values.T, strict=False):
-            problem = _temperature(column, [row.dwell for row in rows])
+            problem = _temperature_problem(column, [row.dwell for row in rows])
             if problem:
                 yield f"{pattern.format(axis)} {problem}"
 
 
-def _temperature(column: FloatArray, dwells: Sequence[int]) -> str:
-    """What is wrong with the temperatures of these dwells, degC; empty where nothing is."""
+def _temperature_problem(column: FloatArray, dwells: Sequence[int]) -> str:
+    """Problem of a column of temperatures, degC; empty if there is none."""
     wrong = np.flatnonzero((column < _COLDEST_C) | (column > _HOTTEST_C))
     if not len(wrong):
         return ""
     index = wrong[np.argmax(np.abs(column[wrong]))]
     worst, others = column[index], f" and {counted(len(wrong) - 1, 'other')}" if len(wrong) > 1 else ""
-    kelvin = bool(np.nanmin(column) > _KELVIN_FROM) and worst < _HOTTEST_C + 273.15
-    advice = "the column seems to be in kelvin" if kelvin else "correct the value or its unit"
+    is_kelvin = bool(np.nanmin(column) > _KELVIN_FROM) and worst < _HOTTEST_C + 273.15
+    advice = "the column seems to be in kelvin" if is_kelvin else "correct the value or its unit"
     where = f"in dwell {dwells[index]}{others}"
     return f"is {worst:g} degC {where}, outside {_COLDEST_C:g} to {_HOTTEST_C:g} degC: {advice}"
 
 
-def _sigmas(rows: Sequence[DwellRow], quantity: Quantity) -> Iterator[str]:
-    # The uncertainty of an accelerometer's bias in a dwell includes what is common to all dwells.
+def _large_sigmas(rows: Sequence[DwellRow], quantity: Quantity) -> Iterator[str]:
+    # The uncertainty of an accelerometer's bias in a dwell includes errors common to all dwells.
     if len(rows) < _MIN_DWELLS or quantity.name == "accelerometer_bias":
         return
     biases, sigmas = _values(rows, "bias_dph"), _values(rows, "sigma_dph")
@@ -136,20 +141,22 @@ def _sigmas(rows: Sequence[DwellRow], quantity: Quantity) -> Iterator[str]:
             )
 
 
-def _too_small(rows: Sequence[DwellRow]) -> Iterator[str]:
-    """Uncertainties below what the least noise of a gyro gives over the length of the dwells."""
+def _small_sigmas(rows: Sequence[DwellRow]) -> Iterator[str]:
+    """Uncertainties below those that the smallest gyro noise gives over the length of the dwells."""
     biases, sigmas = _values(rows, "bias_dph"), _values(rows, "sigma_dph")
     hours = np.array([row.end_s - row.start_s for row in rows])[:, np.newaxis] / 3600.0
-    known = [gyro for gyro in range(3) if np.isfinite(sigmas[:, gyro]).any()]
-    walks = {gyro: float(np.nanmedian(sigmas[:, [gyro]] * np.sqrt(hours))) for gyro in known}
-    wrong = [gyro for gyro, walk in walks.items() if walk < _MIN_RANDOM_WALK]
-    if not wrong:
+    gyros_with_sigma = [gyro for gyro in range(3) if np.isfinite(sigmas[:, gyro]).any()]
+    random_walks = {
+        gyro: float(np.nanmedian(sigmas[:, [gyro]] * np.sqrt(hours))) for gyro in gyros_with_sigma
+    }
+    wrong_gyros = [gyro for gyro, walk in random_walks.items() if walk < _MIN_RANDOM_WALK]
+    if not wrong_gyros:
         return
-    gyros = _axes(["xyz"[gyro] for gyro in wrong])
-    walk = max(walks[gyro] for gyro in wrong)
+    gyros = _axes(["xyz"[gyro] for gyro in wrong_gyros])
+    walk = max(random_walks[gyro] for gyro in wrong_gyros)
     low, high = _USUAL_RANDOM_WALK
     units = {unit: factor for unit, factor in _RATE_UNITS.items() if low <= walk * factor <= high}
-    spread = np.nanstd(biases[:, wrong], axis=0) / np.nanmedian(sigmas[:, wrong], axis=0)
+    spread = np.nanstd(biases[:, wrong_gyros], axis=0) / np.nanmedian(sigmas[:, wrong_gyros], axis=0)
     columns = f"sigma_{gyros}_dph"
     if spread.max() < _MAX_SPREAD_TO_SIGMA:
         columns = f"bias_{gyros}_dph and {columns}"
@@ -163,61 +170,66 @@ def _too_small(rows: Sequence[DwellRow]) -> Iterator[str]:
     )
 
 
-#: Unit that a column seems to be in, by the factor that brings it to s, or to degC/h.
+#: Units that a column may be in, by the factor that converts it to s, or to degC/h.
 _TIMES = {1e-3: "ms", 60.0: "min", 3600.0: "h"}
 _DEGF_PER_DEGC = 1.8
 _RATES = {60.0: "degC/min", 3600.0: "degC/s", 1.0 / _DEGF_PER_DEGC: "degF/h"}
-#: Largest relative deviation of a factor from that of a unit, and between factors that are one.
+#: Largest relative deviation of a factor from that of a unit, and between equal factors.
 _SAME_FACTOR = 0.2
-#: Pairs of dwells that show a factor; the smallest change of temperature that counts, degC.
+#: Smallest number of pairs of dwells that determine a factor; smallest change of temperature used, degC.
 _MIN_PAIRS, _MIN_CHANGE_C = 3, 1.0
 #: On a ramp, the rates of two dwells differ by at most this share, and the time between the dwells is at most
 #: this many times their length. The temperature then changes by 0.8 to 1.3 times what correct rates give.
 _MAX_RATE_CHANGE, _MAX_GAP = 0.5, 1.0
 _MIN_FACTOR, _MAX_FACTOR = 0.6, 1.0 / 0.6
-#: While a temperature settles: pairs of dwells that show a factor, and the smallest change that counts, degC.
+#: The same while a temperature settles.
 _MIN_SETTLING_PAIRS, _MIN_SETTLED_C = 4, 0.2
-#: A wrong unit gives most of them the same factor, to this share. Noise and other courses of the temperature
-#: scatter; several time constants give a common factor, but a smaller one than this.
+#: A wrong unit gives at least this share of the pairs the same factor, within this tolerance. Noise and other
+#: courses of the temperature scatter; several time constants give a common factor below this limit.
 _MIN_SAME, _SAME_SETTLING, _MAX_SETTLING_FACTOR = 0.8, 0.35, 5.0
-#: Power-on times that are one: they differ by at most this, and this share of the time since the first dwell.
+#: Equal power-on times differ by at most this, plus this share of the time since the first dwell.
 _POWER_ON_S, _CLOCK_DRIFT = 60.0, 1e-3
-#: A dwell with a turn in it lasts longer than this, s; and probably less long than that.
+#: Limits of the length of a dwell with a turn, s; the upper one is only probable.
 _MIN_DWELL_S, _MAX_DWELL_S = 2.0, 1e5
-#: Range of a chamber's or case's temperatures, degC, from which that of a gyro shows its unit: self-heating
-#: adds less than the difference. The gyro's range in degF is 1.8 times the other one, to this share.
+#: Smallest range of the chamber's or case's temperatures, degC, with which that of a gyro shows its unit,
+#: since self-heating adds less than the difference. In degF the gyro's range is 1.8 times as large, within
+#: this share.
 _MIN_PROFILE_C, _SAME_RANGE = 40.0, 0.08
 #: Time after power-on from which self-heating changes little, s.
 _WARM_S = 7200.0
-#: Change of another temperature that each gyro shows at least a little of, degC.
-_MIN_MOVED_C = 5.0
+#: Smallest change of another temperature, degC, of which each gyro must show some.
+_MIN_OTHER_CHANGE_C = 5.0
 
 _Pairs = Sequence[tuple[DwellRow, DwellRow]]
 
 
 def _contradictions(rows: Sequence[DwellRow]) -> list[str]:
-    """What can't be right about the columns together, each as one sentence with the factor that repairs it.
+    """Sentences on columns that contradict each other, with the factor that corrects them.
 
-    ``rows``: dwells without flags. What only one run has wrong is found as well.
+    ``rows``: dwells without flags. Also finds contradictions in only one run.
     """
 
     def power_cycle(row: DwellRow) -> tuple[str, str]:
         return row.unit, row.run
 
-    if problems := [*_stuck_sensors(rows), *_degrees_fahrenheit(rows)]:
+    if problems := [*_stuck_sensors(rows), *_fahrenheit_columns(rows)]:
         return problems
     ordered = sorted(rows, key=lambda row: (*power_cycle(row), row.start_s))
     cycles = [list(pairwise(group)) for _, group in groupby(ordered, key=power_cycle)]
-    of_cycles = [[*_wrong_scales(pairs, f" of run {pairs[0][0].run}")] for pairs in cycles if pairs]
-    wrong = [problems for problems in of_cycles if problems]
+    problems_of_cycles = [
+        [*_scale_problems(pairs, f" of run {pairs[0][0].run}")] for pairs in cycles if pairs
+    ]
+    wrong = [problems for problems in problems_of_cycles if problems]
     if not wrong or len(wrong) > 1 or len(cycles) == 1:
-        whole = [*_wrong_scales([pair for pairs in cycles for pair in pairs], "")]
-        wrong = [whole] if whole else wrong
-    return wrong[0] if wrong else [problem for pairs in cycles for problem in _two_power_ons(pairs)][:1]
+        problems_of_all = [*_scale_problems([pair for pairs in cycles for pair in pairs], "")]
+        wrong = [problems_of_all] if problems_of_all else wrong
+    return (
+        wrong[0] if wrong else [problem for pairs in cycles for problem in _inconsistent_power_ons(pairs)][:1]
+    )
 
 
 def _stuck_sensors(rows: Sequence[DwellRow]) -> Iterator[str]:
-    """Gyro temperatures that are one number, although others change."""
+    """Gyro temperatures that stay constant although others change."""
     others = {name: [getattr(row, name) for row in rows] for name in ("case_c", "chamber_c")}
     for index, axis in enumerate(AXES):
         others[f"board_{axis}_c"] = [row.board_c[index] for row in rows]
@@ -225,7 +237,7 @@ def _stuck_sensors(rows: Sequence[DwellRow]) -> Iterator[str]:
             continue
         for name, values in others.items():
             change_c = _range(values)
-            if change_c > _MIN_MOVED_C:
+            if change_c > _MIN_OTHER_CHANGE_C:
                 yield (
                     f"gyro_{axis}_c is {rows[0].gyro_c[index]:g} degC in all dwells, but {name} changes by "
                     f"{change_c:.0f} degC: correct its values, or check its sensor"
@@ -233,7 +245,7 @@ def _stuck_sensors(rows: Sequence[DwellRow]) -> Iterator[str]:
                 break
 
 
-def _degrees_fahrenheit(rows: Sequence[DwellRow]) -> Iterator[str]:
+def _fahrenheit_columns(rows: Sequence[DwellRow]) -> Iterator[str]:
     """Gyro temperatures that change 1.8 times as much as the chamber or the case, which no warm gyro does."""
     rows = [row for row in rows if row.since_power_on_s >= _WARM_S]
     for name in ("chamber_set_c", "chamber_c", "case_c"):
@@ -241,15 +253,15 @@ def _degrees_fahrenheit(rows: Sequence[DwellRow]) -> Iterator[str]:
         if other_c < _MIN_PROFILE_C:
             continue
         ranges = [_range([row.gyro_c[index] for row in rows]) for index in range(len(AXES))]
-        found = [
+        wrong = [
             (axis, gyro_c)
             for axis, gyro_c in zip(AXES, ranges, strict=True)
             if abs(gyro_c / other_c / _DEGF_PER_DEGC - 1.0) <= _SAME_RANGE
         ]
-        if found:
-            axes = _axes([axis for axis, _ in found])
+        if wrong:
+            axes = _axes([axis for axis, _ in wrong])
             yield (
-                f"gyro_{axes}_c changes by {found[0][1]:.0f} degC in all, but {name} by {other_c:.0f} degC: "
+                f"gyro_{axes}_c changes by {wrong[0][1]:.0f} degC in all, but {name} by {other_c:.0f} degC: "
                 f"gyro_{axes}_c seems to be in degF: correct its values"
             )
             return
@@ -265,11 +277,11 @@ def _axes(names: Sequence[str]) -> str:
 
 
 def _range(values: Sequence[float]) -> float:
-    """Largest less smallest of the known values; 0 without any."""
+    """Range of the finite values; 0 without any."""
     return float(np.ptp([value for value in values if math.isfinite(value)] or [0.0]))
 
 
-def _wrong_scales(pairs: _Pairs, where: str) -> Iterator[str]:
+def _scale_problems(pairs: _Pairs, where: str) -> Iterator[str]:
     clock = _clock_factor(pairs)
     rates = {axis: factor for index, axis in enumerate(AXES) if (factor := _rate_factor(pairs, index)) != 1.0}
     factors = list(rates.values())
@@ -278,45 +290,45 @@ def _wrong_scales(pairs: _Pairs, where: str) -> Iterator[str]:
     is_odd = dwell_s < _MIN_DWELL_S or (dwell_s > _MAX_DWELL_S and common != 1.0)
     if clock != 1.0 and (_is_near(clock, common) or (is_odd and not rates)):
         others = " and the gyro temperatures" if rates else ""
-        advice = _repair(clock, _TIMES, "start_s and end_s")
+        advice = _correction_advice(clock, _TIMES, "start_s and end_s")
         yield f"start_s and end_s{where} contradict since_power_on_s{others}: {advice}"
         return
     if is_odd:
-        advice = _repair(common, _TIMES, "start_s, end_s and since_power_on_s")
+        advice = _correction_advice(common, _TIMES, "start_s, end_s and since_power_on_s")
         yield f"the dwells{where} last {dwell_s:.3g} s (median): {advice}"
         return
     if clock != 1.0:
-        advice = _repair(1.0 / clock if clock else math.inf, _TIMES, "since_power_on_s")
+        advice = _correction_advice(1.0 / clock if clock else math.inf, _TIMES, "since_power_on_s")
         yield f"since_power_on_s{where} grows by {clock:.3g} s in each second of start_s: {advice}"
     for axis, factor in {"{x,y,z}": common}.items() if common != 1.0 else rates.items():
         column, rate = f"gyro_{axis}_c", f"gyro_{axis}_rate_c_per_h"
         change = (
             f"changes by {factor:.3g} times that rate" if math.isfinite(factor) else "changes at a rate of 0"
         )
-        advice = _repair(factor, _RATES, rate)
+        advice = _correction_advice(factor, _RATES, rate)
         if _is_near(factor, _DEGF_PER_DEGC):
             advice = f"{column} seems to be in degF: correct its values"
         yield f"{rate} contradicts {column}, which between neighbouring dwells{where} {change}: {advice}"
 
 
 def _clock_factor(pairs: _Pairs) -> float:
-    """Median growth of since_power_on_s over that of start_s; 1 where that agrees."""
-    grown = [(b.since_power_on_s - a.since_power_on_s) / (b.start_s - a.start_s) for a, b in pairs]
-    factor = float(np.median(grown)) if len(grown) >= _MIN_PAIRS else 1.0
+    """Median ratio of the increase of since_power_on_s to that of start_s; 1 if they agree."""
+    ratios = [(b.since_power_on_s - a.since_power_on_s) / (b.start_s - a.start_s) for a, b in pairs]
+    factor = float(np.median(ratios)) if len(ratios) >= _MIN_PAIRS else 1.0
     return 1.0 if _is_near(factor, 1.0) else factor
 
 
 def _rate_factor(pairs: _Pairs, gyro: int) -> float:
-    """Median change of a temperature over what its rates give; 1 where that agrees.
+    """Median ratio of the change of a temperature to that predicted by its rates; 1 if they agree.
 
-    On ramps, or where there are too few of them, while the temperature settles.
+    From ramps or, if there are too few of them, from the settling after ramps.
     """
-    changes = [*_changes(pairs, gyro)]
-    ramps = [*_on_ramps(changes)]
+    changes = [*_neighbour_changes(pairs, gyro)]
+    ramps = [*_ramp_ratios(changes)]
     if len(ramps) >= _MIN_PAIRS:
         is_right = [_MIN_FACTOR <= each <= _MAX_FACTOR for each in ramps]
         return 1.0 if np.mean(is_right) >= 0.5 else float(np.median(ramps))
-    settling = [*_while_settling(changes)]
+    settling = [*_settling_ratios(changes)]
     if len(settling) < _MIN_SETTLING_PAIRS:
         return 1.0
     factor = float(np.median(settling))
@@ -325,10 +337,10 @@ def _rate_factor(pairs: _Pairs, gyro: int) -> float:
     return factor if is_wrong and np.mean(is_same) >= _MIN_SAME else 1.0
 
 
-def _changes(pairs: _Pairs, gyro: int) -> Iterator[tuple[float, float, float, float]]:
+def _neighbour_changes(pairs: _Pairs, gyro: int) -> Iterator[tuple[float, float, float, float]]:
     """Rates of neighbouring dwells, degC/h; the time between their middles, h; the change between them, degC.
 
-    Of dwells with a longer gap neither rate is that between them.
+    Pairs with a long gap are skipped: neither rate holds in the gap.
     """
     for a, b in pairs:
         gap_s, dwell_s = b.start_s - a.end_s, 0.5 * (a.end_s - a.start_s + b.end_s - b.start_s)
@@ -338,8 +350,8 @@ def _changes(pairs: _Pairs, gyro: int) -> Iterator[tuple[float, float, float, fl
             yield a.gyro_rate_c_per_h[gyro], b.gyro_rate_c_per_h[gyro], passed_h, change_c
 
 
-def _on_ramps(changes: Sequence[tuple[float, float, float, float]]) -> Iterator[float]:
-    """Changes over what the rates give, where both rates are about the same."""
+def _ramp_ratios(changes: Sequence[tuple[float, float, float, float]]) -> Iterator[float]:
+    """Ratios of the change to that predicted by the rates, for pairs with about equal rates."""
     for first, second, passed_h, change_c in changes:
         expected_c = 0.5 * (first + second) * passed_h
         is_ramp = abs(second - first) <= _MAX_RATE_CHANGE * max(abs(first), abs(second))
@@ -347,8 +359,8 @@ def _on_ramps(changes: Sequence[tuple[float, float, float, float]]) -> Iterator[
             yield change_c / expected_c if expected_c else math.inf
 
 
-def _while_settling(changes: Sequence[tuple[float, float, float, float]]) -> Iterator[float]:
-    """The same where the second rate is smaller; exact for a decay with one time constant."""
+def _settling_ratios(changes: Sequence[tuple[float, float, float, float]]) -> Iterator[float]:
+    """Ratios for pairs whose second rate is smaller; exact for a decay with one time constant."""
     for first, second, passed_h, change_c in changes:
         is_settling = first * second > 0.0 and abs(second) < abs(first)
         if is_settling and abs(change_c) >= _MIN_SETTLED_C:
@@ -356,15 +368,15 @@ def _while_settling(changes: Sequence[tuple[float, float, float, float]]) -> Ite
             yield change_c / (mean * passed_h)
 
 
-def _two_power_ons(pairs: _Pairs) -> Iterator[str]:
-    """A dwell with another power-on time than that before it, in one run, unless it was in that dwell."""
+def _inconsistent_power_ons(pairs: _Pairs) -> Iterator[str]:
+    """Dwells of one run with different power-on times, unless the power-on was in the previous dwell."""
     first: DwellRow | None = None
     for before, row in pairs:
         first = first or before
         first_on_s, on_s = (each.start_s - each.since_power_on_s for each in (first, row))
         if abs(on_s - first_on_s) <= _POWER_ON_S + _CLOCK_DRIFT * (row.start_s - first.start_s):
             continue
-        # Of a dwell that is missing here, neither start nor end is known.
+        # If dwells are missing in between, their start and end are unknown.
         latest_s = before.end_s if row.dwell == before.dwell + 1 else row.start_s
         if not before.start_s - _POWER_ON_S <= on_s <= latest_s:
             yield (
@@ -380,16 +392,16 @@ def _is_near(factor: float, other: float) -> bool:
     return factor == other or abs(factor - other) <= _SAME_FACTOR * abs(other)
 
 
-def _repair(factor: float, units: Mapping[float, str], columns: str) -> str:
-    """What to do about columns with a wrong scale."""
+def _correction_advice(factor: float, units: Mapping[float, str], columns: str) -> str:
+    """Advice for columns with a wrong scale."""
     if not math.isfinite(factor) or factor in (0.0, 1.0):
         return f"correct {columns}"
     if _is_near(factor, -1.0):
         return f"change the sign of {columns}"
-    for known, unit in units.items():
-        if _is_near(abs(factor), known):
+    for usual, unit in units.items():
+        if _is_near(abs(factor), usual):
             sign = " with the wrong sign" if factor < 0.0 else ""
             return (
-                f"the unit seems to be {unit}{sign}: multiply {columns} by {math.copysign(known, factor):.4g}"
+                f"the unit seems to be {unit}{sign}: multiply {columns} by {math.copysign(usual, factor):.4g}"
             )
     return f"correct the unit of {columns}: a factor of {factor:.3g} is missing"

@@ -1,7 +1,7 @@
-"""Probabilities of hypotheses: sets of effects, with or without a remainder that is on no list.
+"""Probabilities of hypotheses: sets of effects, with or without a remainder from an unlisted effect.
 
-:mod:`gyrobench.bench.closure.evidence` computes them; here is what a search, a verdict and a report read
-of them, with the limits of what is stated.
+:mod:`gyrobench.bench.closure.evidence` computes them; search, verdict and reports read them here. The
+constants are the probabilities that verdicts and statements require.
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ from dataclasses import dataclass, field
 
 from gyrobench.bench.closure.candidates import Candidate
 
-#: Effects are tied if the data and the prior prefer one by odds of less than this to 1.
+#: Effects are tied if the posterior odds of one to the other are below this.
 TIE_ODDS = 100.0
-#: Least probability of another form of an effect found that is stated.
+#: Other forms of an effect found are reported from this share of the probability on.
 _FORM_SHARE = 0.05
-#: Probability that all effects found are there, without a remainder, where they explain a residual.
+#: Verdict "explained": smallest probability that all effects found are present, without a remainder.
 EXPLAINED = 0.99
-#: Probability of any other effect from which it is not settled that those found are all.
+#: Another effect that is at least this probable is a rival: the verdict is then not "explained".
 RIVAL = 0.1
-#: Least probability of the declared model alone where it is stated that there is nothing else.
+#: Verdict "clean": smallest probability of the declared model alone.
 CLEAN = 0.5
 
 
@@ -29,11 +29,11 @@ class HypothesisProbability:
     """A hypothesis and its probability."""
 
     names: frozenset[str]  #: Effects.
-    has_remainder: bool  #: Whether an unlisted effect is added.
+    has_remainder: bool  #: Whether it includes an unlisted effect.
     probability: float  #: Posterior.
-    #: The effects as fitted; of one that can't be fitted, the one that imitates it.
+    #: The effects as fitted; in place of one that can't be fitted, the effect that it imitates.
     candidates: tuple[Candidate, ...]
-    #: Their forms, each combination as fitted with its share of the probability.
+    #: Share of the probability and fit of each combination of forms of the effects.
     forms: tuple[tuple[float, tuple[Candidate, ...]], ...] = ()
 
 
@@ -42,12 +42,12 @@ class Posterior:
     """Probabilities after a search."""
 
     hypotheses: tuple[HypothesisProbability, ...]  #: Most probable first.
-    follows: dict[str, float]  #: Probability of each process, if there is a remainder.
-    #: By effect found: those of which it is a special case. They are no other cause, only a more general law.
+    process_probabilities: dict[str, float]  #: Of each process that a remainder may follow, if there is one.
+    #: For each effect found, the effects of which it is a special case: more general laws of the same cause.
     more_general: Mapping[str, frozenset[str]] = field(default_factory=dict)
 
     @property
-    def of_effect(self) -> dict[str, float]:
+    def effect_probabilities(self) -> dict[str, float]:
         """Probability of each effect, in any set."""
         names = sorted(set().union(*(each.names for each in self.hypotheses)))
         return {
@@ -56,31 +56,34 @@ class Posterior:
 
     @property
     def sets(self) -> list[frozenset[str]]:
-        """Sets of effects, with or without a remainder, most probable first."""
-        total: dict[frozenset[str], float] = {}
+        """Sets of effects, ordered by their probability with or without a remainder, most probable first."""
+        probabilities: dict[frozenset[str], float] = {}
         for each in self.hypotheses:
-            total[each.names] = total.get(each.names, 0.0) + each.probability
-        return sorted(total, key=lambda names: -total[names])
+            probabilities[each.names] = probabilities.get(each.names, 0.0) + each.probability
+        return sorted(probabilities, key=lambda names: -probabilities[names])
 
     @property
-    def nothing(self) -> float:
+    def no_effect_probability(self) -> float:
         """Probability of the declared model alone."""
-        return self.of_set(())
+        return self.set_probability(())
 
     @property
-    def not_on_list(self) -> float:
-        """Probability of an unlisted effect, beside any effects."""
+    def unlisted_probability(self) -> float:
+        """Probability of an unlisted effect, with or without listed ones."""
         return sum(each.probability for each in self.hypotheses if each.has_remainder)
 
-    def of_set(self, names: Collection[str]) -> float:
+    def set_probability(self, names: Collection[str]) -> float:
         """Probability of exactly these effects, without an unlisted one."""
-        wanted = frozenset(names), False
-        return sum(each.probability for each in self.hypotheses if (each.names, each.has_remainder) == wanted)
+        return sum(
+            each.probability
+            for each in self.hypotheses
+            if each.names == frozenset(names) and not each.has_remainder
+        )
 
-    def of_all(self, names: Collection[str], *, has_remainder: bool | None = False) -> float:
-        """Probability that all these effects are there, in any set, each as such or as a special case.
+    def joint_probability(self, names: Collection[str], *, has_remainder: bool | None = False) -> float:
+        """Probability that all these effects are present, in any set, each as such or by a more general law.
 
-        ``has_remainder``: whether an unlisted effect is there; None for either.
+        ``has_remainder``: whether an unlisted effect is present; None for either.
         """
         return sum(
             each.probability
@@ -89,61 +92,65 @@ class Posterior:
         )
 
     def contains(self, hypothesis: HypothesisProbability, names: Collection[str]) -> bool:
-        """Whether a hypothesis has all these effects, each as such or as a special case."""
+        """Whether a hypothesis includes all these effects, each as such or by a more general law."""
         return all(hypothesis.names & {name, *self.more_general.get(name, ())} for name in names)
 
-    def of_any(self, names: Collection[str]) -> float:
-        """Probability that at least one of these effects is there, alone or with others."""
+    def any_probability(self, names: Collection[str]) -> float:
+        """Probability that at least one of these effects is present, alone or with others."""
         return sum(each.probability for each in self.hypotheses if each.names.intersection(names))
 
     def rivals(self, names: Collection[str]) -> dict[str, float]:
-        """Effects beside these, or in place of them, that are not improbable.
+        """Other effects with a probability of at least ``RIVAL``, by name.
 
-        A more general law is one beside an effect that it contains, not in place of it.
+        A more general law in place of an effect that it contains is no rival.
         """
-        found: dict[str, float] = {}
+        probabilities: dict[str, float] = {}
         for each in self.hypotheses:
             general = (self.more_general.get(name, ()) for name in {*names} - each.names)
             for name in each.names.difference(names, *general):
-                found[name] = found.get(name, 0.0) + each.probability
-        return {name: found[name] for name in sorted(found) if found[name] >= RIVAL}
+                probabilities[name] = probabilities.get(name, 0.0) + each.probability
+        return {name: probabilities[name] for name in sorted(probabilities) if probabilities[name] >= RIVAL}
 
     def odds(self, names: frozenset[str], other: frozenset[str]) -> float:
-        """Odds of one set to another one, both without a remainder."""
-        probability, less = (self.of_set(each) for each in (names, other))
-        return probability / less if less > 0.0 else math.inf
+        """Odds of one set to another, both without a remainder."""
+        probability, other_probability = (self.set_probability(each) for each in (names, other))
+        return probability / other_probability if other_probability > 0.0 else math.inf
 
     def similar(self, names: frozenset[str]) -> list[frozenset[str]]:
-        """Sets with one effect exchanged that are not excluded by odds of TIE_ODDS, most probable first.
+        """Sets with one effect exchanged and odds against them below ``TIE_ODDS``, most probable first.
 
-        One that has a more general law in place of an effect is none of them.
+        Without sets that have a more general law in place of an effect.
         """
-        least = self.of_set(names) / TIE_ODDS
+        min_probability = self.set_probability(names) / TIE_ODDS
         general = frozenset().union(*(self.more_general.get(name, ()) for name in names))
         return [
             each.names
             for each in self.hypotheses
             if not each.has_remainder
             and len(each.names) == len(names) == len(each.names & names) + 1
-            and each.probability > least
+            and each.probability > min_probability
             and not each.names & general - names
         ]
 
-    def other_forms(self, names: frozenset[str], one: Candidate) -> list[tuple[float, tuple[Candidate, ...]]]:
-        """A set of effects with one of them in other forms, most probable first.
+    def other_forms(
+        self, names: frozenset[str], candidate: Candidate
+    ) -> list[tuple[float, tuple[Candidate, ...]]]:
+        """Probability share and fit of a set of effects with one of them in other forms, most probable first.
 
-        Each form that has ``_FORM_SHARE`` of the probability of the set, with the set as fitted.
+        Only forms with more than ``_FORM_SHARE`` of the probability of the set.
         """
-        found: dict[str, tuple[float, tuple[Candidate, ...]]] = {}
+        by_form: dict[str, tuple[float, tuple[Candidate, ...]]] = {}
         for each in self.hypotheses:
             for share, candidates in each.forms if each.names == names and not each.has_remainder else ():
-                [form] = [other.form.name for other in candidates if other.effect.name == one.effect.name]
-                before, best = found.get(form, (0.0, candidates))
-                found[form] = before + share, best
-        found.pop(one.form.name, None)
-        return sorted((each for each in found.values() if each[0] > _FORM_SHARE), key=lambda each: -each[0])
+                [form] = [
+                    other.form.name for other in candidates if other.effect.name == candidate.effect.name
+                ]
+                previous_share, best_fit = by_form.get(form, (0.0, candidates))
+                by_form[form] = previous_share + share, best_fit
+        by_form.pop(candidate.form.name, None)
+        return sorted((each for each in by_form.values() if each[0] > _FORM_SHARE), key=lambda each: -each[0])
 
-    def tied_with(self, names: frozenset[str], one: str) -> tuple[str, ...]:
-        """Effects that may take the place of one of a set, most probable first."""
-        tied = (next(iter(each - names)) for each in self.similar(names) if one not in each)
+    def tied_with(self, names: frozenset[str], name: str) -> tuple[str, ...]:
+        """Effects that may replace one of a set, most probable first."""
+        tied = (next(iter(each - names)) for each in self.similar(names) if name not in each)
         return tuple(dict.fromkeys(tied))

@@ -14,22 +14,22 @@ from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 #: The declared model: a cubic in each gyro's temperature divided by this, and one constant per power cycle.
 DEGREE = 3
 SCALE_C = 50.0
-#: Least share of a column that counts as visible beside the declared model.
+#: Smallest share of a column, after projecting out the declared model, that counts as observable.
 MIN_VISIBLE = 0.05
-#: A direction that keeps less than this share of a term's length beside the others is not independent.
+#: A direction is independent of the others if it keeps at least this share of its length.
 MIN_SHARE = 1e-5
-#: Less than this share of a column is rounding; the least rms, the square of which is not zero.
+#: Smaller shares of a column are rounding; smallest rms whose square is not zero.
 _ROUNDING, _MIN_RMS = 1e-9, 1e-150
 
 
 @dataclass(frozen=True)
 class Problem:
-    """The dwells searched, and their residuals after a fit of the columns so far."""
+    """The dwells searched, and their residuals after a fit of the columns added so far."""
 
     campaign: Campaign  #: All n dwells.
     searched: BoolArray  #: Shape (n,). The m dwells that may influence the fit.
     noise_scale: float  #: Ratio of the noise to the stated uncertainties.
-    #: Shape (m, r). For each gyro, orthonormal directions of the columns so far, weighted by the noise.
+    #: Shape (m, r) for each gyro. Orthonormal basis of the columns added so far, weighted by the noise.
     bases: tuple[FloatArray, ...]
     residuals: FloatArray  #: Shape (m, 3). Residuals of the measured biases, in standard deviations.
 
@@ -39,26 +39,27 @@ class Problem:
         return self.campaign.sigma_dph[self.searched] * self.noise_scale
 
     @cached_property
-    def _rows(self) -> IntArray:
+    def _searched_indices(self) -> IntArray:
         """Indices of the dwells searched, shape (m,)."""
         return np.flatnonzero(self.searched)
 
     @cached_property
-    def _per_sigma(self) -> FloatArray:
-        """Reciprocal of the noise in the dwells searched, gyro by gyro, shape (3, m, 1)."""
+    def _inverse_sigma(self) -> FloatArray:
+        """Reciprocal of the noise in the dwells searched, shape (3, m, 1)."""
         return np.ascontiguousarray(1.0 / self.sigma_dph.T)[..., np.newaxis]
 
     @cached_property
     def _stacked_bases(self) -> FloatArray:
-        """Bases of the three gyros, shape (3, m, r), filled up with columns of zeros."""
+        """Bases of the three gyros, padded with zero columns, shape (3, m, r)."""
         widest = max(basis.shape[1] for basis in self.bases)
         return np.stack([np.pad(basis, ((0, 0), (0, widest - basis.shape[1]))) for basis in self.bases])
 
     @property
-    def least_scatter(self) -> float:
-        """Variance, in units of the noise, below which scatter does not make the noise smaller than stated.
+    def min_residual_variance(self) -> float:
+        """Smallest variance of the residuals, in units of the noise, that the tests assume.
 
-        Uncertainties of other coefficients than gyro biases include what all dwells have in common.
+        1 for coefficients other than gyro biases: their stated uncertainties include what all dwells have in
+        common, so the scatter between dwells may be smaller.
         """
         return 1e-300 if self.campaign.quantity.is_gyro_bias else 1.0
 
@@ -74,7 +75,7 @@ class Problem:
         return int(self.campaign.is_measured[self.searched].sum()) - fitted
 
     def with_columns(self, columns: FloatArray, kept: BoolArray | None = None) -> Problem:
-        """Same problem after a fit of more terms.
+        """Problem after a fit of additional terms.
 
         ``columns`` (n, 3, k): terms in all dwells. ``kept`` (3, k): which of them each gyro has.
         """
@@ -83,74 +84,80 @@ class Problem:
         residuals = [_residual(basis, self.residuals[:, gyro]) for gyro, basis in enumerate(added)]
         return replace(self, bases=bases, residuals=np.stack(residuals, axis=1))
 
-    def beside(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Columns of the dwells searched (3, m, k) in units of the noise, without what is fitted; their rms.
+    def project_out(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Columns (3, m, k) minus their projection onto the columns so far, in units of the noise; their rms.
 
-        The rms (3, k) is at least a share of that of the whole column without its mean: of what is nearly all
-        fitted the rest is no measure.
+        ``columns`` (m, 3, k): terms in the dwells searched. The rms (3, k) is at least ``MIN_VISIBLE`` times
+        the standard deviation of the whole column: if nearly all of a column is fitted, its remainder does
+        not measure its size.
         """
-        whole = np.moveaxis(columns / self.sigma_dph[..., np.newaxis], 1, 0)
-        rest = np.stack([_residual(basis, each) for basis, each in zip(self.bases, whole, strict=True)])
-        rms = np.sqrt(np.mean(rest**2, axis=1))
-        least = MIN_VISIBLE * np.std(whole, axis=1), _ROUNDING * np.max(np.abs(whole), axis=1)
-        return rest, np.maximum.reduce([rms, *least, np.full_like(rms, _MIN_RMS)])
+        weighted = np.moveaxis(columns / self.sigma_dph[..., np.newaxis], 1, 0)
+        residual = np.stack(
+            [_residual(basis, each) for basis, each in zip(self.bases, weighted, strict=True)]
+        )
+        rms = np.sqrt(np.mean(residual**2, axis=1))
+        lower_limits = MIN_VISIBLE * np.std(weighted, axis=1), _ROUNDING * np.max(np.abs(weighted), axis=1)
+        return residual, np.maximum.reduce([rms, *lower_limits, np.full_like(rms, _MIN_RMS)])
 
     def chi2_reduction(self, columns: FloatArray, kept: BoolArray | None = None) -> tuple[float, int]:
-        """Reduction of chi2 by a fit of terms, and the number of independent ones among them."""
+        """Reduction of chi2 by a fit of terms, and the number of independent terms."""
         return explained_by(*self.inner_products(columns, kept))
 
     def inner_products(self, columns: FloatArray, kept: BoolArray | None) -> tuple[FloatArray, FloatArray]:
-        """Of terms of length one (3, k, k), less what is fitted, and of these with the residuals (3, k)."""
+        """Inner products of the :meth:`independent_parts` (3, k, k), and theirs with the residuals (3, k)."""
         terms = self.independent_parts(columns, kept)
         return terms.mT @ terms, (terms.mT @ self.residuals.T[..., np.newaxis])[..., 0]
 
     def independent_lengths(self, columns: FloatArray, kept: BoolArray) -> FloatArray:
-        """Length of each kept term that is independent of the columns so far, in standard deviations."""
-        scales = [columns[self.searched, gyro] / self.sigma_dph[:, gyro, np.newaxis] for gyro in range(3)]
+        """Length of the part of each kept term that is independent of the columns so far, in sigma."""
+        weighted = [columns[self.searched, gyro] / self.sigma_dph[:, gyro, np.newaxis] for gyro in range(3)]
         lengths = [
-            np.linalg.norm(_residual(basis, scale[:, mine]), axis=0)
-            for basis, scale, mine in zip(self.bases, scales, kept, strict=True)
+            np.linalg.norm(_residual(basis, gyro_columns[:, gyro_kept]), axis=0)
+            for basis, gyro_columns, gyro_kept in zip(self.bases, weighted, kept, strict=True)
         ]
         return np.concatenate(lengths)
 
     def independent_share(self, columns: FloatArray, kept: BoolArray | None = None) -> float:
-        """Largest share of a term, beside the declared model, that is independent of the columns so far."""
+        """Largest share of any term that is independent of the columns so far.
+
+        Relative to its part that is independent of the declared model.
+        """
         declared = declared_problem(self.campaign, self.searched, self.noise_scale)
         shares = [0.0]
         for gyro in range(3):
-            new, whole = (
+            independent, unfitted = (
                 np.linalg.norm(each.independent_part(columns, gyro, kept), axis=0)
                 for each in (self, declared)
             )
-            shares += (new[whole > MIN_SHARE] / whole[whole > MIN_SHARE]).tolist()
+            shares += (independent[unfitted > MIN_SHARE] / unfitted[unfitted > MIN_SHARE]).tolist()
         return max(shares)
 
     def independent_part(self, columns: FloatArray, gyro: int, kept: BoolArray | None) -> FloatArray:
         """Terms of one gyro scaled to length one, minus their projection onto the columns so far."""
-        mine = columns[self.searched, gyro] / self.sigma_dph[:, gyro, np.newaxis]
+        weighted = columns[self.searched, gyro] / self.sigma_dph[:, gyro, np.newaxis]
         if kept is not None:
-            mine = mine[:, kept[gyro]]
-        lengths = np.linalg.norm(mine, axis=0)
-        return _residual(self.bases[gyro], mine[:, lengths > 0.0] / lengths[lengths > 0.0])
+            weighted = weighted[:, kept[gyro]]
+        lengths = np.linalg.norm(weighted, axis=0)
+        return _residual(self.bases[gyro], weighted[:, lengths > 0.0] / lengths[lengths > 0.0])
 
     def independent_parts(self, columns: FloatArray, kept: BoolArray | None) -> FloatArray:
-        """The same of all three gyros, shape (3, m, k), zero where not kept."""
-        terms = columns.take(self._rows, axis=0).transpose(1, 0, 2) * self._per_sigma
+        """:meth:`independent_part` of all three gyros, shape (3, m, k); zero if not kept."""
+        terms = columns.take(self._searched_indices, axis=0).transpose(1, 0, 2) * self._inverse_sigma
         if kept is not None:
             terms *= kept[:, np.newaxis]
         lengths = np.sqrt(np.einsum("gmk,gmk->gk", terms, terms))[:, np.newaxis]
         terms /= np.where(lengths > 0.0, lengths, 1.0)
-        # Once: of a part above MIN_SHARE rounding leaves less than that to the columns so far.
+        # One projection suffices: rounding leaves less than MIN_SHARE along the columns so far.
         terms -= self._stacked_bases @ (self._stacked_bases.mT @ terms)
         return np.asarray(terms)
 
 
-def explained_by(products: FloatArray, with_residuals: FloatArray) -> tuple[float, int]:
-    """Reduction of chi2 by terms with these inner products (..., k, k), and how many are independent."""
-    squares, directions = np.linalg.eigh(products)
-    parts = (directions.mT @ with_residuals[..., np.newaxis])[..., 0]
-    independent = squares > MIN_SHARE**2
-    reduction = np.add.reduce(parts[independent] ** 2 / squares[independent])
+def explained_by(products: FloatArray, residual_products: FloatArray) -> tuple[float, int]:
+    """Reduction of chi2 by terms with inner products (..., k, k), and the number of independent terms."""
+    eigenvalues, directions = np.linalg.eigh(products)
+    projections = (directions.mT @ residual_products[..., np.newaxis])[..., 0]
+    independent = eigenvalues > MIN_SHARE**2
+    reduction = np.add.reduce(projections[independent] ** 2 / eigenvalues[independent])
     return float(reduction), int(np.count_nonzero(independent))
 
 
@@ -178,7 +185,7 @@ class Solution:
     #: Shape (3, DEGREE + runs). Coefficients of :func:`declared_columns`, deg/h; NaN for runs that were not
     #: searched.
     declared: FloatArray
-    #: Shape (3, k). Sizes of the terms of each set of columns, deg/h; zero where not kept.
+    #: Shape (3, k). Sizes of the terms of each set of columns, deg/h; zero if not kept.
     sizes: list[FloatArray]
     bias_dph: FloatArray  #: Shape (n, 3). The model in all dwells of the campaign.
 
@@ -189,17 +196,17 @@ def solve_terms(problem: Problem, terms: Sequence[tuple[FloatArray, BoolArray]])
     declared = np.full((3, DEGREE + len(campaign.run_names)), np.nan)
     sizes = [np.zeros(kept.shape) for _, kept in terms]
     for gyro in range(3):
-        base = declared_columns(campaign, gyro)
-        known = np.any(base[searched] != 0.0, axis=0)
-        blocks = [base[:, known], *(columns[:, gyro, kept[gyro]] for columns, kept in terms)]
+        declared_terms = declared_columns(campaign, gyro)
+        is_used = np.any(declared_terms[searched] != 0.0, axis=0)
+        blocks = [declared_terms[:, is_used], *(columns[:, gyro, kept[gyro]] for columns, kept in terms)]
         weighted = np.concatenate(blocks, axis=1)[searched] / problem.sigma_dph[:, gyro, np.newaxis]
         lengths = np.maximum(np.linalg.norm(weighted, axis=0), 1e-300)
         data = campaign.bias_dph[searched, gyro] / problem.sigma_dph[:, gyro]
         values = np.linalg.lstsq(weighted / lengths, data, rcond=MIN_SHARE)[0] / lengths
-        parts = np.split(values, np.cumsum([block.shape[1] for block in blocks])[:-1])
-        declared[gyro, known] = parts[0]
-        for size, part, (_, kept) in zip(sizes, parts[1:], terms, strict=True):
-            size[gyro, kept[gyro]] = part
+        split_values = np.split(values, np.cumsum([block.shape[1] for block in blocks])[:-1])
+        declared[gyro, is_used] = split_values[0]
+        for size, gyro_sizes, (_, kept) in zip(sizes, split_values[1:], terms, strict=True):
+            size[gyro, kept[gyro]] = gyro_sizes
     return Solution(declared, sizes, predict(campaign, declared, sizes, [columns for columns, _ in terms]))
 
 
@@ -211,14 +218,14 @@ def predict(
     Parameters
     ----------
     campaign : Campaign
-        A power cycle that was not fitted gets the mean constant of the fitted ones.
+        A power cycle that was not fitted gets the mean constant of those fitted.
     declared, sizes : ndarray, shape (3, DEGREE + runs), and sequence of ndarray, shape (3, k)
         As in :class:`Solution`.
     columns : sequence of ndarray, shape (n, 3, k)
         Terms of the effects.
     """
-    whole = with_mean_constants(declared)
-    bias_dph = np.stack([declared_columns(campaign, gyro) @ whole[gyro] for gyro in range(3)], axis=1)
+    coefficients = with_mean_constants(declared)
+    bias_dph = np.stack([declared_columns(campaign, gyro) @ coefficients[gyro] for gyro in range(3)], axis=1)
     for size, terms in zip(sizes, columns, strict=True):
         bias_dph += np.einsum("ngk,gk->ng", terms, size)
     return bias_dph
@@ -227,19 +234,19 @@ def predict(
 def with_mean_constants(declared: FloatArray) -> FloatArray:
     """Coefficients (..., DEGREE + runs) with the mean constant for the runs that were not fitted."""
     constants = declared[..., DEGREE:]
-    known = np.where(np.isnan(constants), np.nanmean(constants, axis=-1, keepdims=True), constants)
-    return np.concatenate([declared[..., :DEGREE], known], axis=-1)
+    filled = np.where(np.isnan(constants), np.nanmean(constants, axis=-1, keepdims=True), constants)
+    return np.concatenate([declared[..., :DEGREE], filled], axis=-1)
 
 
 def _basis(columns: FloatArray) -> FloatArray:
-    """Orthonormal directions (m, r) of columns of length one or less."""
+    """Orthonormal basis (m, r) of columns of length at most one."""
     if columns.shape[1] == 0:
         return columns
-    left, lengths, _ = np.linalg.svd(columns, full_matrices=False)
-    return np.asarray(left[:, lengths > MIN_SHARE])
+    directions, lengths, _ = np.linalg.svd(columns, full_matrices=False)
+    return np.asarray(directions[:, lengths > MIN_SHARE])
 
 
 def _residual(basis: FloatArray, data: FloatArray) -> FloatArray:
-    """Data minus their projection onto a basis; twice, against rounding."""
+    """Data minus their projection onto a basis; projected twice, against rounding."""
     once = data - basis @ (basis.mT @ data)
     return np.asarray(once - basis @ (basis.mT @ once))

@@ -1,7 +1,7 @@
-"""The smallest change of a procedure after which effects can be found and distinguished.
+"""Finds the smallest change of a procedure after which effects can be found and distinguished.
 
-A change takes the steps of a procedure as its YAML file has them and returns the changed ones, or
-None if it does not apply. The result is checked and planned like any other file.
+A change takes the steps of a procedure as loaded from its YAML file and returns the changed steps, or None if
+it does not apply. The result is checked and planned like any other file.
 """
 
 from __future__ import annotations
@@ -38,21 +38,21 @@ _Entry = Any
 Steps = list[_Entry]
 
 _REPEAT = "repeat"
-_OFF_S, _LEFT_ON_S = 3600, 43_200
-#: Wide enough for the step to end while the temperature still changes.
+_POWER_OFF_S, _POWER_ON_WAIT_S = 3600, 43_200
+#: Tolerance with which a step ends while the temperature still changes.
 _ANY_TEMPERATURE_C = 50.0
-_OF_A_DWELL = {kind.name for kind in (GoTo, Align, Navigate, Turn, Wait)}
+_DWELL_STEPS = {kind.name for kind in (GoTo, Align, Navigate, Turn, Wait)}
 
 
 @dataclass(frozen=True)
 class ProcedureChange:
     """A change of a procedure."""
 
-    what: tuple[str, ...]  #: Instructions, each a clause in the imperative: "switch the unit off ...".
+    instructions: tuple[str, ...]  #: Clauses in the imperative: "switch the unit off ...".
     apply: Callable[[Steps], Steps | None]  #: Returns the changed steps, or None.
 
 
-def _together(*changes: ProcedureChange) -> ProcedureChange:
+def _combined(*changes: ProcedureChange) -> ProcedureChange:
     """Several changes in sequence; None if one of them does not apply."""
 
     def apply(steps: Steps) -> Steps | None:
@@ -61,7 +61,8 @@ def _together(*changes: ProcedureChange) -> ProcedureChange:
             changed = None if changed is None else change.apply(changed)
         return changed
 
-    return ProcedureChange(tuple(what for change in changes for what in change.what), apply)
+    instructions = tuple(each for change in changes for each in change.instructions)
+    return ProcedureChange(instructions, apply)
 
 
 def _another_cycle(steps: Steps) -> Steps | None:
@@ -69,82 +70,84 @@ def _another_cycle(steps: Steps) -> Steps | None:
     steps = list(_by_cycle(steps))
     cycles = [cycle for entry in steps if (cycle := _cycle(entry)) is not None]
     if cycles:
-        mine = [index for index, entry in enumerate(steps) if _cycle(entry) == max(cycles)]
-        again = copy.deepcopy([steps[index] for index in mine])
-        for entry in again:
+        last_cycle = [index for index, entry in enumerate(steps) if _cycle(entry) == max(cycles)]
+        repeated = copy.deepcopy([steps[index] for index in last_cycle])
+        for entry in repeated:
             entry[_REPEAT]["over"]["cycle"] = [max(cycles) + 1]
-        return [*steps[: mine[-1] + 1], *again, *steps[mine[-1] + 1 :]]
-    measuring = [index for index, entry in enumerate(steps) if _measures(entry)]
+        return [*steps[: last_cycle[-1] + 1], *repeated, *steps[last_cycle[-1] + 1 :]]
+    measuring = [index for index, entry in enumerate(steps) if _has_navigation(entry)]
     if not measuring:
         return None
     first = measuring[0]
-    while first > 0 and _name(steps[first - 1]) in _OF_A_DWELL:
+    while first > 0 and _step_name(steps[first - 1]) in _DWELL_STEPS:
         first -= 1
-    inside, after = steps[first : measuring[-1] + 1], steps[measuring[-1] + 1 :]
-    if any("cycle" in loop["over"] for loop in _loops(inside)):
+    measured_part, remaining = steps[first : measuring[-1] + 1], steps[measuring[-1] + 1 :]
+    if any("cycle" in loop["over"] for loop in _loops(measured_part)):
         return None
-    return [*steps[:first], {_REPEAT: {"over": {"cycle": [1, 2]}, "steps": inside}}, *after]
+    return [*steps[:first], {_REPEAT: {"over": {"cycle": [1, 2]}, "steps": measured_part}}, *remaining]
 
 
 def _power_cycle(steps: Steps) -> Steps | None:
-    """Switch the unit off and on again before each cycle but the first."""
+    """Switch the unit off and on again before each cycle except the first."""
     steps = list(_by_cycle(steps))
-    power_on = next((entry for entry in steps if _name(entry) == PowerOn.name), None)
+    power_on = next((entry for entry in steps if _step_name(entry) == PowerOn.name), None)
     changed: Steps = []
-    before: int | None = None
+    previous_cycle: int | None = None
     for entry in steps:
         cycle = _cycle(entry)
-        if power_on and before is not None and cycle is not None and cycle != before:
-            changed += [PowerOff.name, {Wait.name: {"duration_s": _OFF_S}}, copy.deepcopy(power_on)]
-        before = before if cycle is None else cycle
+        if power_on and previous_cycle is not None and cycle is not None and cycle != previous_cycle:
+            changed += [PowerOff.name, {Wait.name: {"duration_s": _POWER_OFF_S}}, copy.deepcopy(power_on)]
+        previous_cycle = previous_cycle if cycle is None else cycle
         changed.append(entry)
-    powered_ons = sum(_name(entry) == PowerOn.name for entry in steps)
+    powered_ons = sum(_step_name(entry) == PowerOn.name for entry in steps)
     return changed if powered_ons == 1 and len(changed) > len(steps) else None
 
 
 def _leave_on(steps: Steps) -> Steps | None:
-    """A long wait with the unit on: a warm-up ends, a drift continues."""
+    """Wait for a long time with the unit on: a warm-up ends, a drift continues."""
     steps = list(_by_cycle(steps))
     cycles = [_cycle(entry) for entry in steps]
-    known = sorted({cycle for cycle in cycles if cycle is not None})
-    if len(known) < 2:
+    distinct = sorted({cycle for cycle in cycles if cycle is not None})
+    if len(distinct) < 2:
         return None
-    second = cycles.index(known[1])
-    return [*steps[:second], {Wait.name: {"duration_s": _LEFT_ON_S}}, *steps[second:]]
+    second = cycles.index(distinct[1])
+    return [*steps[:second], {Wait.name: {"duration_s": _POWER_ON_WAIT_S}}, *steps[second:]]
 
 
 def _measure_on_ramps(steps: Steps) -> Steps | None:
-    """Two more positions between each ramp and its soak, while the temperature changes."""
+    """Measure two positions between each ramp and its soak, while the temperature changes."""
     changed = copy.deepcopy(steps)
-    found = False
+    is_changed = False
     for entries in [changed, *(loop["steps"] for loop in _loops(changed))]:
         for index in range(len(entries) - 3, -1, -1):
             ramp, soak, measurement = entries[index : index + 3]
             positions = _positions(measurement)
-            if _name(ramp) == SetChamber.name and _name(soak) == Soak.name and len(positions) > 1:
+            if _step_name(ramp) == SetChamber.name and _step_name(soak) == Soak.name and len(positions) > 1:
                 ramp[SetChamber.name]["within_c"] = _ANY_TEMPERATURE_C
                 moving = copy.deepcopy(measurement)
                 moving[_REPEAT]["over"]["position"] = positions[:2]
                 entries.insert(index + 1, moving)
-                found = True
-    return changed if found else None
+                is_changed = True
+    return changed if is_changed else None
 
 
 def _return_to_first_position(steps: Steps) -> Steps | None:
     """Repeat the first position of each plateau at its end."""
-    return _with_positions(steps, lambda names: [*names, *(names[:1] if names[-1] != names[0] else [])])
+    return _change_positions(steps, lambda names: [*names, *(names[:1] if names[-1] != names[0] else [])])
 
 
 def _all_positions(steps: Steps) -> Steps | None:
-    """Add the positions that a plateau lacks of the six."""
-    return _with_positions(steps, lambda names: [*names, *(name for name in POSITIONS if name not in names)])
+    """Add those of the six positions that a plateau lacks."""
+    return _change_positions(
+        steps, lambda names: [*names, *(name for name in POSITIONS if name not in names)]
+    )
 
 
-def _with_positions(steps: Steps, lengthened: Callable[[list[str]], list[str]]) -> Steps | None:
+def _change_positions(steps: Steps, lengthen: Callable[[list[str]], list[str]]) -> Steps | None:
     changed = copy.deepcopy(steps)
     for loop in _loops(changed):
         if loop["over"].get("position"):
-            loop["over"]["position"] = lengthened(loop["over"]["position"])
+            loop["over"]["position"] = lengthen(loop["over"]["position"])
     return None if changed == steps else changed
 
 
@@ -157,145 +160,151 @@ def _middle_temperature_again(steps: Steps) -> Steps | None:
         variable = _temperature_variable(entry) if cycle is not None else None
         if cycle is not None and variable is not None:
             loops_by_cycle.setdefault(cycle, []).append((entry[_REPEAT]["over"], variable))
-    found = False
+    is_changed = False
     for loops in loops_by_cycle.values():
         temperatures_c = [value for over, variable in loops for value in over[variable]]
         over, variable = loops[-1]
         others_c = sorted(set(temperatures_c) - {temperatures_c[-1]})
         if others_c and all(len(values) == 1 for name, values in over.items() if name != variable):
             over[variable] = [*over[variable], others_c[len(others_c) // 2 if len(others_c) > 2 else 0]]
-            found = True
-    return changed if found else None
+            is_changed = True
+    return changed if is_changed else None
 
 
 def _half_the_ramp_rate(steps: Steps) -> Steps | None:
-    """Every second cycle at half the ramp rate."""
+    """Run every second cycle at half the ramp rate."""
     changed = list(_by_cycle(copy.deepcopy(steps)))
     cycles = sorted({cycle for entry in changed if (cycle := _cycle(entry)) is not None})
-    found = False
+    is_changed = False
     for entry in changed:
         if _cycle(entry) not in cycles[1::2]:
             continue
         for loop in _loops([entry]):
             for name in _ramp_variables(loop["steps"]) & set(loop["over"]):
                 loop["over"][name] = [0.5 * value for value in loop["over"][name]]
-                found = True
+                is_changed = True
             for inner in loop["steps"]:
-                rate = inner[SetChamber.name]["ramp_c_per_min"] if _name(inner) == SetChamber.name else None
+                rate = (
+                    inner[SetChamber.name]["ramp_c_per_min"] if _step_name(inner) == SetChamber.name else None
+                )
                 if isinstance(rate, int | float):
                     inner[SetChamber.name]["ramp_c_per_min"] = 0.5 * rate
-                    found = True
-    return changed if found else None
+                    is_changed = True
+    return changed if is_changed else None
 
 
-_RETURN = ProcedureChange(
+_RETURN_TO_FIRST = ProcedureChange(
     ("return to the first position at the end of each plateau",), _return_to_first_position
 )
-_ON_RAMPS = ProcedureChange(("measure two positions on each ramp",), _measure_on_ramps)
-_ALL = ProcedureChange(("measure all six positions at each temperature",), _all_positions)
-_POWER = ProcedureChange(("switch the unit off for an hour between cycles",), _power_cycle)
-_MIDDLE = ProcedureChange(
+_MEASURE_ON_RAMPS = ProcedureChange(("measure two positions on each ramp",), _measure_on_ramps)
+_ALL_POSITIONS = ProcedureChange(("measure all six positions at each temperature",), _all_positions)
+_POWER_CYCLE = ProcedureChange(("switch the unit off for an hour between cycles",), _power_cycle)
+_MIDDLE_TEMPERATURE = ProcedureChange(
     ("return to the middle temperature at the end of each cycle",), _middle_temperature_again
 )
-_SLOWER = ProcedureChange(("run every second cycle at half the ramp rate",), _half_the_ramp_rate)
-_CYCLE = ProcedureChange(("add a cycle",), _another_cycle)
-_LEFT_ON = ProcedureChange(("leave the unit on for 12 h before the second cycle",), _leave_on)
+_HALF_RAMP_RATE = ProcedureChange(("run every second cycle at half the ramp rate",), _half_the_ramp_rate)
+_ANOTHER_CYCLE = ProcedureChange(("add a cycle",), _another_cycle)
+_LEAVE_ON = ProcedureChange(("leave the unit on for 12 h before the second cycle",), _leave_on)
 
 #: All known changes, alone and combined.
 CHANGES: tuple[ProcedureChange, ...] = (
-    _RETURN,
-    _ON_RAMPS,
-    _ALL,
-    _POWER,
-    _MIDDLE,
-    _SLOWER,
-    _CYCLE,
-    _together(_ON_RAMPS, _MIDDLE),
-    _together(_ON_RAMPS, _RETURN),
-    _together(_ON_RAMPS, _POWER),
-    _together(_CYCLE, _POWER),
-    _together(_CYCLE, _ON_RAMPS),
-    _together(_CYCLE, _ON_RAMPS, _MIDDLE),
-    _together(_CYCLE, _POWER, _ON_RAMPS),
-    _together(_CYCLE, _POWER, _ON_RAMPS, _MIDDLE),
-    _LEFT_ON,
-    _together(_CYCLE, _LEFT_ON),
-    _together(_CYCLE, _LEFT_ON, _ON_RAMPS),
+    _RETURN_TO_FIRST,
+    _MEASURE_ON_RAMPS,
+    _ALL_POSITIONS,
+    _POWER_CYCLE,
+    _MIDDLE_TEMPERATURE,
+    _HALF_RAMP_RATE,
+    _ANOTHER_CYCLE,
+    _combined(_MEASURE_ON_RAMPS, _MIDDLE_TEMPERATURE),
+    _combined(_MEASURE_ON_RAMPS, _RETURN_TO_FIRST),
+    _combined(_MEASURE_ON_RAMPS, _POWER_CYCLE),
+    _combined(_ANOTHER_CYCLE, _POWER_CYCLE),
+    _combined(_ANOTHER_CYCLE, _MEASURE_ON_RAMPS),
+    _combined(_ANOTHER_CYCLE, _MEASURE_ON_RAMPS, _MIDDLE_TEMPERATURE),
+    _combined(_ANOTHER_CYCLE, _POWER_CYCLE, _MEASURE_ON_RAMPS),
+    _combined(_ANOTHER_CYCLE, _POWER_CYCLE, _MEASURE_ON_RAMPS, _MIDDLE_TEMPERATURE),
+    _LEAVE_ON,
+    _combined(_ANOTHER_CYCLE, _LEAVE_ON),
+    _combined(_ANOTHER_CYCLE, _LEAVE_ON, _MEASURE_ON_RAMPS),
 )
 
 
-def _name(entry: _Entry) -> str:
+def _step_name(entry: _Entry) -> str:
     return entry if isinstance(entry, str) else str(next(iter(entry)))
 
 
 def _loops(entries: Steps) -> Iterator[dict[str, Any]]:
     """All loops, outer ones first."""
     for entry in entries:
-        if _name(entry) == _REPEAT:
+        if _step_name(entry) == _REPEAT:
             yield entry[_REPEAT]
             yield from _loops(entry[_REPEAT]["steps"])
 
 
-def _measures(entry: _Entry) -> bool:
-    inside = [entry, *(step for loop in _loops([entry]) for step in loop["steps"])]
-    return any(_name(step) == Navigate.name for step in inside)
+def _has_navigation(entry: _Entry) -> bool:
+    steps = [entry, *(step for loop in _loops([entry]) for step in loop["steps"])]
+    return any(_step_name(step) == Navigate.name for step in steps)
 
 
 def _cycle(entry: _Entry) -> int | None:
     """Cycle of a loop over a single cycle."""
-    cycles = entry[_REPEAT]["over"].get("cycle", []) if _name(entry) == _REPEAT else []
+    cycles = entry[_REPEAT]["over"].get("cycle", []) if _step_name(entry) == _REPEAT else []
     return int(cycles[0]) if len(cycles) == 1 else None
 
 
 def _by_cycle(steps: Steps) -> Iterator[_Entry]:
     """Steps with one loop per cycle in place of each loop whose outermost variable is the cycle."""
     for entry in steps:
-        over = entry[_REPEAT]["over"] if _name(entry) == _REPEAT else {}
+        over = entry[_REPEAT]["over"] if _step_name(entry) == _REPEAT else {}
         if next(iter(over), None) == "cycle":
             for cycle in over["cycle"]:
-                one = copy.deepcopy(entry)
-                one[_REPEAT]["over"]["cycle"] = [cycle]
-                yield one
+                single_cycle = copy.deepcopy(entry)
+                single_cycle[_REPEAT]["over"]["cycle"] = [cycle]
+                yield single_cycle
         else:
             yield entry
 
 
 def _positions(entry: _Entry) -> list[str]:
-    over = entry[_REPEAT]["over"] if _name(entry) == _REPEAT else {}
-    return over.get("position", []) if _measures(entry) else []
+    over = entry[_REPEAT]["over"] if _step_name(entry) == _REPEAT else {}
+    return over.get("position", []) if _has_navigation(entry) else []
 
 
 def _temperature_variable(entry: _Entry) -> str | None:
     """Variable of a loop that sets the chamber temperature."""
     for step in entry[_REPEAT]["steps"]:
-        if _name(step) == SetChamber.name:
+        if _step_name(step) == SetChamber.name:
             name = variable_in(step[SetChamber.name]["temperature_c"])
             return name if name in entry[_REPEAT]["over"] else None
     return None
 
 
 def _ramp_variables(entries: Steps) -> set[str]:
-    ramps = [entry[SetChamber.name]["ramp_c_per_min"] for entry in entries if _name(entry) == SetChamber.name]
+    ramps = [
+        entry[SetChamber.name]["ramp_c_per_min"] for entry in entries if _step_name(entry) == SetChamber.name
+    ]
     return {name for ramp in ramps if (name := variable_in(ramp)) is not None}
 
 
 #: Checks and plans a changed procedure for the same station.
 ProcedurePlanner = Callable[[Document], Plan]
 
-_SENSORS = ("measure the temperature of each gyro's electronics",)
+_ADD_SENSORS = ("measure the temperature of each gyro's electronics",)
 
 
 @dataclass(frozen=True)
 class Advice:
     """A change of a procedure and its benefit."""
 
-    #: Instructions, each a clause in the imperative; empty if no known change is sufficient.
-    what: tuple[str, ...]
+    #: Clauses in the imperative; empty if no known change is sufficient.
+    instructions: tuple[str, ...]
     added_h: float  #: Additional duration.
-    #: Effects that are found at the target size and distinguished from all others only with it.
+    #: Effects that are found at the target size and distinguished from all others only with the change.
     found: tuple[str, ...]
-    pairs: tuple[tuple[str, str], ...]  #: Pairs that are distinguished at the target size only with it.
-    lost: tuple[tuple[str, str], ...] = ()  #: Pairs that are distinguished only without it.
+    pairs: tuple[
+        tuple[str, str], ...
+    ]  #: Pairs that are distinguished at the target size only with the change.
+    lost: tuple[tuple[str, str], ...] = ()  #: Pairs that are distinguished only without the change.
 
 
 def advise(
@@ -306,52 +315,55 @@ def advise(
     present: Separability,
     target_dph: float,
 ) -> list[Advice]:
-    """Find the smallest change for each effect not found and each pair not distinguished at a size.
+    """Find the smallest change for each effect not found and each pair not distinguished at a target size.
 
-    Result: shortest added time first; effects and pairs that no known change resolves are last.
+    Returns the changes with the shortest added time first; effects and pairs that no known change resolves
+    are in the last item.
 
     Parameters
     ----------
     planner : callable
         Plans a changed procedure; raises a DocumentError if it can't be run.
     present : Separability
-        Of the unchanged plan.
+        Separability of the unchanged plan.
     target_dph : float
         Target size, deg/h rms.
     """
     effects = [each.effect for each in present.detections]
-    hidden = set(present.not_found(target_dph))
+    not_found = set(present.not_found(target_dph))
     pairs = set(present.not_distinguished(target_dph))
     advice = []
-    for what, added_h, changed_plan, changed_unit in _changed(document, plan, planner, unit):
-        if not (hidden or pairs):
+    for instructions, added_h, changed_plan, changed_unit in _planned_changes(document, plan, planner, unit):
+        if not (not_found or pairs):
             break
         campaign = planned_campaign(changed_plan, changed_unit)
         if campaign.cycle.min() == campaign.cycle.max():  # a search holds out one cycle
             continue
-        then = separability(searched_dwells(campaign), effects)
-        found = {name for name in hidden if then.is_settled(name, target_dph)}
-        resolved = {pair for pair in pairs if then.distinguished_both_ways_dph(pair) <= target_dph}
+        with_change = separability(searched_dwells(campaign), effects)
+        found = {name for name in not_found if with_change.is_settled(name, target_dph)}
+        resolved = {pair for pair in pairs if with_change.distinguished_both_ways_dph(pair) <= target_dph}
         if found or resolved:
             lost = [
                 pair
-                for pair in then.not_distinguished(target_dph)
+                for pair in with_change.not_distinguished(target_dph)
                 if present.distinguished_both_ways_dph(pair) <= target_dph
             ]
-            advice.append(Advice(what, added_h, tuple(sorted(found)), tuple(sorted(resolved)), tuple(lost)))
-            hidden -= found
+            advice.append(
+                Advice(instructions, added_h, tuple(sorted(found)), tuple(sorted(resolved)), tuple(lost))
+            )
+            not_found -= found
             pairs -= resolved
-    if hidden or pairs:
-        advice.append(Advice((), 0.0, tuple(sorted(hidden)), tuple(sorted(pairs))))
+    if not_found or pairs:
+        advice.append(Advice((), 0.0, tuple(sorted(not_found)), tuple(sorted(pairs))))
     return advice
 
 
 def advise_ties(
     document: Document, plan: Plan, planner: ProcedurePlanner, unit: UnitProperties, closure: Closure
 ) -> list[Advice]:
-    """Find the smallest change after which each tie of a closure is expected to be settled.
+    """Find the smallest change after which each tie of a closure is expected to be resolved.
 
-    As :func:`advise`; the dwells of the closure count too.
+    Like :func:`advise`, with the dwells of the closure included.
     """
     open_ties = {
         (each.found, each.other)
@@ -359,21 +371,21 @@ def advise_ties(
         if not each.is_settled
     }
     advice = []
-    for what, added_h, changed_plan, changed_unit in _changed(document, plan, planner, unit):
+    for instructions, added_h, changed_plan, changed_unit in _planned_changes(document, plan, planner, unit):
         if not open_ties:
             break
-        after = tie_forecasts(closure, planned_campaign(changed_plan, changed_unit))
-        settled = {(each.found, each.other) for each in after if each.is_settled} & open_ties
-        if settled:
-            advice.append(Advice(what, added_h, (), tuple(sorted(settled))))
-            open_ties -= settled
+        forecasts = tie_forecasts(closure, planned_campaign(changed_plan, changed_unit))
+        resolved = {(each.found, each.other) for each in forecasts if each.is_settled} & open_ties
+        if resolved:
+            advice.append(Advice(instructions, added_h, (), tuple(sorted(resolved))))
+            open_ties -= resolved
     return [*advice, Advice((), 0.0, (), tuple(sorted(open_ties)))] if open_ties else advice
 
 
-def _changed(
+def _planned_changes(
     document: Document, plan: Plan, planner: ProcedurePlanner, unit: UnitProperties
 ) -> list[tuple[tuple[str, ...], float, Plan, UnitProperties]]:
-    """Instructions, added time, plan and unit of each change, shortest added time first."""
+    """Instructions, added hours, plan and unit of each change, shortest added time first."""
     result = []
     for change in CHANGES:
         steps = change.apply(document.data["steps"])
@@ -383,7 +395,7 @@ def _changed(
             changed = planner(replace(document, data=document.data | {"steps": steps}))
         except DocumentError:  # the station can't run it
             continue
-        result.append((change.what, (changed.duration_s - plan.duration_s) / S_PER_H, changed, unit))
+        result.append((change.instructions, (changed.duration_s - plan.duration_s) / S_PER_H, changed, unit))
     if not unit.has_boards:
-        result.append((_SENSORS, 0.0, plan, replace(unit, has_boards=True)))
+        result.append((_ADD_SENSORS, 0.0, plan, replace(unit, has_boards=True)))
     return sorted(result, key=lambda each: each[1])

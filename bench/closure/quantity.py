@@ -1,4 +1,4 @@
-"""What a search explains: three coefficients of one kind, with their unit and words."""
+"""Quantities that a search can explain: three coefficients of one kind, with their unit and labels."""
 
 from __future__ import annotations
 
@@ -16,61 +16,61 @@ _SUFFIXES = {"deg/h": "dph"}
 
 @dataclass(frozen=True)
 class Quantity:
-    """Three coefficients that a search takes together, as the biases of the three gyros.
+    """Three coefficients that are searched together, such as the biases of the three gyros.
 
-    Names of numbers that end in ``_dph`` are of gyro biases; a search of another quantity holds its values
-    there in its own :attr:`unit`, and writes them with its own :attr:`suffix`.
+    Names that end in ``_dph`` are those of gyro biases. For another quantity, variables with these names have
+    its own :attr:`unit`, and files get names with its own :attr:`suffix`.
     """
 
-    name: str  #: ``gyro_scale_factor``; of misalignments with the first of them: ``gyro_misalignment_xy``.
+    name: str  #: ``gyro_scale_factor``; for misalignments that of the first one: ``gyro_misalignment_xy``.
     sensor: str  #: "gyro" or "accelerometer".
     label: str  #: "bias", "scale factor" or "misalignment".
-    unit: str  #: Of its values.
+    unit: str  #: Unit of its values.
     coefficients: tuple[str, str, str]  #: Names with the axis: ``gyro_scale_factor_x``.
-    row: str = "dwell"  #: What has one value of each: "dwell", or "plateau" where rotations measure it.
+    row: str = "dwell"  #: Meaning of a row: "dwell", or "plateau" if rotations measure the coefficients.
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Axis of each; of misalignments the sensor and the axis that it senses: "xy"."""
+        """Axis of each coefficient; for misalignments the sensor and the axis that it senses: "xy"."""
         return tuple(each.rpartition("_")[2] for each in self.coefficients)
 
     @property
     def sensors(self) -> tuple[int, ...]:
-        """Index of the sensor of each: 0 for x."""
+        """Index of the sensor of each coefficient: 0 for x."""
         return tuple(AXES.index(axis[0]) for axis in self.axes)
 
     @property
     def suffix(self) -> str:
-        """Unit as names end with it: "dph", "ppm"."""
+        """Unit as a suffix of names: "dph", "ppm"."""
         return _SUFFIXES.get(self.unit, self.unit)
 
     @property
     def is_gyro_bias(self) -> bool:
-        """Whether it is the biases of the gyros, which every dwell table has."""
+        """Whether this is the gyro biases, which every dwell table has."""
         return self.name == "gyro_bias"
 
     @property
     def headings(self) -> tuple[str, ...]:
-        """Name of each on pages: "X gyro", "X accelerometer", "xy"."""
+        """Heading of each coefficient on pages: "X gyro", "X accelerometer", "xy"."""
         if len(self.axes[0]) > 1:
             return self.axes
         return tuple(gyro_label(axis).replace("gyro", self.sensor) for axis in self.axes)
 
     def place(self, axes: Sequence[str]) -> str:
-        """Some of the three in a sentence: "x and y gyros"; of misalignments "xy and yz"."""
+        """Names of some axes in a sentence: "x and y gyros"; for misalignments "xy and yz"."""
         names = listed(axes)
         return names if len(self.axes[0]) > 1 else f"{names} {self.sensor}{'s' if len(axes) > 1 else ''}"
 
     def restated(self, sentence: str) -> str:
-        """A sentence about the bias as one about this quantity."""
+        """Sentence about the bias, rewritten for this quantity."""
         return sentence if self.label == "bias" else sentence.replace("bias", self.label)
 
     def in_rows(self, sentence: str) -> str:
-        """A sentence about dwells as one about what has the values."""
+        """Sentence about dwells, rewritten for plateaus if rows are plateaus."""
         return sentence if self.row == "dwell" else sentence.replace("dwell", self.row)
 
     def in_unit(self, document: Any) -> Any:
-        """A document with names that end in this quantity's unit in place of deg/h."""
+        """Document with this quantity's unit as suffix of its keys in place of deg/h."""
         if self.is_gyro_bias:
             return document
         if isinstance(document, dict):
@@ -85,17 +85,25 @@ def _steps_to_axis(each: SensorCoefficient) -> int:
 
 
 def _quantities() -> list[Quantity]:
-    found = []
+    quantities = []
     for name in dict.fromkeys(each.name for each in COEFFICIENTS):
-        mine = [each for each in COEFFICIENTS if each.name == name]
-        is_one = len(mine) == len(AXES)
-        # Of six misalignments those of each sensor with the next axis, then those with the one before.
-        ordered = mine if is_one else sorted(mine, key=_steps_to_axis)
-        for first in range(0, len(mine), 3):
+        coefficients = [each for each in COEFFICIENTS if each.name == name]
+        is_single_quantity = len(coefficients) == len(AXES)
+        # Six misalignments: first those of each sensor with the next axis, then with the previous one.
+        ordered = coefficients if is_single_quantity else sorted(coefficients, key=_steps_to_axis)
+        for first in range(0, len(coefficients), 3):
             x, y, z = (f"{name}_{each.axis}" for each in ordered[first : first + 3])
-            label = mine[0].kind.replace("_", " ")
-            found.append(Quantity(name if is_one else x, mine[0].sensor, label, mine[0].unit, (x, y, z)))
-    return found
+            label = coefficients[0].kind.replace("_", " ")
+            quantities.append(
+                Quantity(
+                    name if is_single_quantity else x,
+                    coefficients[0].sensor,
+                    label,
+                    coefficients[0].unit,
+                    (x, y, z),
+                )
+            )
+    return quantities
 
 
 #: All quantities that can be searched: the 21 coefficients, three by three.
@@ -104,7 +112,7 @@ GYRO_BIAS = QUANTITIES[0]
 
 
 def quantity(name: str) -> Quantity:
-    """Look up the quantity with a name, or that has a coefficient with that name.
+    """Look up a quantity by its name or by the name of one of its coefficients.
 
     Raises DocumentError if there is none.
     """

@@ -1,4 +1,4 @@
-"""The search: which effects, if any, explain the residuals of the declared model."""
+"""Search for effects that explain the residuals of the declared model."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gyrobench.bench.closure.candidates import (
     after_fit,
     best_start,
     fit_hypothesis,
-    hypothesis,
+    hypothesis_with,
     ranked,
     refine,
     stack,
@@ -31,117 +31,125 @@ from gyrobench.bench.foundations.text import listed
 #: An effect is found if its p-value, corrected for all candidate fits, is below this.
 EFFECT_SIGNIFICANCE = 1e-3
 MAX_EFFECTS = 3
-#: Hypotheses that are extended in each step.
+#: Number of hypotheses that are extended in each step.
 _BEAM_WIDTH = 3
-#: An effect is a special case of another one that reproduces its terms to this share of their length.
+#: An effect is a special case of another if that reproduces its terms within this share of their length.
 SAME_SHARE = 0.05
-#: An effect is tested again without the dwell that has more than this share of its reduction of chi2.
+#: If one dwell has more than this share of an effect's reduction of chi2, the effect is tested without it.
 _MAX_SHARE_OF_ONE_DWELL = 0.5
-#: Fitted parameters reduce chi2 by at most this factor more than the best starting values.
+#: Assumed upper limit of the factor by which fitting the parameters increases the reduction of chi2.
 _MAX_REFINEMENT = 3.0
 #: Sets are about equally probable below these odds.
 _EVEN_ODDS = 3.0
-#: Limit of exchanges of effects in the best hypothesis.
+#: Maximum number of exchanges of effects in the best hypothesis.
 _MAX_EXCHANGES = 6
 
 
-#: Begin of the objection to an effect that a single dwell shows.
+#: First words of the objection to an effect that rests on a single dwell.
 RESTS_ON_DWELL = "it rests on dwell"
-#: Begin of the objection to an effect that adds too little to others.
+#: First words of the objection to an effect that adds too little to others.
 NOT_SIGNIFICANT = "not significant"
-#: Begin of the objection to an effect that others explain whose laws are not exact.
-MAY_BE_LACK = "it may be what the laws of the others lack"
+#: First words of the objection to an effect that may only correct the inexact laws of the others.
+MAY_CORRECT_LAWS = "it may only correct the inexact laws of the others"
 
 
 class Search:
-    """A search of one problem, which has the declared model alone.
+    """Search of one problem, which has the declared model alone.
 
-    ``declared``: that model as a hypothesis. ``alone``: each effect alone, if it is significant, by name.
+    ``declared``: hypothesis without effects. ``single_effects``: hypotheses of one significant effect each,
+    by name.
     """
 
     def __init__(self, problem: Problem, effects: Sequence[Effect]) -> None:
         self.problem = problem
         self.effects = tuple(each.bounded(problem.campaign) for each in effects)
         self.declared = fit_hypothesis(problem, ())
-        self._known: dict[tuple[object, ...], Hypothesis | None] = {}
+        self._fits: dict[tuple[object, ...], Hypothesis | None] = {}
         self._insignificant: dict[frozenset[str], Hypothesis] = {}
-        self._by_forms: dict[frozenset[tuple[str, str]], Hypothesis] = {}
-        alone = {effect.name: self._added(self.declared, effect) for effect in self.effects}
-        self.alone = {name: each for name, each in alone.items() if each is not None}
+        self._best_by_forms: dict[frozenset[tuple[str, str]], Hypothesis] = {}
+        single_fits = {effect.name: self._fit_with_effect(self.declared, effect) for effect in self.effects}
+        self.single_effects = {name: each for name, each in single_fits.items() if each is not None}
 
     def best(self) -> Hypothesis:
-        """The hypothesis with the smallest BIC of which each effect is significant."""
+        """The hypothesis with the smallest BIC to whose effects there is no objection."""
         best = self.declared
         beam = [best]
         for _ in range(MAX_EFFECTS):
-            grown: dict[frozenset[str], Hypothesis] = {}
+            extended: dict[frozenset[str], Hypothesis] = {}
             for smaller in beam:
                 for effect in self.effects:
                     larger = self.add(smaller, effect)
-                    if larger is None or self._objections(larger):
+                    if larger is None or self._has_objection(larger):
                         continue
-                    if larger.names not in grown or larger.is_better_than(grown[larger.names]):
-                        grown[larger.names] = larger
-            beam = ranked(grown.values())[:_BEAM_WIDTH]
+                    if larger.names not in extended or larger.is_better_than(extended[larger.names]):
+                        extended[larger.names] = larger
+            beam = ranked(extended.values())[:_BEAM_WIDTH]
             if not beam or not beam[0].is_better_than(best):
                 break
             best = beam[0]
-        return self._exchanged(best)
+        return self._exchange_effects(best)
 
-    def add(self, to: Hypothesis, effect: Effect) -> Hypothesis | None:
-        """Add one effect in its best form and fit all parameters; None if it is not significant."""
-        if not to.candidates:
-            return self.alone.get(effect.name)
-        if effect.name in to.names:
+    def add(self, hypothesis: Hypothesis, effect: Effect) -> Hypothesis | None:
+        """Hypothesis with one more effect in its best form, fitted together; None if not significant."""
+        if not hypothesis.candidates:
+            return self.single_effects.get(effect.name)
+        if effect.name in hypothesis.names:
             return None
-        key = (*((each.effect.name, each.form.name, each.values) for each in to.candidates), effect.name)
-        if key not in self._known:
-            self._known[key] = self._added(to, effect)
-        return self._known[key]
+        key = (
+            *((each.effect.name, each.form.name, each.values) for each in hypothesis.candidates),
+            effect.name,
+        )
+        if key not in self._fits:
+            self._fits[key] = self._fit_with_effect(hypothesis, effect)
+        return self._fits[key]
 
     def candidate_fits(self, effect: Effect) -> int:
-        """Number of fits that the p-value of an effect is corrected for."""
+        """Number of fits for which the p-value of an effect is corrected."""
         return start_count(effect, self.problem.campaign) * len(self.effects)
 
-    def p_value(self, of: Hypothesis, index: int) -> float:
+    def p_value(self, hypothesis: Hypothesis, index: int) -> float:
         """p-value of one effect of a hypothesis, corrected for all candidate fits."""
-        return self._p_beside(self._beside_others(of, index), of.candidates[index])
+        return self._p_value_in(self._with_others(hypothesis, index), hypothesis.candidates[index])
 
-    def objection(self, of: Hypothesis, index: int) -> str:
-        """Why one effect of a hypothesis is not accepted; empty if it is."""
-        one, p_value = of.candidates[index], self.p_value(of, index)
+    def objection(self, hypothesis: Hypothesis, index: int) -> str:
+        """Reason not to accept one effect of a hypothesis; empty if there is none."""
+        candidate, p_value = hypothesis.candidates[index], self.p_value(hypothesis, index)
         if p_value >= EFFECT_SIGNIFICANCE:
-            labels = [each.effect.display_name for each in of.without(one)]
+            labels = [each.effect.display_name for each in hypothesis.without(candidate)]
             beside = f" beside {listed(labels)}" if labels else ""
             return f"{NOT_SIGNIFICANT}{beside} (p = {p_value:.2g}, required below {EFFECT_SIGNIFICANCE:g})"
-        if not self._excludes_beyond(of, index):
+        if not self._is_distinct_beyond_open_end(hypothesis, index):
             return "a parameter is at its upper bound, where the effect becomes another one"
-        dwell, p_without = self._without_largest_dwell(of, index)
-        if p_without >= EFFECT_SIGNIFICANCE:
-            return f"{RESTS_ON_DWELL} {dwell} alone (p = {p_without:.2g} without it)"
+        dwell, p_without_dwell = self._test_without_largest_dwell(hypothesis, index)
+        if p_without_dwell >= EFFECT_SIGNIFICANCE:
+            return f"{RESTS_ON_DWELL} {dwell} alone (p = {p_without_dwell:.2g} without it)"
         return ""
 
-    def without_lacks(self, of: Hypothesis) -> Hypothesis:
-        """A hypothesis without the effects that may be what the laws of the others lack."""
-        p_values = [self._p_beside_inexact(of, index) for index in range(len(of.candidates))]
+    def without_corrections(self, hypothesis: Hypothesis) -> Hypothesis:
+        """The hypothesis without effects that may only correct the inexact laws of the others."""
+        p_values = [
+            self._p_value_with_inexact_laws(hypothesis, index) for index in range(len(hypothesis.candidates))
+        ]
         if max(p_values, default=0.0) < EFFECT_SIGNIFICANCE:
-            return of
-        fewer = fit_hypothesis(self.problem, of.without(of.candidates[int(np.argmax(p_values))]))
-        return self.without_lacks(self._fitted(fewer)[fewer.names])
+            return hypothesis
+        fewer = fit_hypothesis(
+            self.problem, hypothesis.without(hypothesis.candidates[int(np.argmax(p_values))])
+        )
+        return self.without_corrections(self._best_fits(fewer)[fewer.names])
 
-    def lack(self, of: Hypothesis, index: int) -> str:
-        """Why one effect of a hypothesis may be what the laws of the others lack; empty if it is not."""
-        p_value = self._p_beside_inexact(of, index)
+    def correction_objection(self, hypothesis: Hypothesis, index: int) -> str:
+        """Objection that one effect may only correct the inexact laws of the others; empty if excluded."""
+        p_value = self._p_value_with_inexact_laws(hypothesis, index)
         if p_value < EFFECT_SIGNIFICANCE:
             return ""
-        return f"{MAY_BE_LACK} (p = {p_value:.2g} beside them with other scales and a delay)"
+        return f"{MAY_CORRECT_LAWS} (p = {p_value:.2g} with their laws at other scales and delayed)"
 
-    def shows(self, of: Hypothesis, index: int) -> list[bool]:
-        """Which gyros by themselves show one effect of a hypothesis; at least the most significant."""
-        one = of.candidates[index]
-        beside, columns = self._beside_others(of, index), one.columns(self.problem.campaign)
+    def significant_gyros(self, hypothesis: Hypothesis, index: int) -> list[bool]:
+        """Whether each gyro shows one effect of a hypothesis by itself; the most significant one does."""
+        candidate = hypothesis.candidates[index]
+        others, columns = self._with_others(hypothesis, index), candidate.columns(self.problem.campaign)
         gyros = [
-            beside.chi2_reduction(columns, one.kept & (np.arange(3) == gyro)[:, np.newaxis])
+            others.chi2_reduction(columns, candidate.kept & (np.arange(3) == gyro)[:, np.newaxis])
             for gyro in range(3)
         ]
         p_values = [chi2_p_value(max(rank, 1), reduction) for reduction, rank in gyros]
@@ -153,64 +161,70 @@ class Search:
         return Evidences(self.problem, self.effects)
 
     def most_probable(self) -> tuple[Hypothesis, Posterior]:
-        """The most probable set of effects to which there is no objection, and the probabilities of all sets.
+        """The most probable set of effects without objections, and the probabilities of all sets.
 
-        The sets are those of the search by BIC and all with one effect more than the most probable or with
-        one exchanged, significant or not. The simpler of sets that are about equally probable is preferred.
+        Compared are the sets of the search by BIC, and all sets with one effect added to the most probable
+        one or exchanged in it, significant or not. Of about equally probable sets the simplest is selected.
         """
         best, evidences = self.best(), self.evidences
         for _ in range(_MAX_EXCHANGES):
             self._fit_similar(best)
-            fitted = self._fitted(best)
-            posterior = evidences.posterior([*fitted.values(), *self._other_forms(fitted)])
+            fitted = self._best_fits(best)
+            posterior = evidences.posterior([*fitted.values(), *self._fits_in_other_forms(fitted)])
             sets = (fitted[names] for names in posterior.sets if names in fitted)
-            found = next(each for each in sets if not self._objections(each))
-            if found.names == best.names:
+            selected = next(each for each in sets if not self._has_objection(each))
+            if selected.names == best.names:
                 break
-            best = found
-        similar = [fitted[names] for names in posterior.similar(found.names) if names in fitted]
+            best = selected
+        similar = [fitted[names] for names in posterior.similar(selected.names) if names in fitted]
         for each in similar:
-            is_as_probable = posterior.odds(found.names, each.names) < _EVEN_ODDS
-            is_simpler = each.parameter_count < found.parameter_count
-            if is_simpler and is_as_probable and not self._objections(each):
-                found = each
-        return found, replace(posterior, more_general=self._more_general(found, fitted, posterior))
+            is_as_probable = posterior.odds(selected.names, each.names) < _EVEN_ODDS
+            is_simpler = each.parameter_count < selected.parameter_count
+            if is_simpler and is_as_probable and not self._has_objection(each):
+                selected = each
+        return selected, replace(posterior, more_general=self._find_more_general(selected, fitted, posterior))
 
-    def _more_general(
-        self, found: Hypothesis, fitted: Mapping[frozenset[str], Hypothesis], posterior: Posterior
+    def _find_more_general(
+        self, selected: Hypothesis, fitted: Mapping[frozenset[str], Hypothesis], posterior: Posterior
     ) -> dict[str, frozenset[str]]:
-        """By effect found: those that contain it and are less probable, or fitted no different from it.
+        """For each effect found: more general laws that are less probable, or equal to it as fitted.
 
-        What reproduces it in this campaign alone, as a step of the supply a jump, is another cause. A
-        parameter that changes nothing below some value takes a part of the probability however many dwells
-        there are: a lag of seconds is no different from a rate.
+        Only effects that declare to contain it count. One that reproduces it in this campaign alone, as a
+        step of the supply reproduces a jump, is another cause. A more general law keeps some of the
+        probability even with many dwells if its fit is equal: a lag of seconds equals a rate.
         """
         general: dict[str, frozenset[str]] = {}
-        of_found = posterior.of_set(found.names)
-        limit = max(RIVAL, of_found / _EVEN_ODDS)
-        for each in (fitted[names] for names in posterior.similar(found.names) if names in fitted):
-            of_each = posterior.of_set(each.names)
-            [one], [other] = found.names - each.names, each.names - found.names
-            law = next((one.effect for one in each.candidates if one.effect.name == other), None)
-            if law is None or one not in law.contains:
+        selected_probability = posterior.set_probability(selected.names)
+        limit = max(RIVAL, selected_probability / _EVEN_ODDS)
+        for each in (fitted[names] for names in posterior.similar(selected.names) if names in fitted):
+            probability = posterior.set_probability(each.names)
+            [name], [other_name] = selected.names - each.names, each.names - selected.names
+            law = next((fit.effect for fit in each.candidates if fit.effect.name == other_name), None)
+            if law is None or name not in law.contains:
                 continue
-            if self._is_special_case(found, each) and (
-                of_each < limit or (of_each < of_found and self._is_contained(each, [found.candidates]))
+            if self._is_special_case(selected, each) and (
+                probability < limit
+                or (
+                    probability < selected_probability and self._is_reproduced_by(each, [selected.candidates])
+                )
             ):
-                general[one] = general.get(one, frozenset()) | {other}
+                general[name] = general.get(name, frozenset()) | {other_name}
         return general
 
-    def _fit_similar(self, to: Hypothesis) -> None:
-        """Fit all sets with one effect more, and all with one exchanged."""
-        fewer = [fit_hypothesis(self.problem, to.without(each)) for each in to.candidates]
-        for each in [*fewer, to] if len(to.candidates) < MAX_EFFECTS else fewer:
+    def _fit_similar(self, hypothesis: Hypothesis) -> None:
+        """Fit all sets with one effect added, and all with one exchanged."""
+        fewer = [fit_hypothesis(self.problem, hypothesis.without(each)) for each in hypothesis.candidates]
+        for each in [*fewer, hypothesis] if len(hypothesis.candidates) < MAX_EFFECTS else fewer:
             for effect in self.effects:
                 self.add(each, effect)
 
-    def _fitted(self, best: Hypothesis) -> dict[frozenset[str], Hypothesis]:
-        """All sets of effects fitted so far, each as it fits best."""
+    def _best_fits(self, best: Hypothesis) -> dict[frozenset[str], Hypothesis]:
+        """Best fit of each set of effects fitted so far, by names.
+
+        Of the insignificant fits, only those of sets with one effect that ``best`` does not have.
+        """
         fitted = {self.declared.names: self.declared, best.names: best}
-        for each in (*self.alone.values(), *self._known.values()):
+        for each in (*self.single_effects.values(), *self._fits.values()):
             if each and (each.names not in fitted or each.is_better_than(fitted[each.names])):
                 fitted[each.names] = each
         for each in self._insignificant.values():
@@ -219,131 +233,149 @@ class Search:
                 fitted[each.names] = each
         return fitted
 
-    def _other_forms(self, fitted: Mapping[frozenset[str], Hypothesis]) -> list[Hypothesis]:
-        """The same sets of effects in other forms."""
+    def _fits_in_other_forms(self, fitted: Mapping[frozenset[str], Hypothesis]) -> list[Hypothesis]:
+        """Fits of the same sets of effects in other forms."""
         return [
             each
-            for forms, each in self._by_forms.items()
+            for forms, each in self._best_by_forms.items()
             if each.names in fitted and forms != fitted[each.names].forms
         ]
 
-    def _added(self, to: Hypothesis, effect: Effect) -> Hypothesis | None:
+    def _fit_with_effect(self, hypothesis: Hypothesis, effect: Effect) -> Hypothesis | None:
         problem, campaign = self.problem, self.problem.campaign
-        beside = after_fit(problem, to.candidates)
-        found, failed = [], []
+        problem_so_far = after_fit(problem, hypothesis.candidates)
+        significant, insignificant = [], []
         for form in effect.forms:
             if form.missing_input(campaign):
                 continue
-            start = best_start(beside, effect, form)
-            reduction, rank = beside.chi2_reduction(start.columns(campaign))
+            start = best_start(problem_so_far, effect, form)
+            reduction, rank = problem_so_far.chi2_reduction(start.columns(campaign))
             if chi2_p_value(rank + len(start.values), _MAX_REFINEMENT * reduction) >= EFFECT_SIGNIFICANCE:
-                failed.append(start)
+                insignificant.append(start)
                 continue
-            [candidate] = refine(beside, [start])
-            reduction, rank = beside.chi2_reduction(candidate.columns(campaign))
+            [candidate] = refine(problem_so_far, [start])
+            reduction, rank = problem_so_far.chi2_reduction(candidate.columns(campaign))
             if chi2_p_value(rank + len(candidate.values), reduction) < EFFECT_SIGNIFICANCE:
-                whole = [replace(each, kept=np.ones_like(each.kept)) for each in (*to.candidates, candidate)]
-                found.append(fit_hypothesis(problem, refine(problem, whole) if to.candidates else whole))
+                all_terms = [
+                    replace(each, kept=np.ones_like(each.kept))
+                    for each in (*hypothesis.candidates, candidate)
+                ]
+                significant.append(
+                    fit_hypothesis(
+                        problem, refine(problem, all_terms) if hypothesis.candidates else all_terms
+                    )
+                )
             elif rank:
-                failed.append(candidate)
-        weak = [] if found else [fit_hypothesis(problem, [*to.candidates, each]) for each in failed]
-        if weak:
-            best = ranked(weak)[0]
-            known = self._insignificant.get(best.names, best)
-            self._insignificant[best.names] = ranked([best, known])[0]
-        for each in (*found, *weak):
-            self._by_forms[each.forms] = ranked([each, self._by_forms.get(each.forms, each)])[0]
-        return ranked(found)[0] if found else None
+                insignificant.append(candidate)
+        weak_fits = (
+            []
+            if significant
+            else [fit_hypothesis(problem, [*hypothesis.candidates, each]) for each in insignificant]
+        )
+        if weak_fits:
+            best = ranked(weak_fits)[0]
+            previous = self._insignificant.get(best.names, best)
+            self._insignificant[best.names] = ranked([best, previous])[0]
+        for each in (*significant, *weak_fits):
+            self._best_by_forms[each.forms] = ranked([each, self._best_by_forms.get(each.forms, each)])[0]
+        return ranked(significant)[0] if significant else None
 
-    def _exchanged(self, best: Hypothesis) -> Hypothesis:
-        """Exchange effects as long as that is better: an early one may stand in for several."""
+    def _exchange_effects(self, best: Hypothesis) -> Hypothesis:
+        """Exchange effects while the BIC falls: an effect added early may substitute for several others."""
         for _ in range(_MAX_EXCHANGES if len(best.candidates) > 1 else 0):
-            fewer = [fit_hypothesis(self.problem, best.without(one)) for one in best.candidates]
+            fewer = [fit_hypothesis(self.problem, best.without(candidate)) for candidate in best.candidates]
             others = [effect for effect in self.effects if effect.name not in best.names]
-            found = [self.add(each, effect) for each in fewer for effect in others]
+            exchanged = [self.add(each, effect) for each in fewer for effect in others]
             better = [
                 each
-                for each in found
-                if each is not None and each.is_better_than(best) and not self._objections(each)
+                for each in exchanged
+                if each is not None and each.is_better_than(best) and not self._has_objection(each)
             ]
             if not better:
                 break
             best = ranked(better)[0]
         return best
 
-    def _objections(self, of: Hypothesis) -> bool:
-        return any(self.objection(of, index) for index in range(len(of.candidates)))
+    def _has_objection(self, hypothesis: Hypothesis) -> bool:
+        return any(self.objection(hypothesis, index) for index in range(len(hypothesis.candidates)))
 
-    def _without_largest_dwell(self, of: Hypothesis, index: int) -> tuple[int, float]:
-        """The dwell with most of an effect's reduction of chi2; the p-value without it, 0 if it has little.
+    def _test_without_largest_dwell(self, hypothesis: Hypothesis, index: int) -> tuple[int, float]:
+        """The dwell with the largest share of an effect's reduction of chi2, and the p-value without it.
 
-        One dwell may be an outlier.
+        The p-value is 0 if the share is small. One dwell may be an outlier.
         """
-        problem, one = self.problem, of.candidates[index]
-        beside = self._beside_others(of, index)
-        after = beside.with_columns(one.columns(problem.campaign))
-        explained = np.sum((beside.residuals - after.residuals) ** 2, axis=1)
-        place = np.flatnonzero(problem.searched)[int(np.argmax(explained))]
-        dwell = int(problem.campaign.dwell[place])
-        if explained.max() <= _MAX_SHARE_OF_ONE_DWELL * explained.sum():
+        problem, candidate = self.problem, hypothesis.candidates[index]
+        with_others = self._with_others(hypothesis, index)
+        after = with_others.with_columns(candidate.columns(problem.campaign))
+        reductions = np.sum((with_others.residuals - after.residuals) ** 2, axis=1)
+        largest = np.flatnonzero(problem.searched)[int(np.argmax(reductions))]
+        dwell = int(problem.campaign.dwell[largest])
+        if reductions.max() <= _MAX_SHARE_OF_ONE_DWELL * reductions.sum():
             return dwell, 0.0
-        rest = problem.searched & (np.arange(len(problem.searched)) != place)
-        without = declared_problem(problem.campaign, rest, problem.noise_scale)
-        return dwell, self._p_beside(self._beside_others(of, index, without), one)
+        remaining = problem.searched & (np.arange(len(problem.searched)) != largest)
+        without_dwell = declared_problem(problem.campaign, remaining, problem.noise_scale)
+        return dwell, self._p_value_in(self._with_others(hypothesis, index, without_dwell), candidate)
 
-    def _p_beside_inexact(self, of: Hypothesis, index: int) -> float:
-        """p-value of one effect beside the others, none of whose laws is exact; 0 without others.
+    def _p_value_with_inexact_laws(self, hypothesis: Hypothesis, index: int) -> float:
+        """p-value of one effect if the laws of the others are inexact; 0 without others.
 
-        A real cause has several widths or time constants where a law has one, and acts with a delay: the
-        others may have any size at other scales, and any share of the change since the dwell before.
+        A real cause has several widths or time constants where its law has one, and acts with a delay. The
+        others therefore get free terms at other scales, and free terms of their change since the previous
+        dwell.
         """
-        one, campaign = of.candidates[index], self.problem.campaign
-        others = of.without(one)
+        candidate, campaign = hypothesis.candidates[index], self.problem.campaign
+        others = hypothesis.without(candidate)
         if not others:
             return 0.0
         terms, _ = stack(others, campaign)
         changes = np.diff(terms, axis=0, prepend=terms[:1])
-        scales = [wider.columns(campaign) for each in others for wider in each.at_other_scales]
-        return self._p_beside(
-            self.problem.with_columns(np.concatenate([terms, changes, *scales], axis=2)), one
+        scales = [scaled.columns(campaign) for each in others for scaled in each.at_other_scales]
+        return self._p_value_in(
+            self.problem.with_columns(np.concatenate([terms, changes, *scales], axis=2)), candidate
         )
 
-    def _excludes_beyond(self, of: Hypothesis, index: int) -> bool:
-        """Whether what an effect becomes beyond its open end is not tied with it, if it was fitted there."""
-        one = of.candidates[index]
-        beyond = one.beyond_open_end
+    def _is_distinct_beyond_open_end(self, fitted: Hypothesis, index: int) -> bool:
+        """Whether an effect at its open end is distinct from what it becomes beyond; True elsewhere."""
+        candidate = fitted.candidates[index]
+        beyond = candidate.beyond_open_end
         if beyond is None:
             return True
-        other = hypothesis(self.problem, [*of.without(one), beyond])
-        return other.bic > of.bic + 2.0 * math.log(TIE_ODDS)
+        other = hypothesis_with(self.problem, [*fitted.without(candidate), beyond])
+        return other.bic > fitted.bic + 2.0 * math.log(TIE_ODDS)
 
-    def _p_beside(self, beside: Problem, one: Candidate) -> float:
-        """p-value of a candidate beside all terms of a problem, corrected for all candidate fits."""
-        reduction, rank = beside.chi2_reduction(one.columns(self.problem.campaign))
-        return min(1.0, chi2_p_value(rank + len(one.values), reduction) * self.candidate_fits(one.effect))
+    def _p_value_in(self, problem: Problem, candidate: Candidate) -> float:
+        """p-value of a candidate added to a problem, corrected for all candidate fits."""
+        reduction, rank = problem.chi2_reduction(candidate.columns(self.problem.campaign))
+        return min(
+            1.0, chi2_p_value(rank + len(candidate.values), reduction) * self.candidate_fits(candidate.effect)
+        )
 
-    def _beside_others(self, of: Hypothesis, index: int, problem: Problem | None = None) -> Problem:
+    def _with_others(self, hypothesis: Hypothesis, index: int, problem: Problem | None = None) -> Problem:
         """Problem after a fit of all terms of the other effects."""
-        problem, others = problem or self.problem, of.without(of.candidates[index])
+        problem, others = problem or self.problem, hypothesis.without(hypothesis.candidates[index])
         return problem.with_columns(stack(others, problem.campaign)[0]) if others else problem
 
     def _is_special_case(self, special: Hypothesis, general: Hypothesis) -> bool:
-        """Whether a hypothesis is contained in another, as fitted or with a parameter at a bound."""
+        """Whether another hypothesis reproduces this one, as fitted or with a parameter at a bound."""
         if general.parameter_count <= special.parameter_count:
             return False
-        return self._is_contained(special, [general.candidates, *_at_bounds(general.candidates)])
+        return self._is_reproduced_by(special, [general.candidates, *_at_bounds(general.candidates)])
 
-    def _is_contained(self, special: Hypothesis, laws: Iterable[Sequence[Candidate]]) -> bool:
-        """Whether one of several sets of effects reproduces a hypothesis."""
+    def _is_reproduced_by(self, special: Hypothesis, laws: Iterable[Sequence[Candidate]]) -> bool:
+        """Whether any of several sets of effects reproduces a hypothesis."""
         problem, target = self.problem, stack(special.candidates, self.problem.campaign)
         return any(after_fit(problem, each).independent_share(*target) < SAME_SHARE for each in laws)
 
 
 def _at_bounds(candidates: Sequence[Candidate]) -> Iterator[list[Candidate]]:
-    """Candidates with one parameter at its lower bound or open end, for each that has one."""
-    for place, each in enumerate(candidates):
-        for index, parameter in enumerate(each.form.parameters):
+    """Candidates with one parameter set to its lower bound or open end, for each such parameter in turn."""
+    for candidate_index, each in enumerate(candidates):
+        for parameter_index, parameter in enumerate(each.form.parameters):
             bounds = (parameter.low, parameter.high if parameter.is_open_end else -np.inf)
             for bound in filter(np.isfinite, bounds):
-                values = (*each.values[:index], bound, *each.values[index + 1 :])
-                yield [*candidates[:place], replace(each, values=values), *candidates[place + 1 :]]
+                values = (*each.values[:parameter_index], bound, *each.values[parameter_index + 1 :])
+                yield [
+                    *candidates[:candidate_index],
+                    replace(each, values=values),
+                    *candidates[candidate_index + 1 :],
+                ]

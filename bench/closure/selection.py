@@ -1,4 +1,4 @@
-"""Which hypothesis stands: the most probable one in its own noise, and why others do not."""
+"""Selects the most probable hypothesis, with the noise estimated for it; gives the reasons against others."""
 
 from __future__ import annotations
 
@@ -18,53 +18,53 @@ from gyrobench.bench.closure.validation import LackOfFit, lack_of_fit
 from gyrobench.bench.foundations.arrays import BoolArray
 from gyrobench.bench.foundations.text import listed, plain_name
 
-#: Searches in a noise estimated beside what the one before found.
+#: Maximum number of searches, each with the noise estimated with the effects of the previous one.
 _MAX_SEARCHES = 4
 
 
 @dataclass(frozen=True)
 class NotAccepted:
-    """A probable set of effects that is not found."""
+    """A probable set of effects that was not accepted."""
 
-    names: tuple[str, ...]  #: Effects.
+    names: tuple[str, ...]  #: Names of the effects.
     probability: float  #: Of the set, with or without a remainder.
-    reason: str  #: The objection to it.
+    reason: str  #: The objection to the set.
 
 
 @dataclass(frozen=True)
 class Selected:
-    """The hypothesis that stands."""
+    """Outcome of the searches: the selected hypothesis, its noise and the search that gave it."""
 
-    noise: CampaignNoise  #: Of the search.
+    noise: CampaignNoise  #: Noise with which the search was made.
     search: Search
-    best: Hypothesis  #: The most probable one without an objection.
+    best: Hypothesis  #: The most probable hypothesis without objections.
     posterior: Posterior  #: Probabilities of all sets of effects.
 
     @cached_property
-    def found(self) -> Hypothesis:
-        """The effects found: those of the best that are no lack of the others' laws; none, if it has none."""
-        return self.search.without_lacks(self.best)
+    def accepted(self) -> Hypothesis:
+        """Effects of the best hypothesis, without those that only correct the law of another."""
+        return self.search.without_corrections(self.best)
 
     @cached_property
-    def with_effects(self) -> Problem:
-        """The problem after a fit of the best effects."""
+    def problem_with_effects(self) -> Problem:
+        """The problem after a fit of the effects of the best hypothesis."""
         return after_fit(self.search.problem, self.best.candidates)
 
     @cached_property
-    def after(self) -> LackOfFit:
-        """Test of the residual with the best effects."""
-        return lack_of_fit(self.with_effects, sum(len(each.values) for each in self.best.candidates))
+    def residual_test(self) -> LackOfFit:
+        """Lack-of-fit test of the residual with the effects of the best hypothesis."""
+        return lack_of_fit(self.problem_with_effects, sum(len(each.values) for each in self.best.candidates))
 
     @property
     def cost(self) -> float:
-        """See :meth:`~.noise.CampaignNoise.cost`."""
+        """Cost of the best hypothesis; see :meth:`~.noise.CampaignNoise.cost`."""
         return self.noise.cost(self.best.bic, int(self.search.problem.searched.sum()))
 
     @property
     def not_accepted(self) -> NotAccepted | None:
-        """The most probable set of effects, and why it is not found; None if effects are found."""
+        """The most probable set of effects and the reason against it; None if effects are accepted."""
         names = next(filter(None, self.posterior.sets), None)
-        if self.found.candidates or names is None:
+        if self.accepted.candidates or names is None:
             return None
         probability = sum(each.probability for each in self.posterior.hypotheses if each.names == names)
         reason = next(filter(None, self._objections(names).values()), "")
@@ -72,36 +72,40 @@ class Selected:
         return NotAccepted(tuple(sorted(names)), probability, reason)
 
     def rejection(self, effect: Effect) -> str:
-        """Why an effect that is significant alone, or not improbable, is not found; empty for all others."""
-        search, found = self.search, self.found
-        alone = search.alone.get(effect.name)
-        is_shown = alone is not None and search.p_value(alone, 0) < EFFECT_SIGNIFICANCE
-        if effect.name in found.names or not (is_shown or effect.name in self.posterior.rivals(found.names)):
+        """Reason against an effect that is significant alone or a rival; otherwise empty."""
+        search, accepted = self.search, self.accepted
+        single_effect = search.single_effects.get(effect.name)
+        is_significant = single_effect is not None and search.p_value(single_effect, 0) < EFFECT_SIGNIFICANCE
+        is_rival = effect.name in self.posterior.rivals(accepted.names)
+        if effect.name in accepted.names or not (is_significant or is_rival):
             return ""
-        for names in itertools.takewhile(lambda each: each != found.names, self.posterior.sets):
+        for names in itertools.takewhile(lambda each: each != accepted.names, self.posterior.sets):
             objections = self._objections(names)
             if objection := objections.get(effect.name):
                 return objection
             if effect.name in objections and any(objections.values()):
                 label, objection = next((label, text) for label, text in objections.items() if text)
-                return f"{plain_name(label)} beside it is not accepted: {objection}"
-        labels = listed([each.effect.display_name for each in found.candidates])
-        with_it = search.add(found, effect)
-        if with_it is None:
+                return f"combined with {plain_name(label)}, which is not accepted: {objection}"
+        labels = listed([each.effect.display_name for each in accepted.candidates])
+        with_effect = search.add(accepted, effect)
+        if with_effect is None:
             return f"{NOT_SIGNIFICANT} beside {labels}"
-        place = [each.effect.name for each in with_it.candidates].index(effect.name)
+        index = [each.effect.name for each in with_effect.candidates].index(effect.name)
         beside = f"{labels} alone" if labels else "the declared model alone"
         reason = f"{beside} is about as probable and simpler"
-        if self.posterior.not_on_list > 0.5:
+        if self.posterior.unlisted_probability > 0.5:
             reason = "an unlisted effect is more probable"
-        return search.objection(with_it, place) or search.lack(with_it, place) or reason
+        return (
+            search.objection(with_effect, index) or search.correction_objection(with_effect, index) or reason
+        )
 
     def _objections(self, names: frozenset[str]) -> dict[str, str]:
-        """The objection to each effect of a set of the posterior; empty if there is none."""
-        fits = [each.candidates for each in self.posterior.hypotheses if each.names == names]
-        fitted = fit_hypothesis(self.search.problem, fits[0])
+        """Objection to each effect of a set of the posterior, by name; empty text without one."""
+        candidates = next(each.candidates for each in self.posterior.hypotheses if each.names == names)
+        fitted = fit_hypothesis(self.search.problem, candidates)
         return {
-            each.effect.name: self.search.objection(fitted, index) or self.search.lack(fitted, index)
+            each.effect.name: self.search.objection(fitted, index)
+            or self.search.correction_objection(fitted, index)
             for index, each in enumerate(fitted.candidates)
         }
 
@@ -109,50 +113,50 @@ class Selected:
 def select(campaign: Campaign, searched: BoolArray, effects: Sequence[Effect]) -> Selected:
     """Search the dwells ``searched`` (n,) of a campaign, which has the stated uncertainties.
 
-    The noise is estimated beside the declared model and beside the effects found. A few disturbed dwells
-    look like an effect, and an effect in a few dwells looks like outliers: if either noise is not as
-    stated, both are searched, and the one stands that describes all dwells better.
+    The noise is estimated with the declared model alone and with the effects found. A few disturbed dwells
+    look like an effect, and an effect in a few dwells looks like outliers. If one of these noises is not as
+    stated, a search is made with each, and the one that describes all dwells best is selected.
 
-    Beside a dwell that outweighs all others nearly every effect looks significant, and all sets of three
-    would be fitted to it. An effect must not rest on one dwell: it is found without this one too, and then
-    fitted to it, which shows whether the dwell is an outlier.
+    If one dwell outweighs all others, nearly every effect looks significant, and all sets of three would be
+    fitted to that dwell. An effect must not rest on one dwell: the first search down-weights it as an
+    outlier. The effects found are then fitted with it, which shows whether it is one.
     """
-    stated, alone = CampaignNoise.stated(campaign), estimate_campaign_noise(campaign, searched)
-    first = outweighing_dwell(campaign, searched)
-    settled = [_settled(campaign, searched, effects, first)]
-    found = settled[0].best.candidates
-    if first.outliers and found:
-        fitted = refine(stated.problem(campaign, searched), found)
-        beside = estimate_campaign_noise(campaign, searched, fitted)
-        if not beside.is_like(settled[0].noise):
-            settled.append(_settled(campaign, searched, effects, beside))
-    if not (alone.is_like(stated) or alone.is_like(first)):
-        settled.append(_settled(campaign, searched, effects, alone))
-    if all(each.after.is_significant for each in settled):
-        smooth = estimate_campaign_noise(campaign, searched, smooth=True)
-        if smooth.outliers and not smooth.has_outliers_of(first):
-            settled.append(_settled(campaign, searched, effects, smooth))
-    return min(settled, key=lambda each: each.cost)
+    stated, declared_noise = CampaignNoise.stated(campaign), estimate_campaign_noise(campaign, searched)
+    first_noise = outweighing_dwell(campaign, searched)
+    selections = [_search_until_consistent(campaign, searched, effects, first_noise)]
+    candidates = selections[0].best.candidates
+    if first_noise.outliers and candidates:
+        fitted = refine(stated.problem(campaign, searched), candidates)
+        effects_noise = estimate_campaign_noise(campaign, searched, fitted)
+        if not effects_noise.is_close_to(selections[0].noise):
+            selections.append(_search_until_consistent(campaign, searched, effects, effects_noise))
+    if not (declared_noise.is_close_to(stated) or declared_noise.is_close_to(first_noise)):
+        selections.append(_search_until_consistent(campaign, searched, effects, declared_noise))
+    if all(each.residual_test.is_significant for each in selections):
+        smooth_noise = estimate_campaign_noise(campaign, searched, smooth=True)
+        if smooth_noise.outliers and not smooth_noise.has_same_outliers(first_noise):
+            selections.append(_search_until_consistent(campaign, searched, effects, smooth_noise))
+    return min(selections, key=lambda each: each.cost)
 
 
-def _settled(
+def _search_until_consistent(
     campaign: Campaign, searched: BoolArray, effects: Sequence[Effect], noise: CampaignNoise
 ) -> Selected:
-    """Search again as long as the noise beside what is found is another one than that of the search."""
+    """Repeat the search until the noise estimated with its effects is the noise that it was made with."""
     is_last = False
     for _ in range(_MAX_SEARCHES):
         search = Search(noise.problem(campaign, searched), effects)
         selected = Selected(noise, search, *search.most_probable())
         if noise.outliers and not selected.best.candidates:
-            # No effect accounts for the outliers, but what is left may have been noise beside an effect.
-            noise = noise.beside_none(campaign, searched)
-            if is_last or noise.is_like(selected.noise):
+            # No effect explains the outliers, but the scale may have been estimated with an effect.
+            noise = noise.without_effects(campaign, searched)
+            if is_last or noise.is_close_to(selected.noise):
                 break
             is_last = True
             continue
         noise = estimate_campaign_noise(campaign, searched, selected.best.candidates)
-        if is_last or noise.is_like(selected.noise):
+        if is_last or noise.is_close_to(selected.noise):
             break
-        # Scatter that has structure beside another set of effects is not noise.
+        # Scatter that has structure with another set of effects is not noise.
         is_last = noise.scale == 1.0 < selected.noise.scale
     return selected

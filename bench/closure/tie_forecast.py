@@ -1,8 +1,8 @@
-"""Odds that a planned campaign is expected to give for the ties that a closure leaves open.
+"""Expected odds of the ties of a closure after a planned campaign.
 
-The unit of a closure has the noise, sensors and temperatures measured. For each tie, the dwells of the
-plan are predicted by each of the two hypotheses as fitted; both are then fitted to the dwells measured
-together with the predicted ones, as a search after the measurement would do.
+Noise, sensors and temperatures of the unit are as measured in the closure. For each tie, the dwells of the
+plan are predicted by each of the two fitted hypotheses; both are then fitted to the measured and predicted
+dwells together, as a search after the measurement would do.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ from gyrobench.bench.closure.unit_thermal import UnitThermal
 from gyrobench.bench.foundations.arrays import S_PER_H, BoolArray
 from gyrobench.bench.procedure.estimate import ThermalEstimate
 
-_SMALLEST, _MAX_LOG_ODDS = 1e-150, 345.0
-#: Draws of the noise of a plan.
+_MIN_PROBABILITY, _MAX_LOG_ODDS = 1e-150, 345.0
+#: Number of draws of the noise of a plan.
 _DRAWS = 5
 
 
 def measured_properties(closure: Closure, estimate: ThermalEstimate) -> UnitProperties:
-    """The unit of a closure: its noise, sensors, and temperatures fitted to the campaign.
+    """Properties of the unit of a closure: noise, sensors, and thermal model fitted to the campaign.
 
-    ``estimate`` is of a typical unit: it stands for what was not measured.
+    ``estimate``: of a typical unit; replaces what was not measured.
     """
     campaign = closure.campaign
     hours = (campaign.end_s - campaign.start_s)[:, np.newaxis] / S_PER_H
@@ -53,68 +53,78 @@ def measured_properties(closure: Closure, estimate: ThermalEstimate) -> UnitProp
 
 @dataclass(frozen=True)
 class TieForecast:
-    """A tie of a closure, and the odds that a plan is expected to lead to."""
+    """A tie of a closure, and the odds expected after a plan."""
 
     found: str  #: Name of the effect found.
     other: str  #: Name of the effect tied with it.
-    now: float  #: Odds by which the dwells searched prefer the effect found.
-    #: Expected odds for the effect found if it is present, from the dwells of the plan that a search uses.
-    alone: float = math.nan
-    #: if_found, if_other: Expected odds for the one that is present, from the dwells searched and all of the
-    #: plan. NaN, like ``alone``, where neither closure nor plan can fit the other; where only the plan can,
-    #: ``if_found`` is of the plan alone.
+    now: float  #: Odds of the effect found, from the dwells searched.
+    #: Expected odds of the effect found if it is present, from those dwells of the plan that a search uses.
+    plan_only: float = math.nan
+    #: if_found, if_other: Expected odds of the effect that is present, from the dwells searched and all of
+    #: the plan. NaN, like ``plan_only``, if neither closure nor plan can fit the other effect; if only the
+    #: plan can fit it, ``if_found`` is from the plan only.
     if_found: float = math.nan
     if_other: float = math.nan
-    missing_input: str | None = None  #: Why the plan can't fit the other.
+    missing_input: str | None = (
+        None  #: The missing input that prevents the plan from fitting the other effect.
+    )
 
     @property
     def is_settled(self) -> bool:
-        """Whether it is expected to be settled, whichever is present."""
+        """Whether the tie is expected to be resolved, whichever effect is present."""
         expected = [each for each in (self.if_found, self.if_other) if not math.isnan(each)]
         return bool(expected) and min(expected) >= TIE_ODDS
 
 
 def tie_forecasts(closure: Closure, planned: Campaign) -> list[TieForecast]:
-    """The ties of a closure after a planned campaign that begins at its end."""
+    """Forecast the ties of a closure after a planned campaign that begins at its end."""
     effects = {each.effect.name: each.effect for each in closure.evidence}
     problem = closure.noise.problem(closure.campaign, closure.searched)
     found = tuple(each.candidate for each in closure.effects)
     names = {each.effect.name for each in found}
-    seen = replace(problem.campaign.part(closure.searched), tables=(), part_of=None)
-    seen = replace(seen, sigma_dph=seen.sigma_dph * closure.noise_scale)
-    planned = replace(planned, unit=seen.unit)
-    together = join_tables([TableToJoin("measured", seen), TableToJoin("planned", planned, is_run=True)])
-    whole, alone = (
+    measured = replace(problem.campaign.part(closure.searched), tables=(), part_of=None)
+    measured = replace(measured, sigma_dph=measured.sigma_dph * closure.noise_scale)
+    planned = replace(planned, unit=measured.unit)
+    joined = join_tables([TableToJoin("measured", measured), TableToJoin("planned", planned, is_run=True)])
+    odds_with_plan, odds_of_plan = (
         partial(
             _odds, problem=problem, is_predicted=is_predicted, campaign=campaign, effects=[*effects.values()]
         )
         for campaign, is_predicted in (
-            (together, np.arange(len(together)) >= len(seen)),
+            (joined, np.arange(len(joined)) >= len(measured)),
             (searched_dwells(planned), np.ones(len(searched_dwells(planned)), dtype=bool)),
         )
     )
     forecasts = []
-    for one in closure.effects:
-        others = [each for each in found if each is not one.candidate]
-        for name in dict.fromkeys(one.tied_with):
-            chances = [closure.posterior.of_set(each) for each in (names, names - {one.effect.name} | {name})]
-            tie = TieForecast(one.effect.name, name, _ratio(*chances))
-            instead = _alternative(problem, others, effects[name])
-            missing = effects[name].missing_input(planned)
-            if instead is not None:
-                both = found, instead.candidates
-                tie = replace(tie, alone=alone(*both), if_found=whole(*both), if_other=whole(*both[::-1]))
-            elif missing:
-                tie = replace(tie, missing_input=missing)
+    for tied_effect in closure.effects:
+        others = [each for each in found if each is not tied_effect.candidate]
+        for name in dict.fromkeys(tied_effect.tied_with):
+            probabilities = [
+                closure.posterior.set_probability(each)
+                for each in (names, names - {tied_effect.effect.name} | {name})
+            ]
+            tie = TieForecast(tied_effect.effect.name, name, _ratio(*probabilities))
+            alternative = _alternative(problem, others, effects[name])
+            missing_input = effects[name].missing_input(planned)
+            if alternative is not None:
+                sets = found, alternative.candidates
+                tie = replace(
+                    tie,
+                    plan_only=odds_of_plan(*sets),
+                    if_found=odds_with_plan(*sets),
+                    if_other=odds_with_plan(*sets[::-1]),
+                )
+            elif missing_input:
+                tie = replace(tie, missing_input=missing_input)
             else:
-                odds = alone(found, (*others, effects[name]))
-                tie = replace(tie, alone=odds, if_found=odds)
+                odds = odds_of_plan(found, (*others, effects[name]))
+                tie = replace(tie, plan_only=odds, if_found=odds)
             forecasts.append(tie)
     return forecasts
 
 
 def _alternative(problem: Problem, others: Sequence[Candidate], effect: Effect) -> Hypothesis | None:
-    """Hypothesis with an effect beside others; None if it can't be fitted."""
+    """Hypothesis with an effect added to others; None if it can't be fitted."""
     if effect.missing_input(problem.campaign):
         return None
     search = Search(problem, (effect,))
@@ -130,11 +140,11 @@ def _odds(
     is_predicted: BoolArray,
     effects: Sequence[Effect],
 ) -> float:
-    """Expected odds of the effects that are present against others, both as fitted to a problem.
+    """Expected odds of the effects that are present to another set, both as fitted to a problem.
 
-    ``other`` differs by one, an Effect if the problem can't fit it. ``is_predicted``: the dwells of the
-    campaign of which the biases are predicted by the effects present, with noise; the expectation is that of
-    the logarithm.
+    ``other`` differs in one effect, which is an Effect if the problem can't fit it. ``is_predicted``: dwells
+    of the campaign whose biases are predicted from the effects present, with noise. The expectation is that
+    of the logarithm.
     """
     solution = solve_with(problem, present)
     runs = len(campaign.run_names) + DEGREE - solution.declared.shape[1]
@@ -142,24 +152,26 @@ def _odds(
     declared = declared[:, : DEGREE + len(campaign.run_names)]
     columns = [each.columns(campaign) for each in present]
     predicted_dph = predict(campaign, declared, solution.sizes, columns)
-    known = {each.effect.name for each in present}
-    shared = [each for each in other if isinstance(each, Candidate) and each.effect.name in known]
+    present_names = {each.effect.name for each in present}
+    shared = [each for each in other if isinstance(each, Candidate) and each.effect.name in present_names]
     [new] = [each for each in other if each not in shared]
-    draw, logarithms = np.random.default_rng(0), []
+    random, logarithms = np.random.default_rng(0), []
     for _ in range(_DRAWS):
-        drawn_dph = predicted_dph + campaign.sigma_dph * draw.standard_normal(predicted_dph.shape)
-        bias_dph = np.where(is_predicted[:, np.newaxis], drawn_dph, campaign.bias_dph)
-        after = declared_problem(replace(campaign, bias_dph=bias_dph), np.ones(len(campaign), dtype=bool))
-        own = fit_hypothesis(after, refine(after, present))
-        rivals = [_alternative(after, shared, new if isinstance(new, Effect) else new.effect)]
+        noisy_dph = predicted_dph + campaign.sigma_dph * random.standard_normal(predicted_dph.shape)
+        bias_dph = np.where(is_predicted[:, np.newaxis], noisy_dph, campaign.bias_dph)
+        predicted_problem = declared_problem(
+            replace(campaign, bias_dph=bias_dph), np.ones(len(campaign), dtype=bool)
+        )
+        present_fit = fit_hypothesis(predicted_problem, refine(predicted_problem, present))
+        rivals = [_alternative(predicted_problem, shared, new if isinstance(new, Effect) else new.effect)]
         if isinstance(new, Candidate):
-            rivals.append(fit_hypothesis(after, refine(after, [*shared, new])))
-        evidences = Evidences(after, effects)
-        # What is not significant is as probable as nothing.
-        fitted = [each for each in rivals if each is not None] or [fit_hypothesis(after, shared)]
-        logarithms.append(0.5 * min(evidences.log_odds(own, each) for each in fitted))
+            rivals.append(fit_hypothesis(predicted_problem, refine(predicted_problem, [*shared, new])))
+        evidences = Evidences(predicted_problem, effects)
+        # An effect that is not significant counts as absent.
+        fitted = [each for each in rivals if each is not None] or [fit_hypothesis(predicted_problem, shared)]
+        logarithms.append(0.5 * min(evidences.log_odds(present_fit, each) for each in fitted))
     return math.exp(float(np.clip(np.mean(logarithms), -_MAX_LOG_ODDS, _MAX_LOG_ODDS)))
 
 
-def _ratio(one: float, other: float) -> float:
-    return max(one, _SMALLEST) / max(other, _SMALLEST)
+def _ratio(first: float, second: float) -> float:
+    return max(first, _MIN_PROBABILITY) / max(second, _MIN_PROBABILITY)

@@ -1,8 +1,8 @@
-"""Uncertainty of a fitted model: draws of its coefficients, sizes and nonlinear parameters, given the data.
+"""Uncertainty of a fitted model: posterior draws of its coefficients, sizes and nonlinear parameters.
 
 Given the nonlinear parameters the model is linear, and its coefficients have a normal distribution. The
-nonlinear parameters are drawn by importance sampling within their bounds: where chi2 is not quadratic in
-them, or the best value is at a bound, their distribution is neither normal nor symmetric.
+nonlinear parameters are drawn by importance sampling within their bounds, since their distribution is neither
+normal nor symmetric if chi2 is not quadratic in them or the best value is at a bound.
 """
 
 from __future__ import annotations
@@ -22,17 +22,18 @@ from gyrobench.bench.closure.effects.effect import Parameter
 from gyrobench.bench.closure.problem import DEGREE, MIN_SHARE, Problem, declared_columns, with_mean_constants
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 
-#: Draws, places of the nonlinear parameters among them, and how many of those are sought within all bounds.
-DRAWS, _NODES, _IN_BOX = 256, 128, 16
-#: Prior standard deviation of the logarithm of the noise over the stated uncertainties.
+#: Number of draws, of proposed points of the nonlinear parameters, and of those spread over all bounds.
+DRAWS, _NODES, _NODES_IN_BOX = 256, 128, 16
+#: Prior standard deviation of the logarithm of the ratio of the noise to the stated uncertainties.
 _PRIOR_SCALE = 0.3
 #: Degrees of freedom of the t distribution that proposes values.
-_TAILS = 4.0
+_T_DOF = 4.0
 #: Rise of chi2 that measures the width of a parameter's distribution.
-_RISE = 4.0
+_CHI2_RISE = 4.0
 _MAX_HALVINGS, _ROUNDS = 40, 3
 _PRIOR_STEPS = 6
-#: An effect of more terms has those that the search kept.
+#: Subsets of terms are drawn for effects with at most this many terms; others have those that the search
+#: kept.
 _MAX_TERMS = 6
 #: A parameter within this share of its range from a bound is at the bound.
 _AT_BOUND = 1e-3
@@ -43,9 +44,9 @@ class Draws:
     """N equally probable sets of the parameters of a model."""
 
     declared: FloatArray  #: Shape (N, 3, DEGREE + runs). As in :class:`~.problem.Solution`.
-    run_names: tuple[str, ...]  #: Of these runs.
+    run_names: tuple[str, ...]  #: Runs whose constants ``declared`` has.
     sizes_dph: dict[str, FloatArray]  #: By name of the effect, shape (N, 3, k) each.
-    #: The effects with the parameters drawn, and which of them each draw has.
+    #: Distinct sets of the effects with drawn nonlinear parameters; index (N,) of the set of each draw.
     nodes: tuple[tuple[Candidate, ...], ...]
     node: IntArray
 
@@ -60,72 +61,74 @@ class Draws:
         }
 
     def sigma(self, drawn: FloatArray, stated: FloatArray | float) -> FloatArray:
-        """Standard uncertainty of a quantity as stated, from its value in each draw (N, ...)."""
+        """Standard uncertainty of a stated value, from its value in each draw (N, ...)."""
         return np.asarray(np.sqrt(np.mean((drawn - stated) ** 2, axis=0)))
 
     def bias_dph(self, campaign: Campaign, effects: Collection[str] | None = None) -> FloatArray:
-        """Bias by each draw in the dwells of a campaign (N, n, 3).
+        """Bias of each draw in the dwells of a campaign (N, n, 3).
 
-        ``effects``: names of the effects included, by default all. A power cycle that was not
-        fitted gets the mean constant of the fitted ones, without its scatter.
+        ``effects``: names of the effects included, by default all. A power cycle that was not fitted gets the
+        mean constant of those fitted, without its scatter.
         """
-        base = np.stack([declared_columns(campaign, gyro) for gyro in range(3)], axis=1)
-        unknown = np.full((*self.declared.shape[:2], 1), np.nan)
-        known = np.concatenate([self.declared, unknown], axis=2)
-        place = {name: DEGREE + index for index, name in enumerate(self.run_names)}
-        wanted = [*range(DEGREE), *(place.get(name, -1) for name in campaign.run_names)]
-        bias_dph = _sum(base, with_mean_constants(known)[..., wanted])
+        declared_terms = np.stack([declared_columns(campaign, gyro) for gyro in range(3)], axis=1)
+        unfitted = np.full((*self.declared.shape[:2], 1), np.nan)
+        declared = np.concatenate([self.declared, unfitted], axis=2)
+        column_of_run = {name: DEGREE + index for index, name in enumerate(self.run_names)}
+        columns = [*range(DEGREE), *(column_of_run.get(name, -1) for name in campaign.run_names)]
+        bias_dph = _apply_coefficients(declared_terms, with_mean_constants(declared)[..., columns])
         for name in self.sizes_dph.keys() if effects is None else effects:
             bias_dph += self.effect_dph(campaign, name)
         return bias_dph
 
     def effect_dph(self, campaign: Campaign, name: str) -> FloatArray:
-        """Part of one effect in it (N, n, 3)."""
-        part_dph = np.empty((len(self.node), len(campaign), 3))
-        for number, candidates in enumerate(self.nodes):
-            [one] = [each for each in candidates if each.effect.name == name]
-            mine = self.node == number
-            part_dph[mine] = _sum(one.columns(campaign), self.sizes_dph[name][mine])
-        return part_dph
+        """Contribution of one effect to :meth:`bias_dph` (N, n, 3)."""
+        contribution_dph = np.empty((len(self.node), len(campaign), 3))
+        for index, candidates in enumerate(self.nodes):
+            [candidate] = [each for each in candidates if each.effect.name == name]
+            has_node = self.node == index
+            contribution_dph[has_node] = _apply_coefficients(
+                candidate.columns(campaign), self.sizes_dph[name][has_node]
+            )
+        return contribution_dph
 
 
-def _sum(columns: FloatArray, drawn: FloatArray) -> FloatArray:
-    """Bias (N, n, 3) of columns (n, 3, k), each times what was drawn (N, 3, k)."""
+def _apply_coefficients(columns: FloatArray, drawn: FloatArray) -> FloatArray:
+    """Bias (N, n, 3) of columns (n, 3, k) with the coefficients drawn (N, 3, k)."""
     return np.asarray(np.matmul(drawn.swapaxes(0, 1), columns.transpose(1, 2, 0)).transpose(1, 2, 0))
 
 
 def draw(problem: Problem, candidates: Sequence[Candidate]) -> Draws:
-    """Draw the parameters of the declared model with effects, whose nonlinear parameters are fitted.
+    """Draw the parameters of the declared model with effects.
 
-    ``problem`` has the declared model alone.
+    ``problem`` has the declared model alone; the nonlinear parameters of the candidates are fitted.
     """
     problem = _with_noise_of_residuals(problem, candidates)
-    at_best = _equations(problem, candidates)
-    priors = _priors(at_best, candidates)
+    at_best = _normal_equations(problem, candidates)
+    priors = _estimate_priors(at_best, candidates)
     nodes, node = _nodes(problem, candidates, priors)
-    equations = [_equations(problem, each) for each in nodes] if len(nodes) > 1 else [at_best]
+    equations = [_normal_equations(problem, each) for each in nodes] if len(nodes) > 1 else [at_best]
     random = np.random.default_rng(0)
     declared = np.full((DRAWS, 3, DEGREE + len(problem.campaign.run_names)), np.nan)
     sizes = {each.effect.name: np.zeros((DRAWS, *each.kept.shape)) for each in candidates}
     ends = np.cumsum([each.kept.shape[1] for each in candidates])
     for gyro in range(3):
-        known = at_best[gyro].known
-        used = _used_terms(at_best[gyro], candidates, gyro, priors, random)
-        normal = _standard_normal(random, known.sum() + used.shape[1])
-        drawn = np.array(
+        is_used = at_best[gyro].is_used
+        used_terms = _used_terms(at_best[gyro], candidates, gyro, priors, random)
+        normal = _standard_normal(random, is_used.sum() + used_terms.shape[1])
+        coefficients = np.array(
             [
-                equations[index][gyro].drawn(mine, priors, each)
-                for index, mine, each in zip(node, used, normal, strict=True)
+                equations[index][gyro].draw_coefficients(terms_of_draw, priors, each)
+                for index, terms_of_draw, each in zip(node, used_terms, normal, strict=True)
             ]
         )
-        declared[:, gyro, known], terms = np.split(drawn, [known.sum()], axis=1)
-        for size, part in zip(sizes.values(), np.split(terms, ends[:-1], axis=1), strict=False):
-            size[:, gyro] = part
+        declared[:, gyro, is_used], terms = np.split(coefficients, [is_used.sum()], axis=1)
+        for size, gyro_sizes in zip(sizes.values(), np.split(terms, ends[:-1], axis=1), strict=False):
+            size[:, gyro] = gyro_sizes
     return Draws(declared, problem.campaign.run_names, sizes, nodes, node)
 
 
 def _with_noise_of_residuals(problem: Problem, candidates: Sequence[Candidate]) -> Problem:
-    """Same problem with the noise that its residuals show, as far as they know it better than is stated."""
+    """Problem with the noise of its residuals, combined with the prior of the stated uncertainties."""
     after = after_fit(problem, candidates)
     dof = max(after.dof - sum(len(each.values) for each in candidates), 1)
     ratio = max(after.chi2 / dof, 1e-12) ** (0.5 / (1.0 + 0.5 / dof / _PRIOR_SCALE**2))
@@ -133,17 +136,17 @@ def _with_noise_of_residuals(problem: Problem, candidates: Sequence[Candidate]) 
 
 
 class _NormalEquations:
-    """Of one gyro's coefficients, given the nonlinear parameters, for columns of length one."""
+    """Normal equations of one gyro's coefficients, given the nonlinear parameters, with unit columns."""
 
     def __init__(self, problem: Problem, candidates: Sequence[Candidate], gyro: int) -> None:
         campaign, searched = problem.campaign, problem.searched
         base = declared_columns(campaign, gyro)[searched]
-        self.known: BoolArray = np.any(base != 0.0, axis=0)  #: Columns of the declared model in use.
+        self.is_used: BoolArray = np.any(base != 0.0, axis=0)  #: Columns of the declared model in use.
         terms = [each.columns(campaign)[searched, gyro] for each in candidates]
         sigma_dph = problem.sigma_dph[:, gyro]
-        columns = np.concatenate([base[:, self.known], *terms], axis=1) / sigma_dph[:, np.newaxis]
+        columns = np.concatenate([base[:, self.is_used], *terms], axis=1) / sigma_dph[:, np.newaxis]
         lengths = np.linalg.norm(columns, axis=0)
-        # What no measured value shows stays zero.
+        # Coefficients that no measured value depends on stay zero.
         self._lengths = np.where(lengths > 0.0, lengths, np.inf)
         columns /= self._lengths
         self._matrix = columns.T @ columns
@@ -151,53 +154,55 @@ class _NormalEquations:
         self._roots: dict[bytes, tuple[FloatArray, float]] = {}
 
     def root(self, used: BoolArray, priors: FloatArray) -> tuple[FloatArray, float]:
-        """Symmetric root of the covariance (q, q), zero for terms not used, and its log determinant."""
+        """Symmetric square root of the covariance (q, q), zero for terms not used; its log determinant."""
         key = used.tobytes() + priors.tobytes()
         if key not in self._roots:
-            chosen = np.flatnonzero(np.concatenate([np.ones(self.known.sum(), dtype=bool), used]))
-            diagonal = np.concatenate([np.zeros(self.known.sum()), priors**2])
+            chosen = np.flatnonzero(np.concatenate([np.ones(self.is_used.sum(), dtype=bool), used]))
+            diagonal = np.concatenate([np.zeros(self.is_used.sum()), priors**2])
             lengths, directions = np.linalg.eigh((self._matrix + np.diag(diagonal))[np.ix_(chosen, chosen)])
-            good = lengths > MIN_SHARE**2
+            is_determined = lengths > MIN_SHARE**2
             root = np.zeros_like(self._matrix)
             root[np.ix_(chosen, chosen)] = (
-                directions[:, good] / np.sqrt(lengths[good]) @ directions[:, good].T
+                directions[:, is_determined]
+                / np.sqrt(lengths[is_determined])
+                @ directions[:, is_determined].T
             )
-            self._roots[key] = root, -float(np.sum(np.log(lengths[good])))
+            self._roots[key] = root, -float(np.sum(np.log(lengths[is_determined])))
         return self._roots[key]
 
-    def drawn(self, used: BoolArray, priors: FloatArray, normal: FloatArray) -> FloatArray:
-        """Coefficients from standard normal numbers (q,)."""
+    def draw_coefficients(self, used: BoolArray, priors: FloatArray, normal: FloatArray) -> FloatArray:
+        """Draw of the coefficients from standard normal numbers (q,)."""
         root, _ = self.root(used, priors)
         return np.asarray(root @ (root @ self._vector + normal) / self._lengths)
 
-    def squares(self, used: BoolArray, priors: FloatArray) -> FloatArray:
-        """Expected squares of the terms' lengths, in standard deviations."""
+    def expected_squares(self, used: BoolArray, priors: FloatArray) -> FloatArray:
+        """Expected squared lengths of the terms, in standard deviations."""
         root, _ = self.root(used, priors)
-        return np.asarray((root @ (root @ self._vector)) ** 2 + np.sum(root**2, axis=1))[self.known.sum() :]
+        return np.asarray((root @ (root @ self._vector)) ** 2 + np.sum(root**2, axis=1))[self.is_used.sum() :]
 
     def log_evidence(self, used: BoolArray, priors: FloatArray) -> float:
-        """Logarithm of the probability of the data with the terms used, but for a constant."""
+        """Logarithm of the probability of the data with the terms used, up to a constant."""
         root, log_determinant = self.root(used, priors)
         return 0.5 * (float(np.sum((root @ self._vector) ** 2)) + log_determinant) + float(
             np.sum(np.log(priors[used]))
         )
 
 
-def _equations(problem: Problem, candidates: Sequence[Candidate]) -> list[_NormalEquations]:
+def _normal_equations(problem: Problem, candidates: Sequence[Candidate]) -> list[_NormalEquations]:
     return [_NormalEquations(problem, candidates, gyro) for gyro in range(3)]
 
 
-def _priors(equations: Sequence[_NormalEquations], candidates: Sequence[Candidate]) -> FloatArray:
-    """Inverse standard deviations of a normal prior of the terms' lengths, the same for those of an effect.
+def _estimate_priors(equations: Sequence[_NormalEquations], candidates: Sequence[Candidate]) -> FloatArray:
+    """Inverse standard deviations (k,) of a normal prior of the terms' lengths, equal for one effect's terms.
 
-    The ones with which the data are most probable (empirical Bayes): the sizes of an effect that was selected
-    as noise made it larger are drawn to zero, and those that the data do not determine stay finite.
+    They maximize the probability of the data (empirical Bayes): the prior shrinks the sizes of an effect that
+    was selected because noise made it larger, and keeps sizes finite that the data do not determine.
     """
     kept = np.concatenate([np.zeros((3, 0), dtype=bool), *(each.kept for each in candidates)], axis=1)
     owner = owners(candidates)
     priors = np.zeros(kept.shape[1])
     for _ in range(_PRIOR_STEPS if candidates else 0):
-        squares = np.stack([each.squares(kept[gyro], priors) for gyro, each in enumerate(equations)])
+        squares = np.stack([each.expected_squares(kept[gyro], priors) for gyro, each in enumerate(equations)])
         means = [squares[:, owner == index][each.kept].mean() for index, each in enumerate(candidates)]
         priors = np.array(means)[owner] ** -0.5
     return priors
@@ -210,53 +215,53 @@ def _used_terms(
     priors: FloatArray,
     random: np.random.Generator,
 ) -> BoolArray:
-    """Terms of one gyro in each draw (DRAWS, k): by the probability that an effect has them.
+    """Terms of one gyro in each draw (DRAWS, k), with the probability that the effect has them.
 
-    That a term was dropped by the search does not mean that it is zero.
+    A term that the search dropped need not be zero.
     """
     kept = [each.kept[gyro] for each in candidates]
-    drawn = []
-    for place, mine in enumerate(kept):
-        subsets = [mine]
-        if 1 < len(mine) <= _MAX_TERMS:
+    used = []
+    for index, own_kept in enumerate(kept):
+        subsets = [own_kept]
+        if 1 < len(own_kept) <= _MAX_TERMS:
             subsets = [
-                np.array(each) for each in itertools.product([False, True], repeat=len(mine)) if any(each)
+                np.array(each) for each in itertools.product([False, True], repeat=len(own_kept)) if any(each)
             ]
         log_evidence = np.array(
             [
-                equations.log_evidence(np.concatenate([*kept[:place], each, *kept[place + 1 :]]), priors)
+                equations.log_evidence(np.concatenate([*kept[:index], each, *kept[index + 1 :]]), priors)
                 for each in subsets
             ]
         )
         probability = np.exp(log_evidence - log_evidence.max())
         chosen = random.choice(len(subsets), DRAWS, p=probability / probability.sum())
-        drawn.append(np.array(subsets)[chosen])
-    return np.concatenate([np.zeros((DRAWS, 0), dtype=bool), *drawn], axis=1)
+        used.append(np.array(subsets)[chosen])
+    return np.concatenate([np.zeros((DRAWS, 0), dtype=bool), *used], axis=1)
 
 
 def _nodes(
     problem: Problem, candidates: Sequence[Candidate], priors: FloatArray
 ) -> tuple[tuple[tuple[Candidate, ...], ...], IntArray]:
-    """Effects with their nonlinear parameters, and which of these each draw has."""
-    place = _Place(problem, candidates, priors)
-    if not len(place.best):
+    """Distinct effects with drawn nonlinear parameters, and the index of each draw among them (DRAWS,)."""
+    density = _ParameterDensity(problem, candidates, priors)
+    if not len(density.best):
         return (tuple(candidates),), np.zeros(DRAWS, dtype=np.intp)
-    centre, root = place.best, np.diag(place.widths())
+    centre, root = density.best, np.diag(density.widths())
     for _ in range(_ROUNDS):
-        places, log_proposed = _proposed(centre, root, place.low, place.high)
-        log_weights = np.array(list(map(place.log_density, places))) - log_proposed
+        points, log_proposal = _propose_points(centre, root, density.low, density.high)
+        log_weights = np.array(list(map(density.log_density, points))) - log_proposal
         weights = np.exp(log_weights - log_weights.max())
         weights /= weights.sum()
-        centre = weights @ places
-        spread = (places - centre).T @ ((places - centre) * weights[:, np.newaxis])
-        root = np.linalg.cholesky(spread + 1e-9 * np.diag(place.widths() ** 2))
-    chosen = np.searchsorted(np.cumsum(weights), (np.arange(DRAWS) + 0.5) / DRAWS).clip(max=len(places) - 1)
-    used, node = np.unique(chosen, return_inverse=True)
-    return tuple(map(place.candidates_at, places[used])), node
+        centre = weights @ points
+        covariance = (points - centre).T @ ((points - centre) * weights[:, np.newaxis])
+        root = np.linalg.cholesky(covariance + 1e-9 * np.diag(density.widths() ** 2))
+    chosen = np.searchsorted(np.cumsum(weights), (np.arange(DRAWS) + 0.5) / DRAWS).clip(max=len(points) - 1)
+    used_points, node = np.unique(chosen, return_inverse=True)
+    return tuple(map(density.candidates_at, points[used_points])), node
 
 
-class _Place:
-    """The nonlinear parameters of some effects as a place in a box with a uniform prior."""
+class _ParameterDensity:
+    """Posterior density of the nonlinear parameters of some effects, with a uniform prior in a box."""
 
     def __init__(self, problem: Problem, candidates: Sequence[Candidate], priors: FloatArray) -> None:
         self._problem, self._candidates = problem, candidates
@@ -266,85 +271,89 @@ class _Place:
         self._is_log = np.array([each.is_scale for each in parameters], dtype=bool)
         span_s = float(campaign.start_s.min()), float(campaign.end_s.max())
         bounds = [(each.low, each.high) if np.isfinite(each.low) else span_s for each in parameters]
-        self.low, self.high = _even(np.array(bounds, dtype=np.float64).reshape(-1, 2).T, self._is_log)
-        self.best = _even(np.array([value for each in candidates for value in each.values]), self._is_log)
+        self.low, self.high = _to_uniform_scale(
+            np.array(bounds, dtype=np.float64).reshape(-1, 2).T, self._is_log
+        )
+        self.best = _to_uniform_scale(
+            np.array([value for each in candidates for value in each.values]), self._is_log
+        )
 
-    def candidates_at(self, place: FloatArray) -> tuple[Candidate, ...]:
-        """The effects with their parameters at a place."""
-        values = iter(np.where(self._is_log, np.exp(np.where(self._is_log, place, 0.0)), place).tolist())
+    def candidates_at(self, point: FloatArray) -> tuple[Candidate, ...]:
+        """The effects with their parameters at a point."""
+        values = iter(np.where(self._is_log, np.exp(np.where(self._is_log, point, 0.0)), point).tolist())
         return tuple(
             replace(each, values=tuple(itertools.islice(values, len(each.values))))
             for each in self._candidates
         )
 
-    def log_density(self, place: FloatArray) -> float:
+    def log_density(self, point: FloatArray) -> float:
         """Logarithm of the probability density, with the coefficients of the terms integrated out."""
-        if np.any(place < self.low) or np.any(place > self.high):
+        if np.any(point < self.low) or np.any(point > self.high):
             return -np.inf
-        columns, kept = stack(self.candidates_at(place), self._problem.campaign)
+        columns, kept = stack(self.candidates_at(point), self._problem.campaign)
         terms = self._problem.independent_parts(columns, kept)
         used = kept & np.any(columns[self._problem.searched] != 0.0, axis=0)
-        squares = np.where(used, self._priors**2, 1.0)  # a term that is not used adds nothing
+        squares = np.where(used, self._priors**2, 1.0)  # no contribution of unused terms
         root = np.linalg.cholesky(terms.mT @ terms + squares[..., np.newaxis] * np.eye(len(self._priors)))
-        parts = np.linalg.solve(root, terms.mT @ self._problem.residuals.T[..., np.newaxis])
-        return float(0.5 * np.sum(parts**2) - np.sum(np.log(np.diagonal(root, axis1=1, axis2=2))))
+        projections = np.linalg.solve(root, terms.mT @ self._problem.residuals.T[..., np.newaxis])
+        return float(0.5 * np.sum(projections**2) - np.sum(np.log(np.diagonal(root, axis1=1, axis2=2))))
 
     def widths(self) -> FloatArray:
-        """Standard deviation of each parameter, the others at their best values."""
+        """Standard deviation of each parameter, with the others at their best values."""
         return np.array(
             [max(self._width(index, side) for side in (-1.0, 1.0)) for index in range(len(self.best))]
         )
 
     def _width(self, index: int, side: float) -> float:
-        """By the rise of chi2 on one side."""
+        """Standard deviation of one parameter, from the rise of chi2 on one side."""
         at_best, step = self.log_density(self.best), side * np.eye(len(self.best))[index]
         step *= (self.high - self.best if side > 0.0 else self.best - self.low)[index]
         for _ in range(_MAX_HALVINGS):
             rise = 2.0 * (at_best - self.log_density(self.best + step))
-            if rise < _RISE:
+            if rise < _CHI2_RISE:
                 break
             step *= 0.5
         return float(np.abs(step[index]) / np.sqrt(max(rise, 0.5)))
 
 
-def _proposed(
+def _propose_points(
     centre: FloatArray, root: FloatArray, low: FloatArray, high: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Places that fill a t distribution evenly, and some that fill the box, with their log density."""
+    """Points that sample a t distribution evenly, some of them the box instead, and their log density."""
     count = len(centre)
     # Additive recurrence by the generalized golden ratio; the last coordinate is the scale of the t.
     golden = 2.0
     for _ in range(30):
         golden = (1.0 + golden) ** (1.0 / (count + 2.0))
-    even = (0.5 + np.outer(np.arange(1, _NODES + 1), golden ** -np.arange(1.0, count + 2.0))) % 1.0
-    scale = np.sqrt(_TAILS / np.maximum(_chi2_of_four(even[:, -1:]), 1e-12))
-    normal = np.vectorize(NormalDist().inv_cdf)(even[:, :-1])
-    places = centre + normal * scale @ root.T
-    places[:: _NODES // _IN_BOX] = low + even[:_IN_BOX, :-1] * (high - low)
-    squares = np.sum(np.linalg.solve(root, (places - centre).T) ** 2, axis=0)
+    uniform = (0.5 + np.outer(np.arange(1, _NODES + 1), golden ** -np.arange(1.0, count + 2.0))) % 1.0
+    scale = np.sqrt(_T_DOF / np.maximum(_chi2_quantile_4_dof(uniform[:, -1:]), 1e-12))
+    normal = np.vectorize(NormalDist().inv_cdf)(uniform[:, :-1])
+    points = centre + normal * scale @ root.T
+    points[:: _NODES // _NODES_IN_BOX] = low + uniform[:_NODES_IN_BOX, :-1] * (high - low)
+    squares = np.sum(np.linalg.solve(root, (points - centre).T) ** 2, axis=0)
     log_t = (
-        math.lgamma(0.5 * (_TAILS + count))
-        - math.lgamma(0.5 * _TAILS)
-        - 0.5 * count * np.log(np.pi * _TAILS)
+        math.lgamma(0.5 * (_T_DOF + count))
+        - math.lgamma(0.5 * _T_DOF)
+        - 0.5 * count * np.log(np.pi * _T_DOF)
         - np.log(np.diag(root)).sum()
-        - 0.5 * (_TAILS + count) * np.log1p(squares / _TAILS)
+        - 0.5 * (_T_DOF + count) * np.log1p(squares / _T_DOF)
     )
-    share = _IN_BOX / _NODES
+    share = _NODES_IN_BOX / _NODES
     log_box = -np.log(high - low).sum()
-    return places, np.logaddexp(np.log1p(-share) + log_t, np.log(share) + log_box)
+    return points, np.logaddexp(np.log1p(-share) + log_t, np.log(share) + log_box)
 
 
-def _chi2_of_four(probability: FloatArray) -> FloatArray:
-    """Sum of four squares that is exceeded with this probability, ``exp(-h) (1 + h)`` of half the sum h."""
-    wanted = -np.log(probability)
-    half = wanted + np.sqrt(2.0 * wanted)  # never below the root, so that Newton's steps descend to it
+def _chi2_quantile_4_dof(probability: FloatArray) -> FloatArray:
+    """Inverse survival function of chi2 with 4 degrees of freedom: p = ``exp(-h) (1 + h)``, h = chi2 / 2."""
+    target = -np.log(probability)
+    half = target + np.sqrt(2.0 * target)  # at least the root, so that Newton's method descends
     for _ in range(6):
-        half = half - (half - np.log1p(half) - wanted) * (1.0 + half) / half
+        half = half - (half - np.log1p(half) - target) * (1.0 + half) / half
     return 2.0 * half
 
 
 def _standard_normal(random: np.random.Generator, count: int) -> FloatArray:
-    """Standard normal numbers (DRAWS, count), of mean 0 and covariance 1 where there are few."""
+    """Standard normal numbers (DRAWS, count); if count is small, with sample mean 0 and covariance 1."""
     normal = random.standard_normal((DRAWS, count))
     if 2 * count < DRAWS:
         normal -= normal.mean(axis=0)
@@ -353,9 +362,9 @@ def _standard_normal(random: np.random.Generator, count: int) -> FloatArray:
 
 
 def interval(parameter: Parameter, value: float, drawn: FloatArray) -> tuple[float, float]:
-    """Interval that holds a nonlinear parameter with 95 %, from its draws (N,).
+    """95 % interval of a nonlinear parameter from its draws (N,).
 
-    It ends at the bound if the value is there.
+    One-sided if the value is at a bound.
     """
     match bound_of(parameter, value):
         case "lower":
@@ -367,14 +376,14 @@ def interval(parameter: Parameter, value: float, drawn: FloatArray) -> tuple[flo
 
 
 def bound_of(parameter: Parameter, value: float) -> str:
-    """The bound of the fit at which a parameter is, "lower" or "upper"; empty within its range."""
+    """Name of the bound at which a parameter is, "lower" or "upper"; empty within the range."""
     if not np.isfinite(parameter.low):
         return ""
-    low, value, high = _even(np.array([parameter.low, value, parameter.high]), parameter.is_scale)
+    low, value, high = _to_uniform_scale(np.array([parameter.low, value, parameter.high]), parameter.is_scale)
     step = _AT_BOUND * (high - low)
     return "lower" if value <= low + step else "upper" if value >= high - step else ""
 
 
-def _even(values: FloatArray, is_log: BoolArray | bool) -> FloatArray:
-    """Values on the scale on which they are equally probable: a positive scale by its logarithm."""
+def _to_uniform_scale(values: FloatArray, is_log: BoolArray | bool) -> FloatArray:
+    """Values in the variable with a uniform prior: the logarithm if ``is_log``."""
     return np.where(is_log, np.log(np.where(is_log, values, 1.0)), values)

@@ -1,8 +1,8 @@
-"""Is a model adequate? Lack-of-fit tests of its residuals, and cross-validation by cycles.
+"""Lack-of-fit tests of a model's residuals, and cross-validation by cycles.
 
-The sum of squares is tested against the stated uncertainties; F-tests for structure compare what the
-residuals follow with what is left after that (the repeat error). All tests are made within power
-cycles: the constant of each is in the model.
+The sum of squares is tested against the stated uncertainties. F-tests for structure compare the variance
+that a set of columns explains with the remaining variance (the repeat error). All tests are made within power
+cycles: the model has a constant for each.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ class LackOfFit:
     """Outcome of the tests."""
 
     p_noise: float  #: p-value of chi2, given the stated uncertainties.
-    p_structure: dict[str, float]  #: p-value of each test for structure, by what the residuals may follow.
+    p_structure: dict[str, float]  #: p-value of each test for structure, by the quantity tested.
     noise_ratio: float  #: Square root of chi2 over the degrees of freedom; NaN without any.
-    #: Two gyros and the correlation of their residuals, the largest one; None where chance explains it.
+    #: The two gyros whose residuals correlate most, and the correlation; None if not significant.
     correlated: tuple[int, int, float] | None = None
 
     @property
@@ -58,7 +58,7 @@ class LackOfFit:
 
     @property
     def follows(self) -> str:
-        """What the residuals follow most significantly."""
+        """The quantity that the residuals follow most significantly."""
         return min(self.p_structure, key=lambda name: self.p_structure[name])
 
 
@@ -66,19 +66,20 @@ def lack_of_fit(problem: Problem, parameters: int) -> LackOfFit:
     """Test the residuals of a problem.
 
     ``problem`` has the declared model and the terms of all effects as columns; ``parameters`` is the
-    number of nonlinear parameters of the effects. Without degrees of freedom nothing is tested: all p-values
-    are 1.
+    number of nonlinear parameters of the effects. Without degrees of freedom all p-values are 1.
     """
     dof = problem.dof - parameters
     if dof <= 0:
         return LackOfFit(1.0, {_PREVIOUS_DWELL: 1.0}, np.nan)
-    # Knots and levels are those of the dwells searched.
-    seen = problem.campaign.part(problem.searched)
+    # Knots and levels are chosen from the dwells searched.
+    campaign = problem.campaign.part(problem.searched)
     structure = {}
     for name, columns in _STRUCTURES.items():
-        reduction, rank = problem.chi2_reduction(_in_all_dwells(columns(seen), problem))
+        reduction, rank = problem.chi2_reduction(_in_all_dwells(columns(campaign), problem))
         if rank and dof > rank:
-            ratio = (reduction / rank) / max((problem.chi2 - reduction) / (dof - rank), problem.least_scatter)
+            ratio = (reduction / rank) / max(
+                (problem.chi2 - reduction) / (dof - rank), problem.min_residual_variance
+            )
             structure[name] = f_p_value(rank, dof - rank, ratio)
     structure[_PREVIOUS_DWELL] = _serial_correlation(problem)
     return LackOfFit(
@@ -90,13 +91,13 @@ def lack_of_fit(problem: Problem, parameters: int) -> LackOfFit:
 
 
 def _correlated(problem: Problem) -> tuple[int, int, float] | None:
-    """Gyros with correlated residuals, by Fisher's transformation."""
-    known = problem.campaign.is_measured[problem.searched].all(axis=1)
-    dof = int(known.sum()) - max(basis.shape[1] for basis in problem.bases)
+    """The two gyros with the largest correlation of residuals, tested by Fisher's transformation."""
+    is_complete = problem.campaign.is_measured[problem.searched].all(axis=1)
+    dof = int(is_complete.sum()) - max(basis.shape[1] for basis in problem.bases)
     if dof < _MIN_CORRELATION_DOF:
         return None
-    products = problem.residuals[known].T @ problem.residuals[known]
-    lengths = np.sqrt(np.maximum(np.diag(products), problem.least_scatter))
+    products = problem.residuals[is_complete].T @ problem.residuals[is_complete]
+    lengths = np.sqrt(np.maximum(np.diag(products), problem.min_residual_variance))
     correlations = products / np.outer(lengths, lengths)
     first, second = max(combinations(range(3), 2), key=lambda pair: abs(correlations[pair]))
     value = float(np.clip(correlations[first, second], -_MAX_CORRELATION, _MAX_CORRELATION))
@@ -135,11 +136,11 @@ def _rate(campaign: Campaign) -> FloatArray:
     return np.concatenate([rate, np.abs(rate), rate * campaign.gyro_c[:, :, None] / SCALE_C], axis=2)
 
 
-def _in_all_dwells(known: FloatArray, problem: Problem) -> FloatArray:
+def _in_all_dwells(columns: FloatArray, problem: Problem) -> FloatArray:
     """Columns of the dwells searched (m, 3, k) as columns of all dwells (n, 3, k), zero in the others."""
-    every = np.zeros((len(problem.campaign), *known.shape[1:]))
-    every[problem.searched] = known
-    return every
+    padded = np.zeros((len(problem.campaign), *columns.shape[1:]))
+    padded[problem.searched] = columns
+    return padded
 
 
 def _serial_correlation(problem: Problem) -> float:
@@ -149,7 +150,7 @@ def _serial_correlation(problem: Problem) -> float:
     """
     products = np.sum(problem.residuals[1:] * problem.residuals[:-1])
     expected = -sum(float(np.sum(basis[1:] * basis[:-1])) for basis in problem.bases)
-    scale = max(problem.chi2 / problem.dof, problem.least_scatter)
+    scale = max(problem.chi2 / problem.dof, problem.min_residual_variance)
     spread = scale * np.sqrt(problem.campaign.is_measured[problem.searched].sum())
     return math.erfc(abs(products - scale * expected) / max(math.sqrt(2.0) * spread, 1e-300))
 
@@ -162,30 +163,30 @@ _STRUCTURES: dict[str, Callable[[Campaign], FloatArray]] = {
 }
 
 
-#: The other cycles determine a term's size if they have this share of its length in the one left out.
+#: The other cycles determine a term's size if its length in them is at least this share of that in the cycle
+#: left out.
 _MIN_LENGTH = 0.1
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """chi2 of one cycle by two models fitted to the other cycles."""
+    """chi2 of one cycle for two models that were fitted to the other cycles."""
 
     chi2_fewer: float
     chi2_more: float
 
     @property
     def gain(self) -> float:
-        """Share of chi2 that the larger model explains: 1 is all, negative if chi2 rises."""
+        """Share of chi2 that the larger model explains: 1 is all; negative if chi2 rises."""
         return 1.0 - self.chi2_more / self.chi2_fewer
 
 
 def leave_out_cycles(
     problem: Problem, fewer: Sequence[Candidate], more: Sequence[Candidate]
 ) -> dict[int, LeftOut]:
-    """chi2 of each cycle with fewer and with more effects, their sizes fitted to the other cycles.
+    """chi2 of each cycle with fewer and with more effects, whose sizes are fitted to the other cycles.
 
-    A cycle is omitted if the others do not determine the sizes: a warm-up if they have no power-on.
-
+    A cycle is omitted if the others do not determine the sizes, as of a warm-up without a power-on in them.
     ``problem`` has the declared model alone.
     """
     campaign = problem.campaign
@@ -196,15 +197,16 @@ def leave_out_cycles(
         rest = declared_problem(campaign, problem.searched & ~left_out, problem.noise_scale)
         if all(_is_determined(rest, each, left_out) for each in more):
             errors = (
-                measured_minus(campaign, rest.searched, solve_with(rest, each)) for each in (fewer, more)
+                measured_minus_model(campaign, rest.searched, solve_with(rest, each))
+                for each in (fewer, more)
             )
             squares = (np.nansum((each[left_out] / campaign.sigma_dph[left_out]) ** 2) for each in errors)
             result[int(cycle)] = LeftOut(*map(float, squares))
     return result
 
 
-def measured_minus(campaign: Campaign, searched: BoolArray, model: Solution) -> FloatArray:
-    """Measured bias minus a model in all dwells (n, 3), deg/h.
+def measured_minus_model(campaign: Campaign, searched: BoolArray, model: Solution) -> FloatArray:
+    """Measured minus modelled bias in all dwells (n, 3), deg/h.
 
     NaN where nothing was measured. The mean of each power cycle that was not searched is removed.
     """
@@ -217,32 +219,35 @@ def without_unseen_constants(campaign: Campaign, searched: BoolArray, errors_dph
     centred = errors_dph.copy()
     for run in np.unique(campaign.run[~searched]):
         if not np.any(campaign.run[searched] == run):
-            mine = campaign.run == run
-            known = ~np.isnan(centred[mine])
-            sums = np.where(known, centred[mine], 0.0).sum(axis=0)
-            centred[mine] -= sums / np.maximum(known.sum(axis=0), 1)
+            in_run = campaign.run == run
+            is_measured = ~np.isnan(centred[in_run])
+            sums = np.where(is_measured, centred[in_run], 0.0).sum(axis=0)
+            centred[in_run] -= sums / np.maximum(is_measured.sum(axis=0), 1)
     return centred
 
 
 def _is_determined(rest: Problem, candidate: Candidate, left_out: BoolArray) -> bool:
-    """Whether the rest determines the sizes of the terms for the cycle left out."""
+    """Whether the other cycles (``rest``) determine the sizes of the terms for the cycle left out."""
     campaign = rest.campaign
     columns = candidate.columns(campaign)
-    varying = columns - _known_constants(campaign, columns, rest.searched, left_out)
+    varying = columns - _absorbed_by_constants(campaign, columns, rest.searched, left_out)
     weighted = (varying / (campaign.sigma_dph * rest.noise_scale)[:, :, np.newaxis])[left_out]
     lengths = [np.linalg.norm(weighted[:, gyro, candidate.kept[gyro]], axis=0) for gyro in range(3)]
     in_rest = rest.independent_lengths(columns, candidate.kept)
     return bool(np.all(in_rest >= _MIN_LENGTH * np.concatenate(lengths)))
 
 
-def _known_constants(
+def _absorbed_by_constants(
     campaign: Campaign, columns: FloatArray, rest: BoolArray, left_out: BoolArray
 ) -> FloatArray:
-    """Part of the terms in the constant of each power cycle: their mean in the rest, or in the cycle."""
+    """Part of the terms (n, 3, k) that the constant of each power cycle absorbs: their mean over its dwells.
+
+    Over those in the rest, or in the cycle left out if the rest has none.
+    """
     constants = np.zeros_like(columns)
     for run in np.unique(campaign.run):
-        mine = campaign.run == run
-        known = mine & rest if np.any(mine & rest) else mine & left_out
-        if known.any():
-            constants[mine] = columns[known].mean(axis=0)
+        in_run = campaign.run == run
+        fitted = in_run & rest if np.any(in_run & rest) else in_run & left_out
+        if fitted.any():
+            constants[in_run] = columns[fitted].mean(axis=0)
     return constants

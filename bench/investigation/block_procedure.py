@@ -1,4 +1,4 @@
-"""A block of measurements as a procedure: its file, and its times by the planner."""
+"""Converts a block of measurements to a procedure file, and gets its times from the planner."""
 
 from __future__ import annotations
 
@@ -20,54 +20,54 @@ from gyrobench.bench.investigation.profile import Profile
 from gyrobench.bench.procedure.plan import DwellPurpose, Plan, PlannedStep
 from gyrobench.bench.procedure.steps import GoTo, Navigate, PowerOn
 
-#: A unit that is off for less is switched off and on by the power-on itself.
+#: For shorter times off, the power-on step itself switches the unit off and on.
 SHORTLY_S = 30.0
 _SETTLE_S = 60.0
 
-#: Plans a document that starts from the state of a block; raises DocumentError if the bench can't run it.
+#: Plans a document from the start state of a block; raises DocumentError if the bench can't run it.
 Planner = Callable[[Document, BlockPlan], Plan]
 
 
 @dataclass(frozen=True)
 class DwellPattern:
-    """How a campaign measures a dwell; blocks measure theirs alike."""
+    """Steps with which a campaign measures a dwell; blocks measure their dwells in the same way."""
 
-    go_to: dict[str, Any]  #: Keys of the step that goes to the position, without position and azimuth.
+    go_to: dict[str, Any]  #: Keys of the ``go_to`` step, without position and azimuth.
     steps: tuple[PlannedStep, ...]  #: The steps of one dwell.
-    length_s: float  #: From its first navigation to the end of its last one.
+    length_s: float  #: From the start of its first navigation to the end of its last one.
     settle_s: float  #: Wait after a power-on.
 
     @classmethod
     def of(cls, plan: Plan) -> DwellPattern:
-        """The most frequent dwell of a plan. Raises DocumentError if it has none that measures a bias."""
+        """Pattern of the most frequent dwell of a plan. Raises DocumentError if no dwell measures a bias."""
         measuring = [each for each in plan.steps if each.dwell and each.purpose is DwellPurpose.CALIBRATION]
         if not measuring:
             raise DocumentError(f"{plan.procedure.procedure}: has no dwells that blocks could repeat")
         dwells = [tuple(steps) for _, steps in groupby(measuring, key=lambda each: each.dwell)]
-        texts = [json.dumps([_entry(each) for each in steps]) for steps in dwells]
-        chosen = dwells[texts.index(Counter(texts).most_common(1)[0][0])]
-        navigations = _navigations(chosen)
-        goes = [each.step for each in plan.steps[: chosen[0].number] if isinstance(each.step, GoTo)]
-        ons = [each.step.settle_s for each in plan.steps if isinstance(each.step, PowerOn)]
+        dwell_texts = [json.dumps([_entry(each) for each in steps]) for steps in dwells]
+        most_frequent = dwells[dwell_texts.index(Counter(dwell_texts).most_common(1)[0][0])]
+        navigations = _navigations(most_frequent)
+        go_tos = [each.step for each in plan.steps[: most_frequent[0].number] if isinstance(each.step, GoTo)]
+        settle_times_s = [each.step.settle_s for each in plan.steps if isinstance(each.step, PowerOn)]
         return cls(
-            goes[-1].model_dump(exclude={"position", "azimuth_deg"}, exclude_unset=True) if goes else {},
-            chosen,
+            go_tos[-1].model_dump(exclude={"position", "azimuth_deg"}, exclude_unset=True) if go_tos else {},
+            most_frequent,
             navigations[-1].end_s - navigations[0].start_s,
-            ons[0] if ons else _SETTLE_S,
+            settle_times_s[0] if settle_times_s else _SETTLE_S,
         )
 
     def entries(
         self, position: str, azimuth_deg: float = 0.0, length_s: float = 0.0
     ) -> Iterator[dict[str, Any]]:
-        """Steps of a dwell as in a procedure file, its navigations longer if it is."""
+        """Entries of a procedure file for one dwell; navigations are longer if ``length_s`` is."""
         yield {"go_to": {"position": position, "azimuth_deg": azimuth_deg, **self.go_to}}
-        longer = max(length_s / self.length_s, 1.0)
+        length_ratio = max(length_s / self.length_s, 1.0)
         for planned in self.steps:
             entry = _entry(planned)
-            if isinstance(planned.step, Navigate) and longer > 1.2:
+            if isinstance(planned.step, Navigate) and length_ratio > 1.2:
                 keys = entry["navigate"]
                 for key in {"duration_s", "at_most_s"} & keys.keys():
-                    keys[key] = round(longer * keys[key])
+                    keys[key] = round(length_ratio * keys[key])
             yield entry
 
 
@@ -76,33 +76,33 @@ class BlockProcedure:
     """A block as a procedure file."""
 
     text: str  #: YAML.
-    counts: tuple[int, ...]  #: How many of its steps each step of the block became.
+    counts: tuple[int, ...]  #: Number of procedure steps for each step of the block.
 
     def timed(self, block: Block, plan: Planner) -> Block:
         """The block with the times of the planner. Raises DocumentError if the bench can't run it."""
         planned = plan(parse_document(self.text, Path(f"{block.name}.yaml")), block.plan)
         steps, first, now_s = list[AnyStep](), 0, 0.0
         for step, count in zip(block.plan.steps, self.counts, strict=True):
-            mine = planned.steps[first : first + count]
+            step_plan = planned.steps[first : first + count]
             first += count
-            begin_s, now_s = now_s, mine[-1].end_s if mine else now_s
-            ends_s = begin_s, now_s
+            begin_s, now_s = now_s, step_plan[-1].end_s if step_plan else now_s
+            times_s = begin_s, now_s
             if isinstance(step, DwellStep):
-                navigations = _navigations(mine)
-                ends_s = navigations[0].start_s, navigations[-1].end_s
-            start_s, end_s = (block.plan.start_s + each for each in ends_s)
+                navigations = _navigations(step_plan)
+                times_s = navigations[0].start_s, navigations[-1].end_s
+            start_s, end_s = (block.plan.start_s + each for each in times_s)
             steps.append(step.model_copy(update={"start_s": start_s, "end_s": end_s}))
         return replace(block, plan=block.plan.model_copy(update={"steps": steps}))
 
 
 def block_procedure(plan: BlockPlan, pattern: DwellPattern) -> BlockProcedure:
-    """Write a block as a procedure. Raises DocumentError if no procedure can do it."""
+    """Convert a block to a procedure. Raises DocumentError if no procedure can do it."""
     entries, counts, is_on = list[Any](), list[int](), False
     for step in plan.steps:
-        new = list(_entries(step, pattern, is_on))
+        step_entries = list(_entries(step, pattern, is_on))
         is_on = step.on if isinstance(step, PowerStep) else is_on
-        entries += new
-        counts.append(len(new))
+        entries += step_entries
+        counts.append(len(step_entries))
     content = {
         "procedure": f"cycle_{plan.next_cycle}",
         "description": "Block of an investigation, as its plan.json says.",
@@ -112,7 +112,7 @@ def block_procedure(plan: BlockPlan, pattern: DwellPattern) -> BlockProcedure:
 
 
 def opening_procedure(profile: Profile, pattern: DwellPattern) -> str:
-    """The first dwells of an adaptive campaign as a procedure, YAML."""
+    """YAML text of a procedure with the first dwells of an adaptive campaign."""
     steps: list[Any] = [{"power_on": {"settle_s": pattern.settle_s}}]
     for cycle, set_points_c in enumerate(profile.opening, start=1):
         entries = list[Any]()

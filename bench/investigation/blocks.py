@@ -1,4 +1,4 @@
-"""The blocks of measurements that may be proposed, each timed from the present state of the bench."""
+"""Blocks of measurements that can be proposed, each timed from the present state of the bench."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from gyrobench.bench.investigation.forecast import chamber_c
 from gyrobench.bench.navigation.positions import POSITIONS
 
 _SWITCH_S = 60.0
-#: Time off for a power-on that only begins a block.
-_SHORTLY_OFF_H = 5.0 / 3600.0
+#: Time off before a power-on that only begins a block.
+_RESTART_OFF_H = 5.0 / 3600.0
 #: Slow and fast ramps, relative to the usual one.
 _SLOW, _FAST = 0.25, 2.0
-#: Unit and campaign for which blocks have their usual times.
+#: Time constant of the unit and duration of the campaign for which blocks have their usual times.
 _USUAL_CONSTANT_S, _USUAL_CAMPAIGN_H = 2400.0, 46.0
 _MAX_FASTER = 4.0
 _REVERSAL_C = 15.0
@@ -42,13 +42,13 @@ NEW_CYCLE = "new cycle"
 class Block:
     """A candidate for the next measurement."""
 
-    kinds: tuple[str, ...]  #: The kinds that it consists of, in order: "power cycle".
-    what: str  #: What is done, in the imperative: "switch the unit off for an hour, then measure".
-    plan: BlockPlan  #: Its steps, timed.
+    kinds: tuple[str, ...]  #: Its kinds in order: "power cycle".
+    instruction: str  #: Clause in the imperative: "switch the unit off for an hour, then measure".
+    plan: BlockPlan  #: Its timed steps.
 
     @property
     def name(self) -> str:
-        """Its kinds: "power cycle, then slow ramp"."""
+        """Its kinds as text: "power cycle, then slow ramp"."""
         return ", then ".join(self.kinds)
 
 
@@ -56,10 +56,10 @@ class Block:
 class BlockTimes:
     """Times and ramps of blocks."""
 
-    off_h: float = 1.0  #: Off in a power cycle.
-    soak_h: float = 2.0  #: At a temperature before dwells.
-    wait_h: float = 6.0  #: Before a repetition.
-    long_wait_h: float = 12.0  #: After a power-on.
+    off_h: float = 1.0  #: Time off in a power cycle.
+    soak_h: float = 2.0  #: Soak at a temperature before dwells.
+    wait_h: float = 6.0  #: Wait before a repetition.
+    long_wait_h: float = 12.0  #: Wait after a power-on.
     ramp_c_per_h: float = 60.0
 
     @classmethod
@@ -78,19 +78,19 @@ class BlockTimes:
 
 @dataclass(frozen=True)
 class BlockStart:
-    """When and in which state a block begins on a bench that switches the unit off and on for it."""
+    """Time and state at which a block begins, on a bench that switches the unit off and on for each block."""
 
-    time_s: float  #: On the time axis of the table.
+    time_s: float  #: Time on the time axis of the table.
     state: StartState
-    power_ons: int  #: How often the unit was switched on.
+    power_ons: int  #: Number of power-ons so far.
     times: BlockTimes
 
 
 class BlockPlanner(Protocol):
-    """What a bench says about blocks before they are proposed."""
+    """Constraints of a bench on blocks before they are proposed."""
 
     def start(self, rows: Sequence[DwellRow]) -> BlockStart | None:
-        """Begin of a block after these dwells; None if the bench stays as it is after the last one."""
+        """Start of a block after these dwells; None if the bench stays in the state after the last one."""
 
     def timed(self, block: Block) -> Block | None:
         """The block with the bench's times; None if the bench can't do it."""
@@ -98,10 +98,10 @@ class BlockPlanner(Protocol):
 
 @dataclass
 class Timeline:
-    """Steps as they are added one after the other, from the state after the last dwell of a table.
+    """Sequence of steps under construction, from the state after the last dwell of a table.
 
-    With ``start``, they begin there: the chamber returns to the last dwell's temperature, and the unit is
-    switched off and on.
+    With ``start``, the steps begin there: the chamber returns to the last dwell's temperature, and the unit
+    is switched off and on.
     """
 
     rows: Sequence[DwellRow]  #: The dwells measured, in the order of time.
@@ -129,35 +129,35 @@ class Timeline:
             self._power_ons = self.start.power_ons
             at_c = self.start.state.chamber_c
             span_s = 0.0 if at_c is None else abs(self.chamber_c - at_c) / self.times.ramp_c_per_h * S_PER_H
-            self._to(self.chamber_c, self.times.ramp_c_per_h, span_s)
+            self._ramp_to(self.chamber_c, self.times.ramp_c_per_h, span_s)
 
-    def off_and_on(self, hours: float | None = None) -> None:
-        """Switch the unit off, let it cool, and switch it on: a new run."""
+    def power_cycle(self, hours: float | None = None) -> None:
+        """Switch the unit off, let it cool, and switch it on again: begins a new run."""
         self._is_ready = True
-        self._add(PowerStep(on=False, **self._span((hours or self.times.off_h) * S_PER_H)))
+        self._add(PowerStep(on=False, **self._times((hours or self.times.off_h) * S_PER_H)))
         self._power_ons += 1
         self.run = f"{self.rows[-1].run.rsplit('-', 1)[0]}-{self._power_ons}"
-        self.dissipation(1.0)
+        self.set_dissipation(1.0)
 
-    def dissipation(self, factor: float) -> None:
-        """Set the unit's dissipation relative to the usual one."""
+    def set_dissipation(self, factor: float) -> None:
+        """Set the unit's dissipation relative to the usual dissipation."""
         self._switch_on()
-        self._add(PowerStep(on=True, factor=factor, **self._span(_SWITCH_S)))
+        self._add(PowerStep(on=True, factor=factor, **self._times(_SWITCH_S)))
 
     def ramp(self, to_c: float, relative: float = 1.0) -> None:
-        """Ramp the chamber at ``relative`` times the usual rate, unless it is there."""
+        """Ramp the chamber at ``relative`` times the usual rate, unless it has this temperature."""
         rate_c_per_h = relative * self.times.ramp_c_per_h
         self._switch_on()
         if abs(to_c - self.chamber_c) > _SAME_C:
             span_s = abs(to_c - self.chamber_c) / rate_c_per_h * S_PER_H
-            self._to(to_c, rate_c_per_h, span_s)
+            self._ramp_to(to_c, rate_c_per_h, span_s)
 
     def soak(self, hours: float | None = None) -> None:
-        """Wait."""
+        """Wait at the present temperature, by default for the usual soak."""
         self._switch_on()
-        self._add(SoakStep(**self._span((hours or self.times.soak_h) * S_PER_H)))
+        self._add(SoakStep(**self._times((hours or self.times.soak_h) * S_PER_H)))
 
-    def dwells(
+    def measure_dwells(
         self, positions: Iterable[str] = tuple(POSITIONS), azimuth_deg: float = 0.0, length: float = 1.0
     ) -> None:
         """Measure dwells, each ``length`` times as long as those of the table."""
@@ -170,18 +170,18 @@ class Timeline:
                     run=self.run,
                     position=position,
                     azimuth_deg=azimuth_deg,
-                    **self._span(length * self.dwell_s),
+                    **self._times(length * self.dwell_s),
                 )
             )
             self._next_dwell += 1
 
-    def _to(self, to_c: float, rate_c_per_h: float, span_s: float) -> None:
-        self._add(ChamberStep(to_c=float(to_c), ramp_c_per_h=rate_c_per_h, **self._span(span_s)))
+    def _ramp_to(self, to_c: float, rate_c_per_h: float, span_s: float) -> None:
+        self._add(ChamberStep(to_c=float(to_c), ramp_c_per_h=rate_c_per_h, **self._times(span_s)))
         self.chamber_c = to_c
 
     def _switch_on(self) -> None:
         if not self._is_ready:
-            self.off_and_on(_SHORTLY_OFF_H)
+            self.power_cycle(_RESTART_OFF_H)
 
     def plan(self) -> BlockPlan:
         """The steps as a plan."""
@@ -216,101 +216,108 @@ class Timeline:
         self.steps.append(step)
         self.now_s = step.end_s
 
-    def _span(self, duration_s: float) -> dict[str, Any]:
+    def _times(self, duration_s: float) -> dict[str, Any]:
         return {"start_s": self.now_s, "end_s": self.now_s + duration_s}
 
 
 @dataclass(frozen=True)
 class BlockKind:
-    """One kind of block: what it adds to a timeline."""
+    """One kind of block, and the steps that it adds to a timeline."""
 
     name: str
-    what: str
+    instruction: str
     add: Callable[[Timeline], None]
 
 
-def _settled(timeline: Timeline, at_c: float) -> None:
+def _soak_and_measure(timeline: Timeline, at_c: float) -> None:
     timeline.ramp(at_c)
     timeline.soak()
-    timeline.dwells()
+    timeline.measure_dwells()
 
 
 def _soak_from(timeline: Timeline, from_c: float) -> None:
     timeline.ramp(from_c)
     timeline.soak(0.5 * timeline.times.soak_h)
-    timeline.dwells(timeline.pair[:1])  # the table alone shows how far the temperature went
-    _settled(timeline, timeline.middle_c)
+    timeline.measure_dwells(
+        timeline.pair[:1]
+    )  # so that the table shows the temperature from which the soak was approached
+    _soak_and_measure(timeline, timeline.middle_c)
 
 
 def _on_ramp(timeline: Timeline, relative: float) -> None:
-    """Dwells without a pause while the chamber ramps in steps of one dwell."""
+    """Measure dwells without a pause while the chamber ramps in steps of one dwell."""
     to_c = max(timeline.high_c, timeline.low_c, key=lambda end_c: abs(timeline.chamber_c - end_c))
     rate_c_per_h = relative * timeline.times.ramp_c_per_h
     step_c = np.sign(to_c - timeline.chamber_c) * rate_c_per_h * timeline.dwell_s / S_PER_H
     for position in POSITIONS:
         if abs(to_c - timeline.chamber_c) > abs(step_c):
             timeline.ramp(timeline.chamber_c + float(step_c), relative)
-        timeline.dwells([position])
+        timeline.measure_dwells([position])
 
 
 def _reversal(timeline: Timeline) -> None:
     timeline.ramp(timeline.middle_c)
     timeline.soak()
-    timeline.dwells(timeline.pair)
+    timeline.measure_dwells(timeline.pair)
     timeline.ramp(min(timeline.middle_c + _REVERSAL_C, timeline.high_c))
-    timeline.dwells(timeline.pair[:1])
+    timeline.measure_dwells(timeline.pair[:1])
     timeline.ramp(timeline.middle_c)
     timeline.soak(0.5 * timeline.times.soak_h)
-    timeline.dwells(timeline.pair)
+    timeline.measure_dwells(timeline.pair)
 
 
 def _power_cycle(timeline: Timeline) -> None:
-    timeline.off_and_on()
-    timeline.dwells()
+    timeline.power_cycle()
+    timeline.measure_dwells()
 
 
 def _power_cycle_and_wait(timeline: Timeline) -> None:
-    timeline.off_and_on()
-    timeline.dwells(timeline.pair)
+    timeline.power_cycle()
+    timeline.measure_dwells(timeline.pair)
     timeline.soak(timeline.times.long_wait_h)
-    timeline.dwells(timeline.pair)
+    timeline.measure_dwells(timeline.pair)
 
 
 def _power_step(timeline: Timeline) -> None:
-    timeline.dissipation(_LESS_POWER)
+    timeline.set_dissipation(_LESS_POWER)
     timeline.soak()
-    timeline.dwells()
-    timeline.dissipation(1.0)
+    timeline.measure_dwells()
+    timeline.set_dissipation(1.0)
 
 
 def _headings(timeline: Timeline, position: str) -> None:
     for azimuth_deg in (0.0, 90.0, 180.0, 270.0):
-        timeline.dwells([position], azimuth_deg)
+        timeline.measure_dwells([position], azimuth_deg)
 
 
-def _after_hours(timeline: Timeline) -> None:
+def _repeat_after_hours(timeline: Timeline) -> None:
     timeline.soak(timeline.times.wait_h)
-    timeline.dwells()
+    timeline.measure_dwells()
 
 
 def _longer_dwells(timeline: Timeline) -> None:
-    timeline.dwells(timeline.pair, length=3.0)
+    timeline.measure_dwells(timeline.pair, length=3.0)
 
 
 def _new_cycle(timeline: Timeline) -> None:
-    timeline.off_and_on()
+    timeline.power_cycle()
     for at_c in (timeline.middle_c, timeline.high_c, timeline.low_c):
-        _settled(timeline, at_c)
+        _soak_and_measure(timeline, at_c)
 
 
-def _kinds(at: Timeline) -> list[BlockKind]:
-    """The usual kinds, for blocks that begin where ``at`` begins."""
-    off, wait, long_wait = map(_span, (at.times.off_h, at.times.wait_h, at.times.long_wait_h))
-    off, again = f"switch the unit off for {off}", "return to the middle temperature and measure after a soak"
-    on_side = [name for name in at.measured if name[0] != at.pair[0][0]]
+def _usual_kinds(start: Timeline) -> list[BlockKind]:
+    """The usual kinds, with instructions for blocks that begin like the timeline ``start``."""
+    off, wait, long_wait = map(
+        _duration_text, (start.times.off_h, start.times.wait_h, start.times.long_wait_h)
+    )
+    off, return_and_measure = (
+        f"switch the unit off for {off}",
+        "return to the middle temperature and measure after a soak",
+    )
+    other_positions = [name for name in start.measured if name[0] != start.pair[0][0]]
     kinds: list[tuple[str, str, Callable[[Timeline], None]]] = [
-        ("soak from above", f"heat, {again}", partial(_soak_from, from_c=at.high_c)),
-        ("soak from below", f"cool, {again}", partial(_soak_from, from_c=at.low_c)),
+        ("soak from above", f"heat, {return_and_measure}", partial(_soak_from, from_c=start.high_c)),
+        ("soak from below", f"cool, {return_and_measure}", partial(_soak_from, from_c=start.low_c)),
         ("slow ramp", "measure while the temperature changes slowly", partial(_on_ramp, relative=_SLOW)),
         ("fast ramp", "measure while the temperature changes fast", partial(_on_ramp, relative=_FAST)),
         ("reversal", "leave the middle temperature, return to it, and measure before and after", _reversal),
@@ -321,33 +328,37 @@ def _kinds(at: Timeline) -> list[BlockKind]:
             _power_cycle_and_wait,
         ),
         ("power step", "reduce the unit's dissipation and measure after a soak", _power_step),
-        ("four headings", "measure one position at four headings", partial(_headings, position=at.pair[0])),
+        (
+            "four headings",
+            "measure one position at four headings",
+            partial(_headings, position=start.pair[0]),
+        ),
         *(
             (
                 "four headings on the side",
                 "measure another position at four headings",
                 partial(_headings, position=each),
             )
-            for each in on_side[:1]
+            for each in other_positions[:1]
         ),
         (
             "cold, six positions",
             "measure all positions at the lowest temperature",
-            partial(_settled, at_c=at.low_c),
+            partial(_soak_and_measure, at_c=start.low_c),
         ),
         (
             "hot, six positions",
             "measure all positions at the highest temperature",
-            partial(_settled, at_c=at.high_c),
+            partial(_soak_and_measure, at_c=start.high_c),
         ),
-        ("repeat after hours", f"wait for {wait}, then measure all positions again", _after_hours),
+        ("repeat after hours", f"wait for {wait}, then measure all positions again", _repeat_after_hours),
         ("longer dwells", "measure two positions in long dwells", _longer_dwells),
         (NEW_CYCLE, f"{off}, then measure all positions at three temperatures", _new_cycle),
     ]
     return [BlockKind(*each) for each in kinds]
 
 
-def _span(hours: float) -> str:
+def _duration_text(hours: float) -> str:
     return f"{60.0 * hours:.0f} min" if hours < 1.0 else f"{hours:.2g} h"
 
 
@@ -357,12 +368,11 @@ def catalogue(
     start: BlockStart | None = None,
     more: Iterable[BlockKind] = (),
 ) -> list[Block]:
-    """Blocks that can follow dwells in the order of time, from ``start``.
+    """Blocks that can follow the dwells ``rows``, which are in the order of time, from ``start``.
 
-    ``sequences``: names of kinds, one after the other; by default each kind alone. ``more``: kinds beside the
-    usual ones.
+    ``sequences``: sequences of names of kinds; by default one for each kind. ``more``: additional kinds.
     """
-    kinds = {each.name: each for each in (*_kinds(Timeline(rows, start=start)), *more)}
+    kinds = {each.name: each for each in (*_usual_kinds(Timeline(rows, start=start)), *more)}
     blocks = []
     for names in ((name,) for name in kinds) if sequences is None else sequences:
         timeline, sequence = Timeline(rows, start=start), [kinds[name] for name in names]
@@ -371,7 +381,7 @@ def catalogue(
         blocks.append(
             Block(
                 tuple(kind.name for kind in sequence),
-                "; then ".join(kind.what for kind in sequence),
+                "; then ".join(kind.instruction for kind in sequence),
                 timeline.plan(),
             )
         )

@@ -1,4 +1,4 @@
-"""A bench behind a command: it gets a block of measurements as ``PLAN.json`` and writes the new dwells."""
+"""A bench behind a command, which gets a block of measurements as ``PLAN.json`` and writes the new dwells."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ from gyrobench.bench.navigation.positions import AXES
 
 #: Exit code of a bench that can't do the block.
 _REFUSED = 3
-_SHOWN_CHARACTERS = 500
+_MAX_MESSAGE_CHARACTERS = 500
 _TIMEOUT_FACTOR, _TIMEOUT_MARGIN_S = 1.5, 600.0
-#: Time for a command that is ended to switch its bench off.
+#: Time that a terminated command has to switch its bench off.
 _TERMINATION_S = 10.0
 _Block = TypeVar("_Block")
-#: Sigmas this many times those of the first table, or a fraction of them, are wrong.
+#: Largest ratio of sigmas to those of the first table, in either direction.
 _MAX_SIGMA_RATIO = 5.0
 
 
 class TimedStep(StrictModel):
-    """Base of the steps, with their planned times on the time axis of the table."""
+    """Base class of the steps, with their planned times on the time axis of the table."""
 
     start_s: float = Field(description="planned start, s")
     end_s: float = Field(description="planned end, s")
@@ -112,7 +112,7 @@ class BlockPlan(StrictModel):
 
     @property
     def duration_h(self) -> float:
-        """Time on the bench."""
+        """Duration of the block."""
         return (self.steps[-1].end_s - self.start_s) / S_PER_H
 
     def text(self) -> str:
@@ -125,28 +125,28 @@ class BlockPlan(StrictModel):
 
 
 class BlockRefusedError(GyrobenchError):
-    """The bench can't do the block; the message is its reason."""
+    """The bench can't do the block; the message is the bench's reason."""
 
 
 class AfterLastDwell:
-    """A bench that stays as it is after the last dwell, and measures in the planned times."""
+    """A bench that stays in the state after the last dwell, and keeps the planned times."""
 
     rows: Sequence[DwellRow]  #: Dwells before the first block.
 
     @property
     def campaign_h(self) -> float:
-        """Hours from the first of these dwells to the last."""
+        """Hours from the start of the first of these dwells to the end of the last."""
         return (max(row.end_s for row in self.rows) - min(row.start_s for row in self.rows)) / S_PER_H
 
     def campaign(self, rows: Sequence[DwellRow]) -> Campaign:
-        """Dwells as they are searched."""
+        """Campaign of the dwells for a search."""
         return campaign_of(rows)
 
     def start(self, rows: Sequence[DwellRow]) -> None:
-        """None: a block begins after the last of these dwells."""
+        """None, since a block begins after the last of these dwells."""
 
     def timed(self, block: _Block) -> _Block:
-        """The block."""
+        """The block unchanged."""
         return block
 
 
@@ -154,10 +154,10 @@ class AfterLastDwell:
 class ExternalBench(AfterLastDwell):
     """A bench behind a command.
 
-    ``command`` is split like a shell does and gets the paths of plan and table as its last two arguments.
-    ``rows`` are the dwells of the first table.
-    ``time_limit_s``: how long it may take for a block; by default by the plan, as on a real bench.
-    ``notice``: gets what a person has to know.
+    ``command``: split as by a shell; gets the paths of plan and table as its last two arguments.
+    ``rows``: the dwells of the first table.
+    ``time_limit_s``: limit for a block; by default derived from the plan, as for a real bench.
+    ``notice``: called with messages for the operator.
 
     Raises DocumentError if the command can't be split.
     """
@@ -169,35 +169,34 @@ class ExternalBench(AfterLastDwell):
 
     def __post_init__(self) -> None:
         try:
-            empty = not shlex.split(self.command)
+            is_empty = not shlex.split(self.command)
         except ValueError as error:
             raise DocumentError(f"--bench {self.command}: {error}. Close each quotation mark") from error
-        if empty:
+        if is_empty:
             raise DocumentError("--bench is empty. Name the command that measures a block")
 
     def measure(self, plan: BlockPlan, folder: Path) -> list[DwellRow]:
-        """Have a block measured; plan, new table, and what the command wrote are files of ``folder``.
+        """Measure a block; ``folder`` gets the plan, the new table, and the output of the command.
 
-        A table with all dwells that is there is taken: its command ended after gyrobench was.
-
-        Raises BlockRefusedError if the bench can't do it, and GyrobenchError if the command fails, is too
-        slow, or writes something else than the dwells of the plan.
+        A complete table in ``folder`` is used without a measurement: the command finished after gyrobench was
+        interrupted. Raises BlockRefusedError if the bench can't do the block, and GyrobenchError if the
+        command fails, is too slow, or does not write the dwells of the plan.
         """
-        asked, answered, log = (folder / name for name in ("plan.json", "new.csv", "bench.log"))
-        if answered.exists() and (rows := self._whole(plan, answered)):
+        plan_file, table, log = (folder / name for name in ("plan.json", "new.csv", "bench.log"))
+        if table.exists() and (rows := self._complete_rows(plan, table)):
             return rows
         if log.exists():
             self.notice(
                 f"{folder}: this block was interrupted, or its table was refused. It is measured again."
             )
-        answered.unlink(missing_ok=True)
-        write_whole(asked, plan.text().encode())
+        table.unlink(missing_ok=True)
+        write_whole(plan_file, plan.text().encode())
         limit_s = self.time_limit_s or _TIMEOUT_FACTOR * plan.duration_h * S_PER_H + _TIMEOUT_MARGIN_S
-        code = self._run([str(asked), str(answered)], limit_s, log)
-        message = log.read_text(encoding="utf-8", errors="replace").strip()[-_SHOWN_CHARACTERS:]
+        code = self._run([str(plan_file), str(table)], limit_s, log)
+        message = log.read_text(encoding="utf-8", errors="replace").strip()[-_MAX_MESSAGE_CHARACTERS:]
         if code:
-            # A table of a command that failed is no measurement.
-            answered.unlink(missing_ok=True)
+            # The table of a failed command is not used.
+            table.unlink(missing_ok=True)
             log.unlink()
         if code == _REFUSED:
             raise BlockRefusedError(message or "no reason was given")
@@ -206,25 +205,25 @@ class ExternalBench(AfterLastDwell):
                 f"{self.command}: ended with exit code {code}: {message or 'no message'}. "
                 "What was measured before is kept"
             )
-        return _checked_rows(read_dwells(answered), plan, answered, self.rows)
+        return _check_rows(read_dwells(table), plan, table, self.rows)
 
-    def _whole(self, plan: BlockPlan, table: Path) -> list[DwellRow]:
-        """Dwells of a table that has all of a plan; none otherwise."""
+    def _complete_rows(self, plan: BlockPlan, table: Path) -> list[DwellRow]:
+        """Dwells of a table if it has all those of the plan; otherwise empty."""
         try:
-            rows = _checked_rows(read_dwells(table), plan, table, self.rows)
+            rows = _check_rows(read_dwells(table), plan, table, self.rows)
         except GyrobenchError:
             return []
         return rows if len(rows) == len(plan.dwells) else []
 
     def _run(self, arguments: Sequence[str], limit_s: float, log: Path) -> int:
-        """Exit code; standard error goes to a file. A command that is too slow or interrupted is ended."""
-        with log.open("wb") as written:
+        """Run the command and return its exit code; ends it if it is too slow or interrupted."""
+        with log.open("wb") as log_file:
             try:
                 process = subprocess.Popen(  # noqa: S603 - the user's own command
                     [*shlex.split(self.command), *arguments],
                     stdin=subprocess.DEVNULL,
                     stdout=subprocess.DEVNULL,
-                    stderr=written,
+                    stderr=log_file,
                     start_new_session=True,
                 )
             except OSError as error:
@@ -240,11 +239,11 @@ class ExternalBench(AfterLastDwell):
             ) from error
         finally:
             if process.returncode is None:
-                _end(process)
+                _terminate(process)
 
 
-def _end(process: subprocess.Popen[bytes]) -> None:
-    """End a command and all processes that it started, after time to switch the bench off."""
+def _terminate(process: subprocess.Popen[bytes]) -> None:
+    """Terminate a command and all processes that it started; gives it time to switch the bench off."""
     for name in ("SIGTERM", "SIGKILL"):
         with contextlib.suppress(ProcessLookupError, subprocess.TimeoutExpired):
             if os.name == "posix":
@@ -254,15 +253,16 @@ def _end(process: subprocess.Popen[bytes]) -> None:
             process.wait(_TERMINATION_S)
 
 
-def _checked_rows(
+def _check_rows(
     rows: Sequence[DwellRow], plan: BlockPlan, table: Path, first: Sequence[DwellRow]
 ) -> list[DwellRow]:
-    """New rows of a block, in order; ``first`` are the dwells before the first block.
+    """New rows of a block in the order of time; some dwells of the plan may be missing.
 
-    Raises DocumentError if they are not the dwells of the plan, or implausible; some of them may be missing.
+    ``first``: the dwells before the first block. Raises DocumentError if the rows are not dwells of the plan,
+    or implausible.
     """
-    asked = {step.dwell: step for step in plan.dwells}
-    problems = [problem for row in rows for problem in _problems(row, asked.get(row.dwell), plan)]
+    planned = {step.dwell: step for step in plan.dwells}
+    problems = [problem for row in rows for problem in _row_problems(row, planned.get(row.dwell), plan)]
     problems = problems or implausible([*first, *rows]) or [*_wrong_sigmas(rows, first)][:1]
     if not rows:
         problems.append("has no dwells")
@@ -271,31 +271,33 @@ def _checked_rows(
     return sorted(rows, key=lambda row: row.start_s)
 
 
-def _problems(row: DwellRow, step: DwellStep | None, plan: BlockPlan) -> list[str]:
+def _row_problems(row: DwellRow, step: DwellStep | None, plan: BlockPlan) -> list[str]:
     if step is None:
         return [f"dwell {row.dwell} is not in the plan. Write the dwells of the plan alone"]
-    wanted = {"unit": plan.unit, "run": step.run, "cycle": step.cycle, "position": step.position}
-    found = [
+    expected = {"unit": plan.unit, "run": step.run, "cycle": step.cycle, "position": step.position}
+    problems = [
         f"dwell {row.dwell} has the {name} {getattr(row, name)}, not {value}"
-        for name, value in wanted.items()
+        for name, value in expected.items()
         if getattr(row, name) != value
     ]
     if row.start_s < plan.start_s:
-        found.append(
+        problems.append(
             f"dwell {row.dwell} starts at {row.start_s:g} s, before its block at {plan.start_s:g} s. Use the "
             "time axis of the table"
         )
-    azimuth = (row.azimuth_deg - step.azimuth_deg + 180.0) % 360.0 - 180.0
-    if math.isfinite(azimuth) and abs(azimuth) > 1.0:
-        found.append(f"dwell {row.dwell} has the azimuth {row.azimuth_deg:g} deg, not {step.azimuth_deg:g}")
-    return found
+    azimuth_error_deg = (row.azimuth_deg - step.azimuth_deg + 180.0) % 360.0 - 180.0
+    if math.isfinite(azimuth_error_deg) and abs(azimuth_error_deg) > 1.0:
+        problems.append(
+            f"dwell {row.dwell} has the azimuth {row.azimuth_deg:g} deg, not {step.azimuth_deg:g}"
+        )
+    return problems
 
 
 def _wrong_sigmas(rows: Sequence[DwellRow], first: Sequence[DwellRow]) -> Iterator[str]:
-    """Dwells without flags the sigmas of which do not match those of the first table."""
-    usual = np.nanmedian([_sigma_of_a_second(row) for row in first if not row.flags], axis=0)
+    """Problems of dwells without flags whose sigmas do not match those of the first table."""
+    first_sigmas = np.nanmedian([_sigma_for_one_second(row) for row in first if not row.flags], axis=0)
     for row in rows:
-        ratios = _sigma_of_a_second(row) / usual
+        ratios = _sigma_for_one_second(row) / first_sigmas
         for axis, sigma_dph, ratio in zip(AXES, row.sigma_dph, ratios, strict=True):
             if not row.flags and (ratio > _MAX_SIGMA_RATIO or ratio < 1.0 / _MAX_SIGMA_RATIO):
                 yield (
@@ -305,5 +307,5 @@ def _wrong_sigmas(rows: Sequence[DwellRow], first: Sequence[DwellRow]) -> Iterat
                 )
 
 
-def _sigma_of_a_second(row: DwellRow) -> FloatArray:
+def _sigma_for_one_second(row: DwellRow) -> FloatArray:
     return np.array(row.sigma_dph) * math.sqrt(max(row.end_s - row.start_s, 0.0))

@@ -1,4 +1,4 @@
-"""Rows of the dwells of a block before they are measured: forecast temperatures, expected uncertainties."""
+"""Forecasts the rows of a block's dwells: temperatures and expected uncertainties."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from gyrobench.bench.procedure.estimate import ThermalEstimate
 
 _STEP_S = 60.0
 _MAX_STEPS = 20_000
-#: Other column of the power of the supply.
+#: Name of the additional column with the power of the supply.
 _SUPPLY_W = "supply_w"
 
 
 class Forecast:
-    """A unit as its dwells show it: lags and temperature rises, and its state at the end of the last dwell.
+    """Thermal model of a unit, fitted to its measured dwells, and its state at the end of the last dwell.
 
     ``measured``: the dwells in the order of time; ``campaign``: the same as arrays; ``noise_scale``: ratio of
     their noise to the stated uncertainties.
@@ -35,55 +35,56 @@ class Forecast:
         self._sigma_dph = np.nanmedian([row.sigma_dph for row in measured], axis=0)
 
     @cached_property
-    def _fitted(self) -> tuple[UnitThermal, Course | None]:
+    def _thermal_model(self) -> tuple[UnitThermal, Course | None]:
         return UnitThermal.typical(ThermalEstimate()).fitted_to(self.campaign)
 
     @cached_property
     def _above_optics(self) -> tuple[FloatArray, FloatArray] | None:
-        """Electronics above optics as the campaign has them: offset (3,), and factor (3,) of the course's.
+        """Offset (3,) and factor (3,) from modelled to measured temperature of electronics above optics.
 
-        The offset is that of the last dwell: what the course does not describe lasts longer than a block.
+        The offset is that of the last dwell, since deviations from the model last longer than a block.
         """
-        known_k, (_, course) = self.campaign.above_optics_c, self._fitted
-        if known_k is None:
+        measured_k, (_, course) = self.campaign.above_optics_c, self._thermal_model
+        if measured_k is None:
             return None
         if course is None:
-            return known_k[-1] - ELECTRONICS_ABOVE_OPTICS_K, np.ones(3)
+            return measured_k[-1] - ELECTRONICS_ABOVE_OPTICS_K, np.ones(3)
         above_k = course.electronics_c - course.optics_c
         above_k = course.means(above_k, self.campaign.start_s, self.campaign.end_s)
-        pairs = zip(above_k.T, known_k.T, strict=True)
-        factors = np.array([np.polyfit(found_k, wanted_k, 1)[0] for found_k, wanted_k in pairs])
-        return known_k[-1] - factors * above_k[-1], factors
+        pairs = zip(above_k.T, measured_k.T, strict=True)
+        factors = np.array([np.polyfit(modelled_k, target_k, 1)[0] for modelled_k, target_k in pairs])
+        return measured_k[-1] - factors * above_k[-1], factors
 
     def rows(self, plan: BlockPlan) -> list[DwellRow]:
         """Rows of the planned dwells.
 
-        Their biases are zero. What the table lacks is NaN, but for the electronics if their temperature is
-        known without a sensor. The supply has its last power, times the factor of the plan.
+        Their biases are zero. Columns that the table lacks are NaN, except for the temperature of the
+        electronics if the thermal network gives it. The power of the supply is the last one multiplied by the
+        factor of the plan.
         """
-        thermal, before = self._fitted
+        thermal, measured_course = self._thermal_model
         time_s, set_c, power, up_body = _inputs(plan, self.measured)
-        course = thermal.course(time_s, set_c, power, up_body, before and before.end)
+        course = thermal.course(time_s, set_c, power, up_body, measured_course and measured_course.end)
         power_on_s, is_on = plan.start_s - plan.state.since_power_on_s, plan.state.powered
-        since_s = list[float]()
+        since_power_on_s = list[float]()
         for step in plan.steps:
             if isinstance(step, PowerStep):
                 power_on_s = step.start_s if step.on and not is_on else power_on_s
                 is_on = step.on
             elif isinstance(step, DwellStep):
-                since_s.append(step.start_s - power_on_s)
-        return self._rows(plan.dwells, course, since_s, power)
+                since_power_on_s.append(step.start_s - power_on_s)
+        return self._rows(plan.dwells, course, since_power_on_s, power)
 
     def _rows(
-        self, steps: Sequence[DwellStep], course: Course, since_s: Sequence[float], power: FloatArray
+        self, steps: Sequence[DwellStep], course: Course, since_power_on_s: Sequence[float], power: FloatArray
     ) -> list[DwellRow]:
         last = self.measured[-1]
         supply_w = dict(last.other).get(_SUPPLY_W)
         edges_s = np.array([[step.start_s, step.end_s] for step in steps]).reshape(-1, 2).T
 
-        def means(values: FloatArray, like: float | Triple = 0.0) -> FloatArray:
-            known = 1.0 if np.isfinite(np.mean(like)) else math.nan
-            return known * course.means(values, *edges_s)
+        def means(values: FloatArray, reference: float | Triple = 0.0) -> FloatArray:
+            mask = 1.0 if np.isfinite(np.mean(reference)) else math.nan
+            return mask * course.means(values, *edges_s)
 
         optics_c, electronics_c = means(course.optics_c), means(course.electronics_c, last.board_c)
         if self._above_optics is not None:
@@ -92,8 +93,8 @@ class Forecast:
         rate_c_per_h = course.changes_c(*edges_s) / (edges_s[1] - edges_s[0])[:, np.newaxis] * S_PER_H
         factors = course.means(power, *edges_s)
         set_c, air_c, case_c = (
-            means(values, like).tolist()
-            for values, like in (
+            means(values, reference).tolist()
+            for values, reference in (
                 (course.air_c, last.chamber_set_c),
                 (course.air_c, last.chamber_c),
                 (course.case_c, last.case_c),
@@ -108,7 +109,7 @@ class Forecast:
                 position=step.position,
                 start_s=step.start_s,
                 end_s=step.end_s,
-                since_power_on_s=since_s[index],
+                since_power_on_s=since_power_on_s[index],
                 gyro_c=triple(optics_c[index]),
                 gyro_rate_c_per_h=triple(rate_c_per_h[index]),
                 bias_dph=(0.0, 0.0, 0.0),
@@ -125,39 +126,39 @@ class Forecast:
 
 
 def chamber_c(rows: Sequence[DwellRow]) -> FloatArray:
-    """Temperature of the chamber in each dwell, degC: set point, air, or what a typical unit follows.
+    """Temperature of the chamber in each dwell, degC, without dwells that have no temperature.
 
-    Dwells without a temperature are left out.
+    The set point, otherwise the air, otherwise the temperature that a typical unit would be following.
     """
-    lag = ThermalEstimate()
+    typical = ThermalEstimate()
     gyro_c = np.array([row.gyro_c for row in rows]).mean(axis=1)
     rate_c_per_h = np.array([row.gyro_rate_c_per_h for row in rows]).mean(axis=1)
-    followed = gyro_c + rate_c_per_h * lag.time_constant_s / S_PER_H
-    known = np.array([[row.chamber_set_c, row.chamber_c] for row in rows])
-    known = np.column_stack([known, followed - lag.self_heating_c])
-    found = known[np.arange(len(rows)), np.argmax(np.isfinite(known), axis=1)]
-    return np.asarray(found[np.isfinite(found)])
+    followed_c = gyro_c + rate_c_per_h * typical.time_constant_s / S_PER_H
+    candidates_c = np.array([[row.chamber_set_c, row.chamber_c] for row in rows])
+    candidates_c = np.column_stack([candidates_c, followed_c - typical.self_heating_c])
+    first_known_c = candidates_c[np.arange(len(rows)), np.argmax(np.isfinite(candidates_c), axis=1)]
+    return np.asarray(first_known_c[np.isfinite(first_known_c)])
 
 
 def _inputs(
     plan: BlockPlan, rows: Sequence[DwellRow]
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Times (m,), set point, power, and Up in body axes (m, 3), over a block."""
-    begin_s, first_c = min(rows[-1].end_s, plan.start_s), float(chamber_c(rows)[-1])
+    """Times (m,), set point (m,), power (m,), and Up in body axes (m, 3) over a block."""
+    begin_s, last_c = min(rows[-1].end_s, plan.start_s), float(chamber_c(rows)[-1])
     count = min(max(round((plan.steps[-1].end_s - begin_s) / _STEP_S), 2), _MAX_STEPS)
     time_s = np.linspace(begin_s, plan.steps[-1].end_s, count + 1)
-    set_c, power = np.full_like(time_s, first_c), np.full_like(time_s, float(plan.state.powered))
+    set_c, power = np.full_like(time_s, last_c), np.full_like(time_s, float(plan.state.powered))
     if plan.start_s > begin_s:  # from the last dwell to the state before the first step
-        start_c = first_c if plan.state.chamber_c is None else plan.state.chamber_c
-        set_c = np.interp(time_s, [begin_s, plan.start_s], [first_c, start_c])
+        start_c = last_c if plan.state.chamber_c is None else plan.state.chamber_c
+        set_c = np.interp(time_s, [begin_s, plan.start_s], [last_c, start_c])
     up_body = np.tile(POSITIONS[plan.state.position].C_nb()[2], (len(time_s), 1))
     for step in plan.steps:
-        later = time_s >= step.start_s
+        is_later = time_s >= step.start_s
         if isinstance(step, PowerStep):
-            power[later] = (step.factor or 1.0) if step.on else 0.0
+            power[is_later] = (step.factor or 1.0) if step.on else 0.0
         elif isinstance(step, ChamberStep):
-            first_c = float(set_c[later][0])
-            set_c[later] = np.interp(time_s[later], [step.start_s, step.end_s], [first_c, step.to_c])
+            last_c = float(set_c[is_later][0])
+            set_c[is_later] = np.interp(time_s[is_later], [step.start_s, step.end_s], [last_c, step.to_c])
         elif isinstance(step, DwellStep):
-            up_body[later] = POSITIONS[step.position].C_nb()[2]
+            up_body[is_later] = POSITIONS[step.position].C_nb()[2]
     return time_s, set_c, power, up_body

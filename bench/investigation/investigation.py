@@ -1,7 +1,7 @@
-"""The loop: search, propose a block, have it measured, search again, until the cause is settled.
+"""The loop: search, propose a block, measure it, search again, until the cause is settled.
 
-What was decided stands in the journal before it is done. All decisions follow from what was measured, so that
-an investigation that was killed decides the same again and continues.
+Each decision is written to the journal before it is carried out. All decisions follow from the measurements,
+so that a killed investigation makes the same decisions again and continues.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from gyrobench.bench.investigation.open_hypotheses import (
     SLOW,
     cause_probability,
     confirming_rivals,
+    inexact_law_rivals,
     is_settled,
-    lacking_rivals,
     only_unconfirmed,
     remainder_dph,
     remainder_share,
     rivals_of,
-    searched,
+    search_campaign,
 )
 from gyrobench.bench.investigation.profile import Profile
 from gyrobench.bench.investigation.proposal import (
@@ -47,12 +47,12 @@ from gyrobench.bench.investigation.proposal import (
     PossibleBlocks,
     Proposal,
     calibration_of,
-    hours_left,
     is_confirmed_by,
     outcome_of,
+    proposal_entry,
     proposal_of,
     propose,
-    proposed,
+    remaining_hours_of,
 )
 from gyrobench.bench.investigation.stages import (
     CALIBRATE,
@@ -66,13 +66,13 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal, read_journal
 from gyrobench.bench.station.locks import RunLock
 
-#: The plan of a block, once it was approved, and its dwells, once they were checked.
-_PLAN, _DONE = "plan.json", "dwells.csv"
-#: Times that a kind of block is measured while the blocks bring only dwells with flags.
+#: Files of a block: its plan after approval, and its dwells after they were checked.
+_PLAN, _DWELLS = "plan.json", "dwells.csv"
+#: A kind of block is not proposed again after this number of blocks with only flagged dwells in sequence.
 _MAX_FLAGGED = 2
-#: Blocks that are measured to confirm one cause while none is clear.
+#: Maximum number of blocks to confirm one cause, if their outcomes are not clear.
 MAX_TESTS = 4
-#: After this number of blocks that distinguished, what is not shown beside a cause does not keep it open.
+#: After this number of distinguishing blocks, weak rivals no longer keep a cause open.
 PATIENCE = 3
 #: Ends after which an adaptive campaign still determines biases.
 _CONCLUSIVE = ("settled", "nothing_found", "not_on_list", "refuted")
@@ -80,7 +80,7 @@ _ONE_SLOW_LAW = "Not on the list of effects: ageing and a drift together imitate
 
 
 class Bench(BlockPlanner, Protocol):
-    """What measured the first dwells, and measures the blocks."""
+    """The bench that measured the first dwells and measures the blocks."""
 
     @property
     def rows(self) -> Sequence[DwellRow]:
@@ -88,13 +88,13 @@ class Bench(BlockPlanner, Protocol):
 
     @property
     def campaign_h(self) -> float:
-        """Hours of their measurement."""
+        """Duration of their measurement."""
 
     def campaign(self, rows: Sequence[DwellRow]) -> Campaign:
-        """Dwells as they are searched."""
+        """Campaign of dwells for a search."""
 
     def measure(self, plan: BlockPlan, folder: Path) -> list[DwellRow]:
-        """Measure a block, or what is left of it; files of the bench are written into ``folder``.
+        """Measure a block, or the rest of an interrupted one; ``folder`` gets the files of the bench.
 
         Raises BlockRefusedError if the bench can't do it, and GyrobenchError if it fails.
         """
@@ -103,9 +103,10 @@ class Bench(BlockPlanner, Protocol):
 class Investigator:
     """An investigation of the dwells of a bench.
 
-    ``folder`` gets the journal and all results; an investigation in it is continued. ``approve`` is asked
-    before a block is measured. With a ``profile`` it also measures until the biases of that are as certain as
-    if it had been measured; the first dwells count as time on the bench, at most that of the profile.
+    ``folder`` gets the journal and all results; an investigation in it is continued. ``approve`` decides
+    whether a proposed block is measured. With a ``profile``, blocks are also measured until its biases are as
+    certain as after a measurement of the whole profile; the first dwells then count as time on the bench, and
+    the budget is at most the duration of the profile.
 
     Raises RunFolderError if the folder belongs to another table.
     """
@@ -137,19 +138,19 @@ class Investigator:
             raise RunFolderError(f"{folder}: is the investigation of another table. Choose another --out")
 
     def run(self, clock: Clock) -> Investigation:
-        """Measure block after block until the cause is settled, or no block can help, or the time is spent.
+        """Measure blocks until the cause is settled, no block can help, or the time is spent.
 
-        A settled cause, and a law composed for what is not on the list, are tested by one more block,
-        predicted before it is measured. A bench that fails ends the investigation; a later call continues
-        it. What was measured before is taken from the folder.
+        A settled cause, and a law composed for an unlisted effect, are tested by one more block, which is
+        predicted before it is measured. A failure of the bench ends the investigation; a later call continues
+        it. Earlier measurements are read from the folder.
         """
         path = self._folder / "journal.jsonl"
         self._earlier = list(read_journal(path)) if path.exists() else []
         self._stages = []
         with RunLock(self._folder, clock), Journal(path, clock) as journal:
             event = "investigation_resumed" if self._earlier else "investigation_started"
-            first = {"unit": self._rows[0].unit, "dwells": len(self._rows)}
-            journal.record(event, procedure="investigation", budget_h=self._budget_h, **first)
+            first_table = {"unit": self._rows[0].unit, "dwells": len(self._rows)}
+            journal.record(event, procedure="investigation", budget_h=self._budget_h, **first_table)
             self._refused = {
                 tuple(entry["kinds"]): entry["reason"]
                 for entry in self._earlier
@@ -157,15 +158,15 @@ class Investigator:
             }
             ended = None
             while ended is None:
-                stage = self._searched()
+                stage = self._search()
                 ratio = stage.calibration and stage.calibration.ratio
                 journal.record(
                     "searched",
                     spent_h=stage.spent_h,
                     uncertainty_ratio=ratio,
-                    **_probabilities(stage.closure),
+                    **_verdict_entry(stage.closure),
                 )
-                stage, ended = self._continued(stage, journal)
+                stage, ended = self._continue_stage(stage, journal)
                 self._stages.append(stage)
             journal.record("investigation_ended", ended=ended[0], reason=ended[1])
             write_dwells(self._folder / "dwells.csv", self._rows)
@@ -173,9 +174,9 @@ class Investigator:
         rows, refused = tuple(self._rows), dict(self._refused)
         return Investigation(tuple(self._stages), *ended, rows, refused, whole_h)
 
-    def _continued(self, stage: Stage, journal: Journal) -> tuple[Stage, tuple[str, str] | None]:
-        """The stage with the block that its search leads to, or why the investigation ends."""
-        ended = self._end(stage)
+    def _continue_stage(self, stage: Stage, journal: Journal) -> tuple[Stage, tuple[str, str] | None]:
+        """The stage with the block that follows its search, or how the investigation ends."""
+        ended = self._ending(stage)
         if ended is None:
             confirm = self._confirmation(stage)
             stage, ended = self._with_block(confirm or stage, journal)
@@ -183,7 +184,7 @@ class Investigator:
             if is_idle and (confirm := self._confirmation(stage, is_last=True)):
                 stage, ended = self._with_block(confirm, journal)
         if ended and ended[0] in ("no_block", "not_on_list", "budget"):
-            ended = self._end(stage, is_last=True) or ended
+            ended = self._ending(stage, is_last=True) or ended
         if ended and (test := self._test(stage, ended[0])):
             test, failed = self._with_block(test, journal)
             if failed is None:
@@ -198,13 +199,13 @@ class Investigator:
         return stage, ended
 
     def _with_block(self, stage: Stage, journal: Journal) -> tuple[Stage, tuple[str, str] | None]:
-        """The stage with the best block that the bench can do, or why there is none."""
+        """The stage with the best block that the bench can do, or how the investigation ends without one."""
         folder = self._block_folder
         forecast = self._forecast(stage.closure)
-        done = folder / _DONE
-        best = self._decided(stage, forecast)
-        if best is not None and done.exists():
-            return self._with_outcome(stage, forecast, best, read_dwells(done), journal), None
+        dwells_file = folder / _DWELLS
+        best = self._approved_block(stage, forecast)
+        if best is not None and dwells_file.exists():
+            return self._with_outcome(stage, forecast, best, read_dwells(dwells_file), journal), None
         while True:
             if best is None:
                 best = self._best_block(stage, forecast)
@@ -222,25 +223,25 @@ class Investigator:
             except GyrobenchError as error:
                 problem = "; ".join(str(error).splitlines()).rstrip(".")
                 return stage, ("bench_failed", f"The bench failed: {problem}.")
-            write_dwells(done, rows)
+            write_dwells(dwells_file, rows)
             return self._with_outcome(stage, forecast, best, rows, journal), None
 
     def _best_block(self, stage: Stage, forecast: Forecast) -> Proposal | None:
         """The best block for the purpose of a stage; None if none is useful."""
-        idle = [kinds for kinds in self._flagged if self._flagged.count(kinds) >= _MAX_FLAGGED]
+        only_flagged = [kinds for kinds in self._flagged if self._flagged.count(kinds) >= _MAX_FLAGGED]
         measured = [each.proposal.block.kinds for each in self._stages if each.proposal]
         is_settled = stage.is_uncertain and stage.purpose != DISTINGUISH
-        found = propose(
+        proposals = propose(
             forecast,
             stage.rivals,
-            PossibleBlocks(self._bench, self._left_h, [*self._refused, *idle], measured),
+            PossibleBlocks(self._bench, self._remaining_h, [*self._refused, *only_flagged], measured),
             self._profile,
             stage.calibration if stage.is_uncertain else None,
             is_settled=is_settled,
         )
         useful = [
             each
-            for each in found
+            for each in proposals
             if (each.can_help or each.replaced_h > MIN_GAIN)
             and (stage.purpose != TEST_LAW or stage.is_uncertain or each.block.name == NEW_CYCLE)
         ]
@@ -250,17 +251,17 @@ class Investigator:
             return proposal_of(forecast, useful[0].block, stage.rivals)
         if stage.is_test:
             return max(useful, key=lambda each: each.tested_per_h)
-        return min(useful, key=hours_left(useful)) if self._profile else useful[0]
+        return min(useful, key=remaining_hours_of(useful)) if self._profile else useful[0]
 
     @property
-    def _left_h(self) -> float:
+    def _remaining_h(self) -> float:
         return self._budget_h - self._spent_h
 
     def _no_block(self, stage: Stage) -> tuple[str, str]:
         if stage.is_uncertain:
-            return "budget", f"No block is short enough for the {self._left_h:.1f} h that are left."
+            return "budget", f"No block is short enough for the {self._remaining_h:.1f} h that are left."
         closure, best = stage.closure, stage.rivals[0]
-        not_on_list = closure.posterior.not_on_list
+        not_on_list = closure.posterior.unlisted_probability
         if closure.verdict == "unexplained" and not_on_list > 0.5:
             return "not_on_list", f"Not on the list of effects: probability {not_on_list:.4f}."
         if set(best.names) >= SLOW:
@@ -269,18 +270,18 @@ class Investigator:
             each.effect.name: each.rejected for each in closure.evidence if each.effect.name in best.names
         }
         if closure.verdict == "unexplained" and any(rejected.values()) and best.probability >= SETTLED:
-            why = "; ".join(f"{closure.label(name)}: {each}" for name, each in rejected.items() if each)
-            what = listed(sorted(map(closure.label, best.names)))
+            reasons = "; ".join(f"{closure.label(name)}: {each}" for name, each in rejected.items() if each)
+            label = listed(sorted(map(closure.label, best.names)))
             return "not_on_list", (
-                f"Not on the list of effects: the most probable, {what} ({best.probability:.4f}), is not "
-                f"accepted ({why})."
+                f"Not on the list of effects: the most probable, {label} ({best.probability:.4f}), is not "
+                f"accepted ({reasons})."
             )
         names = sorted({name for each in stage.rivals for name in each.names})
         effects = {each.effect.name: each.effect for each in stage.closure.evidence}
         experiments = "; ".join(
             f"{stage.closure.label(name)}: {effects[name].experiment}" for name in names if name in effects
         )
-        refused = "; ".join(f"{', then '.join(kinds)} ({why})" for kinds, why in self._refused.items())
+        refused = "; ".join(f"{', then '.join(kinds)} ({reason})" for kinds, reason in self._refused.items())
         refused = refused and f"The bench refused {refused}. "
         return "no_block", (
             f"{refused}No {'other ' * bool(refused)}block of this bench is expected to distinguish what is "
@@ -289,20 +290,20 @@ class Investigator:
         )
 
     def _confirmation(self, stage: Stage, *, is_last: bool = False) -> Stage | None:
-        """A stage whose block confirms a cause that only new dwells can confirm, if that is all.
+        """Stage whose block confirms a cause that lacks only a confirmation; None if there is no such cause.
 
-        ``is_last``: no block distinguishes. Then, or if :data:`PATIENCE` blocks did, effects that a single
-        dwell shows, or that are not significant, are not counted.
+        ``is_last``: whether no block distinguishes the rivals. In this case, or after :data:`PATIENCE`
+        distinguishing blocks, rivals that rest on one dwell or are not significant do not count.
         """
-        if only_unconfirmed(stage.closure, with_weak=not (is_last or self._is_late)):
+        if only_unconfirmed(stage.closure, with_weak=not (is_last or self._ignores_weak_rivals)):
             return self._cause_test(stage, confirming_rivals(stage.closure), again=True)
-        rivals = lacking_rivals(stage.closure) if is_last else ()
+        rivals = inexact_law_rivals(stage.closure) if is_last else ()
         return self._cause_test(stage, rivals) if rivals else None
 
     def _cause_test(self, last: Stage, rivals: tuple[Rival, ...], *, again: bool = False) -> Stage | None:
-        """A stage whose block tests a cause, the first of the rivals, unless one did.
+        """Stage whose block tests a cause, the first of the rivals; None if a block did already.
 
-        ``again``: also where that left it open, or fits neither with the cause nor without it.
+        ``again``: test again if the earlier outcomes were not clear.
         """
         tested = self._confirmations(rivals[0].names)
         is_enough = tested and (not again or tested[-1].is_clear or len(tested) == MAX_TESTS)
@@ -311,9 +312,9 @@ class Investigator:
         return replace(last, rivals=rivals, purpose=CONFIRM)
 
     def _test(self, last: Stage, ended: str) -> Stage | None:
-        """A stage whose block tests what an investigation ends with: its cause, or a composed law.
+        """Stage whose block tests the result of the investigation: its cause, or a composed law.
 
-        With a profile, a block that its biases need is the test; none is measured for it alone.
+        With a profile, only a block that its biases need is used as the test.
         """
         if self._profile is not None and not last.is_uncertain:
             return None
@@ -321,29 +322,29 @@ class Investigator:
             return self._cause_test(last, confirming_rivals(last.closure))
         is_tested = any(each.purpose == TEST_LAW and each.outcome for each in self._stages)
         if ended == "not_on_list" and not is_tested:
-            law = composed(last.closure).composed
-            if law is not None and law.laws:
+            composed_laws = composed(last.closure).composed
+            if composed_laws is not None and composed_laws.laws:
                 found = tuple(each.candidate for each in last.closure.effects)[: MAX_EFFECTS - 1]
                 names = tuple(each.effect.name for each in found)
-                best = law.laws[0].candidate
-                with_law = Rival((*names, best.effect.name), (*found, best), 0.5)
-                without = Rival(names, found, 0.5, remainder_dph(last.closure))
-                return replace(last, rivals=(with_law, without), purpose=TEST_LAW)
+                law = composed_laws.laws[0].candidate
+                with_law = Rival((*names, law.effect.name), (*found, law), 0.5)
+                without_law = Rival(names, found, 0.5, remainder_dph(last.closure))
+                return replace(last, rivals=(with_law, without_law), purpose=TEST_LAW)
         return None
 
     @property
-    def _is_late(self) -> bool:
-        """Whether enough blocks have distinguished."""
+    def _ignores_weak_rivals(self) -> bool:
+        """Whether :data:`PATIENCE` distinguishing blocks were measured."""
         blocks = (each for each in self._stages if each.purpose == DISTINGUISH and each.outcome)
         return sum(1 for _ in blocks) >= PATIENCE
 
     def _confirmations(self, names: tuple[str, ...]) -> list[Outcome]:
-        """Outcomes of the blocks that were to confirm these effects."""
+        """Outcomes of the blocks whose purpose was to confirm these effects."""
         blocks = [each for each in self._stages if each.purpose == CONFIRM and each.rivals[0].names == names]
         return [each.outcome for each in blocks if each.outcome]
 
-    def _searched(self) -> Stage:
-        closure = searched(self._bench.campaign(self._rows), self._held_out)
+    def _search(self) -> Stage:
+        closure = search_campaign(self._bench.campaign(self._rows), self._held_out)
         stage = Stage(self._spent_h, closure, rivals_of(closure))
         if self._profile is None:
             return stage
@@ -354,8 +355,8 @@ class Investigator:
     def _forecast(self, closure: Closure) -> Forecast:
         return Forecast(closure.noise.weighted(self._rows), closure.noise_scale)
 
-    def _end(self, stage: Stage, *, is_last: bool = False) -> tuple[str, str] | None:
-        """Why an investigation ends after a search, None if not; ``is_last`` as in :meth:`_confirmation`."""
+    def _ending(self, stage: Stage, *, is_last: bool = False) -> tuple[str, str] | None:
+        """End and reason after a search, None to continue; ``is_last`` as in :meth:`_confirmation`."""
         posterior = stage.closure.posterior
         names = tuple(sorted(stage.closure.names))
         tested = next(reversed(self._confirmations(names)), None)
@@ -365,22 +366,27 @@ class Investigator:
             if each.confirmation and each.confirmed[0].names == names
         )
         if is_settled(stage.closure) or (
-            is_confirmed and only_unconfirmed(stage.closure, with_weak=not (is_last or self._is_late))
+            is_confirmed
+            and only_unconfirmed(stage.closure, with_weak=not (is_last or self._ignores_weak_rivals))
         ):
             if tested is not None and tested.contradicts:
                 return ("refuted", f"A block contradicts what {' + '.join(names)} predicted for it.")
             if tested is not None and set(names) >= SLOW:
                 return "not_on_list", _ONE_SLOW_LAW
             return "settled", _settled_reason(stage.closure)
-        is_listed = posterior.not_on_list <= 1.0 - SETTLED
+        is_listed = posterior.unlisted_probability <= 1.0 - SETTLED
         if stage.closure.verdict == "clean" and is_listed and not posterior.rivals(()):
             return "nothing_found", (
-                f"Nothing found: the declared model alone has the probability {posterior.nothing:.4f}, above "
-                f"{CLEAN:g} but below {SETTLED:g}, and no effect one of {RIVAL:g}."
+                f"Nothing found: the declared model alone has the probability "
+                f"{posterior.no_effect_probability:.4f}, above {CLEAN:g} but below {SETTLED:g}, and "
+                f"no effect one of {RIVAL:g}."
             )
-        if posterior.not_on_list >= SETTLED and self._confirmation(stage) is None:
-            return "not_on_list", f"Not on the list of effects: probability {posterior.not_on_list:.4f}."
-        if self._spent_h >= self._budget_h and not (self._block_folder / _DONE).exists():
+        if posterior.unlisted_probability >= SETTLED and self._confirmation(stage) is None:
+            return (
+                "not_on_list",
+                f"Not on the list of effects: probability {posterior.unlisted_probability:.4f}.",
+            )
+        if self._spent_h >= self._budget_h and not (self._block_folder / _DWELLS).exists():
             return "budget", f"{self._spent_h:.1f} h of {self._budget_h:g} h on the bench are spent."
         return None
 
@@ -389,9 +395,12 @@ class Investigator:
         return self._folder / f"block-{self._blocks + 1}"
 
     def _is_approved(self, proposal: Proposal, stage: Stage, journal: Journal) -> bool:
-        """Whether a block may be measured; the plan of one that may is in its folder."""
+        """Whether a block may be measured; if so, writes its plan to its folder."""
         journal.record(
-            "proposed", number=self._blocks + 1, purpose=stage.purpose, **proposed(proposal, stage.rivals)
+            "proposed",
+            number=self._blocks + 1,
+            purpose=stage.purpose,
+            **proposal_entry(proposal, stage.rivals),
         )
         answer = self._approve(proposal, stage.rivals)
         if answer:
@@ -401,8 +410,8 @@ class Investigator:
         journal.record(event, number=self._blocks + 1, operator=operator_name())
         return answer
 
-    def _decided(self, stage: Stage, forecast: Forecast) -> Proposal | None:
-        """The next block if it was approved before, and not refused since."""
+    def _approved_block(self, stage: Stage, forecast: Forecast) -> Proposal | None:
+        """The next block if it was approved by an earlier call and not refused since."""
         entries = [entry for entry in self._earlier if entry.get("number") == self._blocks + 1]
         events = [entry["event"] for entry in entries]
         if not {"approved", "measured"} & set(events[-1:]):
@@ -415,10 +424,10 @@ class Investigator:
     def _with_outcome(
         self, stage: Stage, forecast: Forecast, proposal: Proposal, rows: Sequence[DwellRow], journal: Journal
     ) -> Stage:
-        """The stage with its block; the dwells are added to the table."""
-        both = stage.confirmed
+        """The stage with its block and outcome; adds the dwells to the table."""
+        confirmed = stage.confirmed
         outcome = outcome_of(forecast, proposal, rows, stage.rivals)
-        confirmation = outcome_of(forecast, proposal, rows, both) if both[0].names else None
+        confirmation = outcome_of(forecast, proposal, rows, confirmed) if confirmed[0].names else None
         hours = (max(row.end_s for row in rows) - proposal.block.plan.start_s) / S_PER_H
         self._flagged = [] if outcome else [*self._flagged, proposal.block.kinds]
         self._rows += rows
@@ -443,30 +452,30 @@ class Investigator:
 
 
 def _settled_reason(closure: Closure) -> str:
-    """The cause with its probability, and what is not excluded beside it."""
+    """Text of the cause with its probability, and of further effects that are not excluded."""
     posterior, names = closure.posterior, sorted(closure.names)
-    what = listed(sorted(map(closure.label, names))) or "nothing beside the declared model"
-    reason = f"{what.capitalize()}: probability {cause_probability(closure):.4f}."
-    if posterior.not_on_list > 1.0 - SETTLED:
+    cause_text = listed(sorted(map(closure.label, names))) or "nothing beyond the declared model"
+    reason = f"{cause_text.capitalize()}: probability {cause_probability(closure):.4f}."
+    if posterior.unlisted_probability > 1.0 - SETTLED:
         reason += (
-            f" Not excluded beside it: an unlisted effect, probability {posterior.not_on_list:.4f}, "
-            f"{100.0 * remainder_share(closure):.0f} % of its size."
+            f" Not excluded in addition: an unlisted effect, probability "
+            f"{posterior.unlisted_probability:.4f}, {100.0 * remainder_share(closure):.0f} % of its size."
         )
     general = {other for name in names for other in posterior.more_general.get(name, ())}
-    for each in sorted(general & posterior.of_effect.keys()):
+    for each in sorted(general & posterior.effect_probabilities.keys()):
         label = closure.label(each)
-        reason += f" Of a more general law, {label}: probability {posterior.of_effect[each]:.4f}."
-    if weak := posterior.rivals(names):
-        others = (f"{closure.label(each)} ({value:.2f})" for each, value in weak.items())
-        reason += f" Not excluded beside it, but not shown: {', '.join(others)}."
+        reason += f" Of a more general law, {label}: probability {posterior.effect_probabilities[each]:.4f}."
+    if rivals := posterior.rivals(names):
+        others = (f"{closure.label(each)} ({value:.2f})" for each, value in rivals.items())
+        reason += f" Not excluded in addition, but not shown: {', '.join(others)}."
     return reason
 
 
-def _probabilities(closure: Closure) -> dict[str, Any]:
-    """What a search found, for the journal."""
+def _verdict_entry(closure: Closure) -> dict[str, Any]:
+    """Verdict and probabilities of a search, for the journal."""
     return {
         "verdict": closure.verdict,
-        "effects": closure.posterior.of_effect,
-        "nothing": closure.posterior.nothing,
-        "not_on_the_list": closure.posterior.not_on_list,
+        "effects": closure.posterior.effect_probabilities,
+        "nothing": closure.posterior.no_effect_probability,
+        "not_on_the_list": closure.posterior.unlisted_probability,
     }

@@ -1,4 +1,4 @@
-"""The next block to measure: the one that is expected to lower the entropy most per hour."""
+"""Selects the next block: the one with the largest expected decrease of the entropy per hour."""
 
 from __future__ import annotations
 
@@ -18,87 +18,90 @@ from gyrobench.bench.closure.problem import declared_problem
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms
 from gyrobench.bench.investigation.blocks import Block, BlockPlanner, catalogue
 from gyrobench.bench.investigation.choice import (
-    Expected,
-    Linearized,
+    ExpectedEntropy,
+    LinearizedHypothesis,
     Prediction,
     Rival,
     entropy,
-    expected_after,
-    linearized,
+    expected_entropy_after,
+    linearize,
 )
 from gyrobench.bench.investigation.external_bench import AfterLastDwell
 from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.profile import Profile, ProfileCalibration
 from gyrobench.bench.navigation.positions import AXES
 
-#: Blocks that are tried with another one after them, and visits of a profile in a block.
+#: Number of blocks that are tried in pairs; maximum number of visits of a profile in a block.
 _PAIRED, _VISITS = 4, 3
-#: Least spread of the bias from one power-on to the next, in units of the noise: the search takes nothing
-#: from the constant of a power-on, and a block must not be chosen for what it would say.
-_MIN_RUN_SPREAD = 30.0
-#: Temperatures of dwells that differ by less from the forecast are not worth a notice.
+#: Spread of the bias from one power-on to the next, in units of the noise. It is large since the search uses
+#: no information from the constant of a power-on, and a block must not be selected for it.
+_RUN_SPREAD = 30.0
+#: Smaller differences of a dwell's temperature from the forecast are not reported.
 _MIN_OFF_K = 10.0
-#: Dwells of which every prediction is less probable by chi2 fit none.
+#: Dwells fit a prediction if the p-value of chi2 is at least this.
 _MIN_P_VALUE = 1e-4
-#: A cause is settled at this probability.
+#: Probability from which on a cause is settled.
 SETTLED = 0.99
-#: A block can help if it is expected to remove more of the entropy, nats, or to settle a cause with this
-#: probability. With less entropy, a hypothesis is settled before it.
+#: A block can help if its expected decrease of the entropy, nats, is larger than this, or if it settles a
+#: cause with more than this probability. Below this entropy a hypothesis is settled already.
 MIN_GAIN, _MIN_CHANCE, _MIN_ENTROPY = 0.02, 0.5, 0.056
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """A block with its utility and what each rival predicts."""
+    """A block with its utility and the prediction of each rival."""
 
     block: Block  #: The block.
     rows: tuple[DwellRow, ...]  #: Its dwells with forecast temperatures.
-    predictions: tuple[Prediction, ...]  #: Of each rival, for the biases of these dwells.
-    entropy: float  #: Of the rivals' probabilities, nats.
-    expected: Expected  #: After the block.
-    #: How often its kinds were measured, the most of each, without settling the cause.
+    predictions: tuple[Prediction, ...]  #: Prediction of each rival for the biases of these dwells.
+    entropy: float  #: Entropy of the rivals' probabilities before the block, nats.
+    expected: ExpectedEntropy  #: Entropy after the block.
+    #: Largest number of earlier blocks with one of its kinds, which did not settle the cause.
     repeats: int = 0
     #: Hours of a profile that the block replaces; see :meth:`~.profile.ProfileCalibration.missing_h`.
     replaced_h: float = 0.0
-    missing_h: float = 0.0  #: Hours of a profile that are missing after the block.
+    missing_h: float = 0.0  #: Hours of a profile that are still missing after the block.
 
     @property
     def gain_per_h(self) -> float:
-        """Expected fall of the entropy per hour on the bench, nats/h.
+        """Expected decrease of the entropy per hour on the bench, nats/h.
 
-        Halved each time that a kind did not settle the cause: its predictions are too narrow.
+        Halved for each earlier block of a kind that did not settle the cause: its predictions are too narrow.
         """
-        return self.fall * self.weight / self.block.plan.duration_h
+        return self.entropy_decrease * self.weight / self.block.plan.duration_h
 
     @property
-    def fall(self) -> float:
-        """Expected fall of the entropy, nats."""
+    def entropy_decrease(self) -> float:
+        """Expected decrease of the entropy, nats."""
         return self.entropy - self.expected.entropy
 
     @property
     def can_help(self) -> bool:
         """Whether the block is worth its time for the cause."""
         chance = self.weight * (1.0 - self.expected.unsettled) if self.entropy > _MIN_ENTROPY else 0.0
-        return self.fall > MIN_GAIN or chance > _MIN_CHANCE
+        return self.entropy_decrease > MIN_GAIN or chance > _MIN_CHANCE
 
     @property
     def weight(self) -> float:
-        """Share of the expected fall that counts: half for each time that a kind did not settle the cause."""
+        """Weight of the expected decrease: halved for each earlier block that did not settle the cause."""
         return 1.0 / 2.0**self.repeats
 
     @property
     def difference(self) -> float:
-        """Squared difference of the first rival's prediction from the closest other, in its uncertainty."""
+        """Squared Mahalanobis distance of the first rival's prediction to the closest other prediction."""
         first, *others = self.predictions
-        apart_dph = [first.mean_dph - each.mean_dph for each in others]
-        found = zip(apart_dph, others, strict=True)
-        return min(float(apart @ np.linalg.solve(each.covariance, apart)) for apart, each in found)
+        differences_dph = [first.mean_dph - each.mean_dph for each in others]
+        pairs = zip(differences_dph, others, strict=True)
+        return min(
+            float(difference_dph @ np.linalg.solve(each.covariance, difference_dph))
+            for difference_dph, each in pairs
+        )
 
     @property
     def tested_per_h(self) -> float:
         """Probability that the block settles the first rival if it is the cause, per hour.
 
-        The logarithm of their odds is normal with half the squared difference as mean, and that as variance.
+        The log odds are normally distributed with variance :attr:`difference`, and half of it as mean.
         """
         sigma = max(float(np.sqrt(self.difference)), 1e-9)
         chance = float(ndtr(0.5 * sigma - np.log(SETTLED / (1.0 - SETTLED)) / sigma))
@@ -107,23 +110,25 @@ class Proposal:
 
 @dataclass(frozen=True)
 class PossibleBlocks:
-    """Which blocks a bench can measure, and which it has measured."""
+    """Blocks that a bench can measure, and those that it has measured."""
 
     planner: BlockPlanner = field(default_factory=AfterLastDwell)  #: The bench.
-    max_h: float = np.inf  #: Longest block.
-    #: Kinds of the blocks that the bench refused. One kind is not proposed in a pair either; the kinds of a
-    #: refused pair are proposed alone.
+    max_h: float = np.inf  #: Maximum duration of a block.
+    #: Kinds of the blocks that the bench refused. A refused single kind is not proposed in a pair either; the
+    #: kinds of a refused pair are proposed separately.
     refused: Collection[Sequence[str]] = ()
     measured: Sequence[Sequence[str]] = ()  #: Kinds of the blocks measured since the first table.
 
     def usable(self, blocks: Sequence[Block]) -> list[Block]:
-        """Those of some blocks that can be measured, with the times of the bench."""
-        asked = [each for each in blocks if not any(set(kinds) <= set(each.kinds) for kinds in self.refused)]
-        timed = filter(None, map(self.planner.timed, asked))
+        """Those blocks that can be measured, with the times of the bench."""
+        not_refused = [
+            each for each in blocks if not any(set(kinds) <= set(each.kinds) for kinds in self.refused)
+        ]
+        timed = filter(None, map(self.planner.timed, not_refused))
         return [each for each in timed if each.plan.duration_h <= self.max_h]
 
     def repeats(self, block: Block) -> int:
-        """How often the kinds of a block were measured, the most of each."""
+        """Largest number of measured blocks with one of the kinds of this block."""
         return max(sum(kind in kinds for kinds in self.measured) for kind in block.kinds)
 
 
@@ -136,22 +141,22 @@ def propose(
     *,
     is_settled: bool = False,
 ) -> list[Proposal]:
-    """Blocks with their utilities, best first: by entropy removed per hour, or with a profile by hours left.
+    """Possible blocks, best first: by entropy decrease per hour, or with a profile by remaining hours.
 
     Parameters
     ----------
     forecast : Forecast
-        Of all dwells measured.
+        Forecast from all dwells measured.
     rivals : sequence of Rival
-        Hypotheses fitted to them.
+        Hypotheses fitted to these dwells.
     possible : PossibleBlocks, optional
-        By default any, on a bench that stays as it is after the last dwell.
+        By default all blocks, on a bench that stays in the state after the last dwell.
     profile : Profile, optional
-        Its dwells are blocks too.
+        Adds blocks with its dwells.
     calibration : ProfileCalibration, optional
-        Where given, information about the biases of the profile counts as well.
+        If given, information about the biases of the profile counts too.
     is_settled : bool
-        Whether only that counts; the proposals are without predictions then.
+        Whether only this information counts; the proposals then have no predictions.
     """
     rows, possible = forecast.measured, possible or PossibleBlocks()
     start = possible.planner.start(rows)
@@ -160,83 +165,95 @@ def propose(
         repeats = possible.repeats(block)
         if calibration is None:
             return replace(proposal_of(forecast, block, rivals), repeats=repeats)
-        new = tuple(forecast.rows(block.plan))
-        counting = calibration.rivals if is_settled else rivals
-        after, predictions = _next_pass(forecast, calibration.whole, calibration.profile.means, new, counting)
-        missing_h = calibration.missing_h(after[: len(calibration.rivals)])
+        new_rows = tuple(forecast.rows(block.plan))
+        counted_rivals = calibration.rivals if is_settled else rivals
+        variances, predictions = _profile_variances(
+            forecast, calibration.profile_rows, calibration.profile.averaging_matrix, new_rows, counted_rivals
+        )
+        missing_h = calibration.missing_h(variances[: len(calibration.rivals)])
         replaced_h = calibration.missing_h(calibration.variances) - missing_h
-        found = Proposal(block, new, (), 0.0, Expected(0.0, 1.0, 0.0))
+        candidates = Proposal(block, new_rows, (), 0.0, ExpectedEntropy(0.0, 1.0, 0.0))
         if not is_settled:
-            found = _weighed(block, new, predictions, rivals)
-        return replace(found, repeats=repeats, replaced_h=replaced_h, missing_h=missing_h)
+            candidates = _proposal_with_utility(block, new_rows, predictions, rivals)
+        return replace(candidates, repeats=repeats, replaced_h=replaced_h, missing_h=missing_h)
 
-    more = profile.kinds() if profile else ()
-    paired = {kind for kinds in possible.refused if len(kinds) > 1 for kind in kinds}
+    profile_kinds = profile.kinds() if profile else ()
+    refused_in_pairs = {kind for kinds in possible.refused if len(kinds) > 1 for kind in kinds}
 
-    def ordered(found: Sequence[Proposal]) -> list[Proposal]:
-        key = hours_left(found, is_settled=is_settled) if calibration else lambda each: -each.gain_per_h
-        return sorted(found, key=key)
+    def sort_proposals(candidates: Sequence[Proposal]) -> list[Proposal]:
+        key = (
+            remaining_hours_of(candidates, is_settled=is_settled)
+            if calibration
+            else lambda each: -each.gain_per_h
+        )
+        return sorted(candidates, key=key)
 
     def proposals(sequences: Iterable[Sequence[str]] | None = None) -> list[Proposal]:
-        return [proposal(each) for each in possible.usable(catalogue(rows, sequences, start, more))]
+        return [proposal(each) for each in possible.usable(catalogue(rows, sequences, start, profile_kinds))]
 
-    found = ordered(proposals())
-    best = [each.block.name for each in found[:_PAIRED]]
-    found += proposals(itertools.permutations([name for name in best if name not in paired], 2))
+    candidates = sort_proposals(proposals())
+    best = [each.block.name for each in candidates[:_PAIRED]]
+    candidates += proposals(
+        itertools.permutations([name for name in best if name not in refused_in_pairs], 2)
+    )
     if calibration is not None:
-        names = [each.name for each in more]
-        visits = [each for each in found if each.block.name in names]
+        names = [each.name for each in profile_kinds]
+        visits = [each for each in candidates if each.block.name in names]
         for _ in range(_VISITS - 1):
             visits = proposals(
-                (*each.block.kinds, name) for each in ordered(visits)[:_PAIRED] for name in names
+                (*each.block.kinds, name) for each in sort_proposals(visits)[:_PAIRED] for name in names
             )
-            found += visits
-    return ordered(found)
+            candidates += visits
+    return sort_proposals(candidates)
 
 
-def hours_left(proposals: Sequence[Proposal], *, is_settled: bool = False) -> Callable[[Proposal], float]:
-    """Expected hours until the cause is settled and the biases are certain enough, by the next block.
+def remaining_hours_of(
+    proposals: Sequence[Proposal], *, is_settled: bool = False
+) -> Callable[[Proposal], float]:
+    """Key function: expected hours until cause and biases are settled, if a block is measured next.
 
-    After it, entropy and missing information about biases fall at the rates of the best of these blocks.
-    While no cause is settled, at least the shortest block follows. While information is missing, one as short
-    is added, since later blocks bring less. ``is_settled``: the cause is settled.
+    After that block, entropy and missing information about biases are assumed to decrease at the rates of the
+    best of these blocks. If no cause is settled, at least the shortest block follows. If information is
+    missing, the shortest block is added, since later blocks give less.
     """
-    fastest = max((each.gain_per_h for each in proposals), default=0.0)
-    replacing = max((each.replaced_h / each.block.plan.duration_h for each in proposals), default=0.0)
+    max_gain_per_h = max((each.gain_per_h for each in proposals), default=0.0)
+    max_replaced_per_h = max(
+        (each.replaced_h / each.block.plan.duration_h for each in proposals), default=0.0
+    )
     shortest_h = min((each.block.plan.duration_h for each in proposals), default=0.0)
 
-    def left(each: Proposal) -> float:
+    def remaining_hours(each: Proposal) -> float:
         hours, discount = each.block.plan.duration_h, 1.0 - each.weight
         if not is_settled:
             entropy_left = each.weight * each.expected.unsettled_entropy + discount * each.entropy
             unsettled = each.weight * each.expected.unsettled + discount
-            hours += max(entropy_left / max(fastest, 1e-9), unsettled * shortest_h)
+            hours += max(entropy_left / max(max_gain_per_h, 1e-9), unsettled * shortest_h)
         if each.missing_h:
-            hours += each.missing_h / max(replacing, 1e-9) + shortest_h
+            hours += each.missing_h / max(max_replaced_per_h, 1e-9) + shortest_h
         return hours
 
-    return left
+    return remaining_hours
 
 
 def proposal_of(forecast: Forecast, block: Block, rivals: Sequence[Rival]) -> Proposal:
-    """The proposal of a block."""
+    """Proposal of a block with its predictions and utility."""
     new = forecast.rows(block.plan)
-    return _weighed(block, new, _predictions(forecast, new, rivals), rivals)
+    return _proposal_with_utility(block, new, _predictions(forecast, new, rivals), rivals)
 
 
-def _weighed(
+def _proposal_with_utility(
     block: Block, new: Sequence[DwellRow], predictions: Sequence[Prediction], rivals: Sequence[Rival]
 ) -> Proposal:
     probabilities = np.array([each.probability for each in rivals])
-    expected = expected_after(predictions, probabilities, SETTLED)
+    expected = expected_entropy_after(predictions, probabilities, SETTLED)
     return Proposal(block, tuple(new), tuple(predictions), float(entropy(probabilities)), expected)
 
 
-def proposed(proposal: Proposal, rivals: Sequence[Rival]) -> dict[str, Any]:
-    """A proposal with its predictions, for the journal."""
+def proposal_entry(proposal: Proposal, rivals: Sequence[Rival]) -> dict[str, Any]:
+    """Journal entry of a proposal with its predictions."""
     return {
         "block": proposal.block.name,
-        "what": proposal.block.what,
+        "what": proposal.block.instruction,
         "hours": proposal.block.plan.duration_h,
         "entropy": proposal.entropy,
         "expected_entropy": proposal.expected.entropy,
@@ -262,108 +279,111 @@ def proposed(proposal: Proposal, rivals: Sequence[Rival]) -> dict[str, Any]:
 def calibration_of(
     forecast: Forecast, profile: Profile, rivals: Sequence[Rival], planner: BlockPlanner | None = None
 ) -> ProfileCalibration:
-    """What the dwells measured determine of the biases of a profile."""
+    """Uncertainty of a profile's biases with the dwells measured so far."""
     start = (planner or AfterLastDwell()).start(forecast.measured)
-    whole = tuple(forecast.rows(profile.whole(forecast.measured, start)))
-    means, rivals = profile.means, _leading(rivals)
+    profile_rows = tuple(forecast.rows(profile.whole_plan(forecast.measured, start)))
+    averaging, rivals = profile.averaging_matrix, _most_probable(rivals)
     return ProfileCalibration(
         profile,
-        whole,
+        profile_rows,
         rivals,
-        _next_pass(forecast, whole, means, (), rivals)[0],
-        _next_pass(forecast, whole, means, whole, rivals, is_alone=True)[0],
+        _profile_variances(forecast, profile_rows, averaging, (), rivals)[0],
+        _profile_variances(forecast, profile_rows, averaging, profile_rows, rivals, only_new=True)[0],
     )
 
 
-def _leading(rivals: Sequence[Rival]) -> tuple[Rival, ...]:
-    """The most probable rivals, of together :data:`SETTLED`, as if there were no others."""
-    before = np.cumsum([0.0, *(each.probability for each in rivals)])[:-1]
-    kept = list(itertools.compress(rivals, before < SETTLED))
+def _most_probable(rivals: Sequence[Rival]) -> tuple[Rival, ...]:
+    """The most probable rivals with a total probability of at least :data:`SETTLED`, normalized to 1."""
+    cumulative = np.cumsum([0.0, *(each.probability for each in rivals)])[:-1]
+    kept = list(itertools.compress(rivals, cumulative < SETTLED))
     total = sum(each.probability for each in kept)
     return tuple(replace(each, probability=each.probability / total) for each in kept)
 
 
-def _next_pass(
+def _profile_variances(
     forecast: Forecast,
-    whole: Sequence[DwellRow],
-    means: FloatArray,
+    profile_rows: Sequence[DwellRow],
+    averaging: FloatArray,
     new: Sequence[DwellRow],
     rivals: Sequence[Rival],
     *,
-    is_alone: bool = False,
+    only_new: bool = False,
 ) -> tuple[FloatArray, list[Prediction]]:
-    """Variances of means of the dwells of a profile after new ones, (k, m), and predictions of the new ones.
+    """Variances (k, m) of the profile's biases after the ``new`` dwells, and predictions of the new dwells.
 
-    The power-on is the one that is known best. ``is_alone``: the new dwells are all that is measured.
+    The profile is predicted in the power cycle with the most dwells. ``only_new``: whether the new dwells are
+    the only ones measured.
     """
-    runs = Counter(row.run for row in (new if is_alone else forecast.measured))
+    runs = Counter(row.run for row in (new if only_new else forecast.measured))
     [(run, _)] = runs.most_common(1)
-    later_s = max(new[-1].end_s - whole[0].start_s, 0.0) if new else 0.0
-    number = 1 + max(row.dwell for row in [*whole, *new])
+    delay_s = max(new[-1].end_s - profile_rows[0].start_s, 0.0) if new else 0.0
+    first_dwell = 1 + max(row.dwell for row in [*profile_rows, *new])
     rows = [
         replace(
             row,
-            dwell=number + index,
+            dwell=first_dwell + index,
             run=run,
-            start_s=row.start_s + later_s,
-            end_s=row.end_s + later_s,
-            since_power_on_s=row.since_power_on_s + later_s,
+            start_s=row.start_s + delay_s,
+            end_s=row.end_s + delay_s,
+            since_power_on_s=row.since_power_on_s + delay_s,
         )
-        for index, row in enumerate(whole)
+        for index, row in enumerate(profile_rows)
     ]
-    found, predictions = [], []
-    for each, variance in _linearized(forecast, [*new, *rows], rivals):
-        place = np.arange(len(each.sigma_dph) // 3) - len(each.sigma_dph) // 3 + len(rows)
-        is_new = (place < 0) & (place >= -len(new))
-        known = is_new if is_alone else place < 0
-        found.append(np.diag(means @ each.covariance(known, place >= 0) @ means.T))
-        if new and not is_alone:
-            predictions.append(_prediction(each, place < -len(new), is_new, variance))
-    return np.array(found), predictions
+    variances, predictions = [], []
+    for each, variance in _linearize_rivals(forecast, [*new, *rows], rivals):
+        offset = np.arange(len(each.sigma_dph) // 3) - len(each.sigma_dph) // 3 + len(rows)
+        is_new = (offset < 0) & (offset >= -len(new))
+        is_measured = is_new if only_new else offset < 0
+        variances.append(np.diag(averaging @ each.covariance(is_measured, offset >= 0) @ averaging.T))
+        if new and not only_new:
+            predictions.append(_prediction(each, offset < -len(new), is_new, variance))
+    return np.array(variances), predictions
 
 
-def _prediction(linear: Linearized, measured: BoolArray, is_new: BoolArray, variance: float) -> Prediction:
-    """Prediction of new dwells, with the variance of what a rival can't predict."""
-    found = linear.prediction(measured, is_new)
-    return replace(found, covariance=found.covariance + variance * np.eye(len(found.mean_dph)))
+def _prediction(
+    linear: LinearizedHypothesis, measured: BoolArray, is_new: BoolArray, variance: float
+) -> Prediction:
+    """Prediction of new dwells, including the variance of what a rival can't predict."""
+    prediction = linear.prediction(measured, is_new)
+    return replace(prediction, covariance=prediction.covariance + variance * np.eye(len(prediction.mean_dph)))
 
 
 def _predictions(forecast: Forecast, new: Sequence[DwellRow], rivals: Sequence[Rival]) -> list[Prediction]:
-    """What each rival, fitted to dwells, predicts for new ones at their temperatures."""
-    found = []
-    for each, variance in _linearized(forecast, new, rivals):
+    """Prediction of each rival for new dwells at their temperatures."""
+    predictions = []
+    for each, variance in _linearize_rivals(forecast, new, rivals):
         is_new = np.arange(len(each.sigma_dph) // 3) >= len(each.sigma_dph) // 3 - len(new)
-        found.append(_prediction(each, ~is_new, is_new, variance))
-    return found
+        predictions.append(_prediction(each, ~is_new, is_new, variance))
+    return predictions
 
 
-def _linearized(
+def _linearize_rivals(
     forecast: Forecast, new: Sequence[DwellRow], rivals: Sequence[Rival]
-) -> list[tuple[Linearized, float]]:
+) -> list[tuple[LinearizedHypothesis, float]]:
     """Each rival linearized about its fit to the dwells, and the variance of what it can't predict."""
-    rows, known = forecast.measured, forecast.campaign
+    rows, measured_campaign = forecast.measured, forecast.campaign
     campaign = campaign_of([*rows, *new], is_forecast=True)
     measured = ~np.isin(campaign.dwell, [row.dwell for row in new])
-    if known.above_optics_c is not None:
-        # A network fitted again to the new dwells would take a second.
+    if measured_campaign.above_optics_c is not None:
+        # Avoids another fit of the thermal network, which would take a second.
         above_c = campaign.board_c - campaign.gyro_c
-        above_c[measured] = known.above_optics_c
+        above_c[measured] = measured_campaign.above_optics_c
         campaign = replace(campaign, forecast_above_optics_c=above_c)
     spread_dph = _run_spread_dph(forecast)
-    found = []
+    result = []
     for each in rivals:
-        candidates, unknown_dph = _predictable(each, campaign, measured, known)
-        linear = linearized(campaign, measured, candidates, forecast.noise_scale, spread_dph)
-        found.append((linear, each.remainder_dph**2 + unknown_dph**2))
-    return found
+        candidates, unpredictable_dph = _predictable(each, campaign, measured, measured_campaign)
+        linear = linearize(campaign, measured, candidates, forecast.noise_scale, spread_dph)
+        result.append((linear, each.remainder_dph**2 + unpredictable_dph**2))
+    return result
 
 
 def _predictable(
-    rival: Rival, campaign: Campaign, measured: BoolArray, known: Campaign
+    rival: Rival, campaign: Campaign, measured: BoolArray, measured_campaign: Campaign
 ) -> tuple[list[Candidate], float]:
-    """Effects of a rival that the dwells of a campaign can show, and the size of its others, deg/h.
+    """Effects of a rival that the dwells of a campaign can show, and the size of its other effects, deg/h.
 
-    An effect that was not fitted is predicted as what imitates it, unless the new dwells have its input.
+    An effect without a fit is predicted by the effect that it imitates, unless the new dwells have its input.
     """
     candidates = list(rival.candidates)
     for effect in rival.unfitted:
@@ -374,8 +394,10 @@ def _predictable(
     missing = [each for each in candidates if each.form.missing_input(campaign)]
     if not missing:
         return candidates, 0.0
-    problem = declared_problem(known, np.ones(len(known), dtype=bool))
-    solution = solve_with(problem, [each for each in missing if not each.form.missing_input(known)])
+    problem = declared_problem(measured_campaign, np.ones(len(measured_campaign), dtype=bool))
+    solution = solve_with(
+        problem, [each for each in missing if not each.form.missing_input(measured_campaign)]
+    )
     size_dph = rms(solution.bias_dph - solve_with(problem, ()).bias_dph)
     return [each for each in candidates if each not in missing], size_dph
 
@@ -383,25 +405,25 @@ def _predictable(
 def _run_spread_dph(forecast: Forecast) -> float:
     """Standard deviation of the bias from one power-on to the next."""
     sigma_dph = float(np.nanmedian([row.sigma_dph for row in forecast.measured]))
-    return _MIN_RUN_SPREAD * forecast.noise_scale * sigma_dph
+    return _RUN_SPREAD * forecast.noise_scale * sigma_dph
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What new dwells say about rivals that were fitted to the earlier ones."""
+    """Result of new dwells for rivals that were fitted to the earlier dwells."""
 
-    probabilities: tuple[float, ...]  #: Of each rival, by its prediction and the dwells alone.
-    #: Rms of measured minus predicted bias, deg/h, for each rival; of a new power-on without the mean.
+    probabilities: tuple[float, ...]  #: Probability of each rival, updated by its prediction of the dwells.
+    #: Rms of measured minus predicted bias of each rival, deg/h; without its mean in a new power cycle.
     error_dph: tuple[float, ...]
     noise_dph: float  #: Rms of the noise of the new dwells.
-    p_value: tuple[float, ...]  #: Of a chi2 test of the dwells against the prediction of each rival.
-    #: Largest difference of a dwell's temperature from its forecast, K; zero unless it is above 10 K and half
-    #: of what the block changes it by.
+    p_value: tuple[float, ...]  #: p-value of chi2 of the dwells for the prediction of each rival.
+    #: Largest difference of a dwell's temperature from its forecast, K; zero unless it exceeds 10 K and half
+    #: of the temperature change of the block.
     off_forecast_k: float
 
     @property
     def fits(self) -> bool:
-        """Whether the dwells fit the prediction of one rival."""
+        """Whether the dwells fit the prediction of at least one rival."""
         return max(self.p_value) >= _MIN_P_VALUE
 
     @property
@@ -421,7 +443,7 @@ class Outcome:
 
 
 def is_confirmed_by(outcomes: Iterable[Outcome]) -> bool:
-    """Whether the latest of the blocks that agree with a cause or contradict it agrees with it."""
+    """Whether the last clear outcome, which agrees with a cause or contradicts it, agrees."""
     clear = [each for each in outcomes if each.is_clear]
     return bool(clear) and clear[-1].agrees
 
@@ -429,34 +451,36 @@ def is_confirmed_by(outcomes: Iterable[Outcome]) -> bool:
 def outcome_of(
     forecast: Forecast, proposal: Proposal, new: Sequence[DwellRow], rivals: Sequence[Rival]
 ) -> Outcome | None:
-    """Compare the dwells of a block with what each rival predicts at the temperatures measured there.
+    """Compare the dwells of a block with the prediction of each rival at the measured temperatures.
 
-    Electronics without a sensor are as forecast. Dwells with flags do not count; None if all have flags.
+    Electronics without a sensor are as forecast. Dwells with flags are omitted; None if all have flags.
     """
     expected = {row.dwell: row for row in proposal.rows}
-    good = [_with_electronics(row, expected[row.dwell]) for row in new if not row.flags]
-    if not good:
+    usable = [_with_electronics(row, expected[row.dwell]) for row in new if not row.flags]
+    if not usable:
         return None
-    bias_dph = np.array([row.bias_dph for row in good])
-    predictions = _predictions(forecast, good, rivals)
-    logs = np.array([float(each.log_likelihood(bias_dph.T.ravel()[np.newaxis])[0]) for each in predictions])
-    logs += np.log([each.probability for each in rivals])
-    shares = np.exp(logs - logs.max())
-    known, runs = {row.run for row in forecast.measured}, np.array([row.run for row in good])
+    bias_dph = np.array([row.bias_dph for row in usable])
+    predictions = _predictions(forecast, usable, rivals)
+    log_weights = np.array(
+        [float(each.log_likelihood(bias_dph.T.ravel()[np.newaxis])[0]) for each in predictions]
+    )
+    log_weights += np.log([each.probability for each in rivals])
+    shares = np.exp(log_weights - log_weights.max())
+    earlier_runs, runs = {row.run for row in forecast.measured}, np.array([row.run for row in usable])
     errors = []
     for each in predictions:
         error_dph = bias_dph - each.mean_dph.reshape(3, -1).T
-        for run in set(runs.tolist()) - known:
+        for run in set(runs.tolist()) - earlier_runs:
             error_dph[runs == run] -= error_dph[runs == run].mean(axis=0)
         errors.append(rms(error_dph))
-    sigma_dph = forecast.noise_scale * np.array([row.sigma_dph for row in good])
+    sigma_dph = forecast.noise_scale * np.array([row.sigma_dph for row in usable])
     chi2 = [each.chi2(bias_dph.T.ravel()[np.newaxis])[0] for each in predictions]
     return Outcome(
         tuple((shares / shares.sum()).tolist()),
         tuple(errors),
         rms(sigma_dph),
         tuple(chdtrc(bias_dph.size, chi2).tolist()),
-        _off_forecast_k(forecast.measured[-1], proposal.rows, good),
+        _off_forecast_k(forecast.measured[-1], proposal.rows, usable),
     )
 
 
@@ -468,7 +492,7 @@ def _off_forecast_k(last: DwellRow, expected: Sequence[DwellRow], measured: Sequ
 
 
 def _with_electronics(row: DwellRow, expected: DwellRow) -> DwellRow:
-    """Same row; electronics that were not measured are as far above the optics as expected."""
+    """The row with the expected temperature of the electronics above the optics, if that was not measured."""
     if np.isfinite(row.board_c).all():
         return row
     x_c, y_c, z_c = (np.array(row.gyro_c) + expected.board_c - expected.gyro_c).tolist()

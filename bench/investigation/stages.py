@@ -1,4 +1,4 @@
-"""The record of an investigation: its searches, each with the block that was measured after it."""
+"""Record of an investigation: its searches, each with the block that was measured after it."""
 
 from __future__ import annotations
 
@@ -20,26 +20,27 @@ DISTINGUISH, CONFIRM, TEST_LAW, CALIBRATE = "distinguish", "confirm", "test_law"
 class Stage:
     """One search, and the block that was measured after it."""
 
-    spent_h: float  #: Hours on the bench since the first table, before the block; with a profile, in all.
+    #: Hours on the bench before the block: since the first table, or with a profile from the beginning.
+    spent_h: float
     closure: Closure  #: The search.
-    #: The hypotheses that a block has to distinguish. Where a cause is confirmed or a law tested, it is the
-    #: first, and the others do without it or one of its effects.
+    #: The hypotheses that a block has to distinguish. If a cause is confirmed or a law tested, that is the
+    #: first, and the others lack it or one of its effects.
     rivals: tuple[Rival, ...]
-    purpose: str = DISTINGUISH  #: DISTINGUISH, CONFIRM, TEST_LAW, or CALIBRATE: the cause is settled.
+    purpose: str = DISTINGUISH  #: DISTINGUISH, CONFIRM, TEST_LAW, or CALIBRATE (the cause is settled).
     proposal: Proposal | None = None  #: The block measured next; None at the end.
-    #: What the block says about the rivals; None at the end, and if all its dwells have flags.
+    #: Result of the block for the rivals; None at the end, and if all its dwells have flags.
     outcome: Outcome | None = None
-    confirmation: Outcome | None = None  #: The same about those of :attr:`confirmed`; None without a cause.
-    calibration: ProfileCalibration | None = None  #: Of the biases of a profile; None without one.
+    confirmation: Outcome | None = None  #: Result of the block for :attr:`confirmed`; None without a cause.
+    calibration: ProfileCalibration | None = None  #: Calibration of the profile's biases; None without one.
 
     @property
     def is_uncertain(self) -> bool:
-        """Whether the biases are less certain than by the whole profile."""
+        """Whether the biases are less certain than after a measurement of the whole profile."""
         return self.calibration is not None and self.calibration.ratio > 1.0
 
     @property
     def confirmed(self) -> tuple[Rival, ...]:
-        """A cause that any block confirms or contradicts, and less than it."""
+        """The cause that a block confirms or contradicts, and the cause without each of its effects."""
         return self.rivals if self.purpose == CONFIRM else confirming_rivals(self.closure)
 
     @property
@@ -56,10 +57,10 @@ class Investigation:
     #: "settled", "nothing_found", "not_on_list", "budget", "no_block", "declined", "refuted" or
     #: "bench_failed".
     ended: str
-    reason: str  #: Why it ended.
+    reason: str  #: Reason why it ended.
     rows: tuple[DwellRow, ...]  #: All dwells.
-    refused: Mapping[tuple[str, ...], str]  #: Reasons of the bench by the kinds of a block.
-    repeated_campaign_h: float  #: Hours of repeating the first campaign; of the profile, where there is one.
+    refused: Mapping[tuple[str, ...], str]  #: Reasons why the bench refused blocks, by their kinds.
+    repeated_campaign_h: float  #: Duration of the first campaign, or of the profile if there is one.
 
     @property
     def is_conclusive(self) -> bool:
@@ -78,10 +79,10 @@ class Investigation:
 
     @property
     def calibration(self) -> ProfileCalibration | None:
-        """What is known of the biases of the profile of an adaptive campaign."""
+        """Calibration of the biases of an adaptive campaign's profile after the last search."""
         return self.stages[-1].calibration
 
     @property
     def spent_h(self) -> float:
-        """Hours on the bench since the first table; of an adaptive campaign, in all."""
+        """Hours on the bench since the first table; for an adaptive campaign, from the beginning."""
         return self.stages[-1].spent_h

@@ -87,7 +87,9 @@ def _residual(closure: Closure) -> Section:
         "Residual of the declared model",
         _paragraphs(
             text.before_sentence(closure),
-            *closure.noise.sentences(is_all=closure.verdict != "unexplained" or closure.differs_held_out),
+            *closure.noise.sentences(
+                is_structureless=closure.verdict != "unexplained" or closure.differs_held_out
+            ),
             _correlation_sentence(closure),
         ),
         figures,

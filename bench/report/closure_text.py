@@ -114,7 +114,7 @@ def verdict_sentence(closure: Closure) -> str:
     found = found_labels(closure)
     match closure.verdict:
         case "clean":
-            nothing = _probability_text(closure.posterior.nothing)
+            nothing = _probability_text(closure.posterior.no_effect_probability)
             return (
                 f"No undeclared effect was found: the residual of the declared model is noise ({nothing})"
                 f"{_not_excluded(closure)}."
@@ -126,7 +126,7 @@ def verdict_sentence(closure: Closure) -> str:
                 f"({_probability_text(closure.probability)})."
             )
         case "ambiguous":
-            some = 1.0 - closure.posterior.nothing
+            some = 1.0 - closure.posterior.no_effect_probability
             likely = f"An effect is likely ({_probability_text(some)})"
             present = "An effect is present" if some >= EXPLAINED else likely
             return f"{present}, but {_unsettled(closure)}" if found else _undecided(closure)
@@ -139,8 +139,10 @@ def verdict_sentence(closure: Closure) -> str:
             return f"The residual in the dwells searched is noise, but {closure.held_out_difference}"
         case _:
             part = _part(closure)
-            unknown = _probability_text(closure.posterior.not_on_list)
-            noise = "; more noise than stated is likelier" if closure.posterior.not_on_list < 0.5 else ""
+            unknown = _probability_text(closure.posterior.unlisted_probability)
+            noise = (
+                "; more noise than stated is likelier" if closure.posterior.unlisted_probability < 0.5 else ""
+            )
             return (
                 "The residual exceeds the noise, and no candidate effect explains it (an unlisted effect: "
                 f"{unknown}{noise}).{part}"
@@ -151,9 +153,11 @@ def _part(closure: Closure) -> str:
     """What the effects found are beside an unexplained residual."""
     likely, tied, other = [], [], []
     for each in closure.effects:
-        rivals = [name for name in each.tied_with if closure.posterior.of_effect.get(name, 0.0) >= RIVAL]
+        rivals = [
+            name for name in each.tied_with if closure.posterior.effect_probabilities.get(name, 0.0) >= RIVAL
+        ]
         fit = f"{each.effect.display_name} ({_probability_text(each.probability)})"
-        if rivals and closure.posterior.of_any([each.effect.name, *rivals]) >= _LIKELY:
+        if rivals and closure.posterior.any_probability([each.effect.name, *rivals]) >= _LIKELY:
             tied.append(" or ".join([fit, *(_with_probability(closure, name) for name in rivals)]))
         elif each.probability >= _LIKELY:
             likely.append(each.effect.display_name)
@@ -219,7 +223,7 @@ def _unsettled(closure: Closure) -> str:
 
 def _undecided(closure: Closure) -> str:
     """Why it is neither stated that there is an effect nor that there is none."""
-    nothing = _probability_text(closure.posterior.nothing)
+    nothing = _probability_text(closure.posterior.no_effect_probability)
     sentence = f"It is not settled whether the residual is noise ({nothing}, required {CLEAN:g})"
     likely = closure.not_accepted
     if likely is None:
@@ -230,7 +234,9 @@ def _undecided(closure: Closure) -> str:
 
 
 def _with_probability(closure: Closure, name: str) -> str:
-    return f"{closure.label(name)} ({_probability_text(closure.posterior.of_effect.get(name, 0.0))})"
+    return (
+        f"{closure.label(name)} ({_probability_text(closure.posterior.effect_probabilities.get(name, 0.0))})"
+    )
 
 
 def _probability_text(probability: float) -> str:
@@ -257,7 +263,7 @@ def title(closure: Closure) -> str:
 def probability_sentence(closure: Closure) -> str:
     """Probabilities of the effects, of an unlisted effect, and of no undeclared effect."""
     posterior = closure.posterior
-    likely = {name: p for name, p in posterior.of_effect.items() if p >= _WORTH_STATING}
+    likely = {name: p for name, p in posterior.effect_probabilities.items() if p >= _WORTH_STATING}
     parts = []
     for each in closure.effects:
         likely.pop(each.effect.name, None)
@@ -267,10 +273,10 @@ def probability_sentence(closure: Closure) -> str:
         law = f" (as such or as {labels(closure, general)})" if general else ""
         parts.append(f"{each.effect.display_name} {_probability_text(each.probability)}{law}")
     parts += [f"{closure.label(name)} {_probability_text(p)}" for name, p in likely.items()]
-    follows = max(posterior.follows, key=lambda name: posterior.follows[name])
-    unknown = f"an unlisted effect {_probability_text(posterior.not_on_list)}"
-    parts.append(f"{unknown} (it follows {follows})" if posterior.not_on_list >= 0.5 else unknown)
-    parts.append(f"no undeclared effect {_probability_text(posterior.nothing)}")
+    follows = max(posterior.process_probabilities, key=lambda name: posterior.process_probabilities[name])
+    unknown = f"an unlisted effect {_probability_text(posterior.unlisted_probability)}"
+    parts.append(f"{unknown} (it follows {follows})" if posterior.unlisted_probability >= 0.5 else unknown)
+    parts.append(f"no undeclared effect {_probability_text(posterior.no_effect_probability)}")
     return f"Probabilities: {'; '.join(parts)}."
 
 

@@ -30,7 +30,7 @@ _RULED_OUT = 0.01
 
 def title_of(rival: Rival) -> str:
     """A hypothesis in words."""
-    names = listed(rival.labels) or "nothing beside the declared model"
+    names = listed(rival.labels) or "nothing beyond the declared model"
     return f"{names}, and an unlisted effect" if rival.remainder_dph else names
 
 
@@ -39,9 +39,10 @@ def proposal_sentences(proposal: Proposal, rivals: Sequence[Rival]) -> Iterator[
     plan = proposal.block.plan
     biases = f" For the biases it replaces {proposal.replaced_h:.1f} h of the procedure."
     yield (
-        f"{capitalised(proposal.block.what)}: {counted(len(plan.dwells), 'dwell')} in {plan.duration_h:.1f} "
-        f"h. The entropy of the probabilities is expected to fall from {proposal.entropy:z.2f} to "
-        f"{proposal.expected.entropy:z.2f} nats.{biases if proposal.replaced_h else ''}"
+        f"{capitalised(proposal.block.instruction)}: {counted(len(plan.dwells), 'dwell')} in "
+        f"{plan.duration_h:.1f} h. The entropy of the probabilities is expected to fall from "
+        f"{proposal.entropy:z.2f} to {proposal.expected.entropy:z.2f} nats."
+        f"{biases if proposal.replaced_h else ''}"
     )
     is_test = len(rivals) > 1 and len({each.probability for each in rivals}) == 1
     for rival, prediction in list(zip(rivals, proposal.predictions, strict=True))[:_MAX_PREDICTIONS]:

@@ -30,7 +30,7 @@ from gyrobench.bench.investigation.external_bench import (
 )
 from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.investigation import Investigator
-from gyrobench.bench.investigation.open_hypotheses import rivals_of, searched
+from gyrobench.bench.investigation.open_hypotheses import rivals_of, search_campaign
 from gyrobench.bench.investigation.profile import Profile
 from gyrobench.bench.investigation.proposal import calibration_of
 from gyrobench.bench.procedure.steps import Navigate, PowerOn, SetChamber
@@ -144,7 +144,7 @@ def compared(seed):
     sizes = np.exp(draw.uniform(np.log(1.0), np.log(10.0), count)).tolist()
     whole = SimulatedUnit.measured_by(seed, kinds, sizes, block_plan(PLAN))
     own = whole.beginning_with(block_plan(OPENING))
-    closure = searched(whole.campaign(whole.rows), [whole.campaign(whole.rows).last_cycle])
+    closure = search_campaign(whole.campaign(whole.rows), [whole.campaign(whole.rows).last_cycle])
     fixed = found_by(whole, whole.rows, whole.rows[-1].end_s / 3600.0, closure)
     with tempfile.TemporaryDirectory() as folder:
         investigator = Investigator(UnitBench(own), Path(folder), 100.0, lambda *_: True, PROFILE)

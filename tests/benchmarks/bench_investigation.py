@@ -25,18 +25,18 @@ from gyrobench.bench.investigation.investigation import MAX_TESTS, PATIENCE
 from gyrobench.bench.investigation.open_hypotheses import (
     SLOW,
     confirming_rivals,
+    inexact_law_rivals,
     is_settled,
-    lacking_rivals,
     only_unconfirmed,
     rivals_of,
-    searched,
+    search_campaign,
 )
 from gyrobench.bench.investigation.proposal import (
     PossibleBlocks,
-    hours_left,
     is_confirmed_by,
     outcome_of,
     propose,
+    remaining_hours_of,
 )
 from tests.benchmarks.closure_laws import ON_THE_LIST
 from tests.benchmarks.investigation_units import SimulatedUnit
@@ -71,7 +71,11 @@ def unit_of(seed):
 def is_tied(closure):
     """Whether there is an effect, on the list, and no cause is settled."""
     posterior = closure.posterior
-    return closure.verdict == "ambiguous" and posterior.nothing < 0.05 and posterior.not_on_list < 0.5
+    return (
+        closure.verdict == "ambiguous"
+        and posterior.no_effect_probability < 0.05
+        and posterior.unlisted_probability < 0.5
+    )
 
 
 def ties(seeds):
@@ -151,7 +155,7 @@ class Tie:
                     return False, chosen, rivals
             elif chosen := best(state.proposals, value):
                 return False, chosen, ()
-        rivals = lacking_rivals(closure)
+        rivals = inexact_law_rivals(closure)
         if rivals and not state.tests(rivals[0].names):
             return False, best(state.proposed(rivals), test_value), rivals
         return False, None, ()
@@ -165,7 +169,7 @@ class State:
         #: Cause that a block was compared with, the outcome, and whether it was measured for that.
         self.outcomes = outcomes
         self._measured = [each.removeprefix(TO_CONFIRM).split(", then ") for each in blocks]
-        self.closure = searched(campaign_of(rows), held_out)
+        self.closure = search_campaign(campaign_of(rows), held_out)
         self.names = frozenset(self.closure.names)
         self.choice_s = 0.0
 
@@ -197,7 +201,7 @@ class State:
 
 def by_hours_left(proposal, state):
     """Fewest expected hours left, the choice of an adaptive campaign."""
-    return -hours_left(state.proposals)(proposal)
+    return -remaining_hours_of(state.proposals)(proposal)
 
 
 def by_entropy(proposal, state):

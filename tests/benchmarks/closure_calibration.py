@@ -98,7 +98,7 @@ def examined(seed):
     }
     if group == LAW:
         laws = composed(closure).composed
-        result["drivers"] = dict([*laws.of_driver.items()][:3]) if laws else {}
+        result["drivers"] = dict([*laws.driver_probabilities.items()][:3]) if laws else {}
     if group.startswith("unknown") and closure.verdict == "explained":
         longer = close_loop(campaign_of(make_unit(seed, **options, looks=LOOKS)[0]))
         result["longer"] = [longer.verdict, sorted(each.effect.name for each in longer.effects)]
@@ -116,9 +116,9 @@ def _has_own_laws(closure, truth):
 def _probabilities(closure):
     posterior = closure.posterior
     return {
-        "nothing": posterior.nothing,
-        "not_on_list": posterior.not_on_list,
-        "effects": posterior.of_effect,
+        "nothing": posterior.no_effect_probability,
+        "not_on_list": posterior.unlisted_probability,
+        "effects": posterior.effect_probabilities,
         "found": closure.probability,
         "hypotheses": [
             [sorted(each.names), each.has_remainder, each.probability] for each in posterior.hypotheses[:8]

@@ -1,4 +1,4 @@
-"""The candidate effects: those of the modules here, other packages' by entry point, users' files."""
+"""The candidate effects: from the modules here, entry points of other packages, and files of the user."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from gyrobench.bench.foundations.packages import EFFECTS, installed, load
 def all_effects(*sources: Path, sensor: str = "gyro") -> tuple[Effect, ...]:
     """The effects of this package's modules, of other packages and of the user's files, by name.
 
-    ``sensor``: "gyro" or "accelerometer", whose coefficients may show them. ``sources``: the tables or runs
-    searched; see :func:`gyrobench.bench.closure.effects.effect_file.effect_folders`. Raises DocumentError if
-    an effect of another package can't be imported, is not an Effect, or has a name already used, or a file is
-    wrong. It is not left out silently: the outcome of a search depends on its candidates.
+    ``sensor``: "gyro" or "accelerometer", the sensors searched. ``sources``: the tables or runs searched; see
+    :func:`gyrobench.bench.closure.effects.effect_file.effect_folders`. Raises DocumentError if an effect of
+    another package can't be imported, is not an Effect, or has a name already used, or if a file is wrong. No
+    effect is omitted silently, since the outcome of a search depends on its candidates.
     """
     modules = (importlib.import_module(f"{__name__}.{each.name}") for each in pkgutil.iter_modules(__path__))
-    found = (each for module in modules for each in vars(module).values() if isinstance(each, Effect))
-    effects = {each.name: each for each in found}
+    built_in = (each for module in modules for each in vars(module).values() if isinstance(each, Effect))
+    effects = {each.name: each for each in built_in}
     for name in installed(EFFECTS):
         effect = load(EFFECTS, name, Effect)
-        reason = _reason_against(effect, name, effects)
+        reason = _problem_of(effect, name, effects)
         if reason:
             raise DocumentError(
                 f"the entry point {name!r} in {EFFECTS} {reason}. Report this to the package's author"
@@ -43,8 +43,8 @@ def all_effects(*sources: Path, sensor: str = "gyro") -> tuple[Effect, ...]:
     return tuple(effects[name].seen_by(sensor) for name in sorted(effects) if sensor in effects[name].sensors)
 
 
-def _reason_against(effect: Effect, entry: str, known: Mapping[str, Effect]) -> str:
-    if entry in known:
+def _problem_of(effect: Effect, entry: str, effects: Mapping[str, Effect]) -> str:
+    if entry in effects:
         return "has the name of another effect"
     if effect.name != entry:
         return f"differs from the name {effect.name!r} of its object"

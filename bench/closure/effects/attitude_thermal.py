@@ -1,9 +1,9 @@
-"""Bias that follows a heat flow from the electronics to the optics which depends on attitude.
+"""Bias that follows an attitude-dependent heat flow from the electronics to the optics.
 
-Warm air rises: what convection carries from the electronics to the optics depends on the direction
-of gravity. The flow is proportional to the electronics' temperature above the optics. Above an onset
-temperature the bias does not depend on attitude; below it the dependence is constant (saturating), or
-grows with falling temperature (growing). An unknown flow is taken as constant.
+The heat that convection carries from the electronics to the optics depends on the direction of gravity. The
+flow is proportional to the electronics' temperature above the optics. Above an onset temperature the bias
+does not depend on attitude; below it the dependence is constant (saturating), or grows with falling
+temperature (growing). An unknown flow is assumed to be constant.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ _ONSET = (
 )
 
 _SCALE = "direction cosine of gravity and by the course below the onset, which is 1 at the coldest gyro"
-_IN_KELVIN = (
+_NOTE_IN_KELVIN = (
     f"Heat flow in K is the temperature of the electronics above the optics, multiplied by the {_SCALE}. "
     "Only the product of heat flow and sensitivity shows in the bias: watts are not identifiable."
 )
-_WITHOUT_UNIT = f"The heat flow is not known: shown is the {_SCALE}."
+_NOTE_WITHOUT_UNIT = f"The heat flow is not known: shown is the {_SCALE}."
 
 
 def _saturating(below: FloatArray) -> FloatArray:
@@ -48,34 +48,34 @@ def _growing(below: FloatArray) -> FloatArray:
     return np.logaddexp(0.0, below)
 
 
-def _form(name: str, shape: Callable[[FloatArray], FloatArray]) -> Form:
+def _form_with_flow(name: str, shape: Callable[[FloatArray], FloatArray]) -> Form:
     def columns(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
         flow_k = above_optics_c(campaign)
-        return np.concatenate([flow_k[:, :, None], _along(campaign, flow_k, values, shape)], axis=2)
+        return np.concatenate([flow_k[:, :, None], _along_gravity(campaign, flow_k, values, shape)], axis=2)
 
     def missing_input(campaign: Campaign) -> str | None:
         return needs_positions(campaign) or needs_electronics(campaign)
 
     terms = ("heat flow, K", *(f"heat flow by gravity along {axis}, K" for axis in "xyz"))
-    return Form(terms, columns, _ONSET, missing_input, name, _weights(shape, 1), _IN_KELVIN)
+    return Form(terms, columns, _ONSET, missing_input, name, _weights(shape, 1), _NOTE_IN_KELVIN)
 
 
 def _form_without_flow(name: str, shape: Callable[[FloatArray], FloatArray]) -> Form:
     def columns(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
-        return _along(campaign, np.ones_like(campaign.gyro_c), values, shape)
+        return _along_gravity(campaign, np.ones_like(campaign.gyro_c), values, shape)
 
     def missing_input(campaign: Campaign) -> str | None:
-        known = "nothing: the heat flow is known" if needs_electronics(campaign) is None else None
-        return needs_positions(campaign) or known
+        not_applicable = "nothing: the heat flow is known" if needs_electronics(campaign) is None else None
+        return needs_positions(campaign) or not_applicable
 
     terms = tuple(f"gravity along {axis} below the onset" for axis in "xyz")
-    return Form(terms, columns, _ONSET, missing_input, name, _weights(shape, 0), _WITHOUT_UNIT)
+    return Form(terms, columns, _ONSET, missing_input, name, _weights(shape, 0), _NOTE_WITHOUT_UNIT)
 
 
 def _weights(
     shape: Callable[[FloatArray], FloatArray], unweighted: int
 ) -> Callable[[Campaign, tuple[float, ...]], FloatArray]:
-    """Shape at the coldest gyro for the three terms along gravity, 1 for those before them."""
+    """Weights: 1 for ``unweighted`` terms, then the shape at the coldest gyro for three terms."""
 
     def weights(campaign: Campaign, onset: tuple[float, ...]) -> FloatArray:
         onset_c, width_c = onset
@@ -85,17 +85,17 @@ def _weights(
     return weights
 
 
-def _along(
+def _along_gravity(
     campaign: Campaign, flow: FloatArray, onset: tuple[float, ...], shape: Callable[[FloatArray], FloatArray]
 ) -> FloatArray:
-    """Parts of a flow (n, 3) that follow gravity along the body axes below the onset: (n, 3, 3)."""
+    """Flow (n, 3) below the onset, multiplied by Up along each body axis: (n, 3, 3)."""
     onset_c, width_c = onset
-    part = flow * shape((onset_c - campaign.gyro_c) / width_c)
-    return part[:, :, None] * campaign.up_body[:, None, :]
+    flow_below_onset = flow * shape((onset_c - campaign.gyro_c) / width_c)
+    return flow_below_onset[:, :, None] * campaign.up_body[:, None, :]
 
 
 def _compensation(fitted: FittedForm) -> InsTerms:
-    """The part of the heat flow that is equal in all positions, and the part that depends on gravity."""
+    """INS terms of the attitude-independent part of the heat flow, and of the part that follows gravity."""
     flow = heat_flow_terms(fitted)
     if flow.left_out:
         return flow
@@ -125,8 +125,8 @@ EFFECT = Effect(
     compensation=_compensation,
     contains=("thermal_gradient", "g_sensitivity"),
     forms=(
-        _form("saturating", _saturating),
-        _form("growing", _growing),
+        _form_with_flow("saturating", _saturating),
+        _form_with_flow("growing", _growing),
         _form_without_flow("saturating, flow unknown", _saturating),
         _form_without_flow("growing, flow unknown", _growing),
     ),

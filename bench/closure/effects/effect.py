@@ -1,4 +1,4 @@
-"""What a candidate effect is, and the terms that several effects share."""
+"""Candidate effects, their forms and parameters, and terms that several effects share."""
 
 from __future__ import annotations
 
@@ -23,17 +23,19 @@ class Parameter:
     #: low, high: Bounds of the fit.
     low: float
     high: float
-    #: Starting values of the fit for a campaign; all of them are fitted.
+    #: Starting values of the fit for a campaign; all are tried.
     starts: Callable[[Campaign], FloatArray]
-    #: Whether a value at the upper bound means that the effect is another one: a time constant as long as the
-    #: campaign is a drift.
+    #: Whether the effect becomes another one at the upper bound: with a time constant as long as the campaign
+    #: it is a drift.
     is_open_end: bool = False
-    limit: Callable[[Campaign], float] | None = None  #: A lower upper bound in a campaign, if any.
-    is_place: bool = False  #: A place on an axis, as an onset: equally probable everywhere, though positive.
+    limit: Callable[[Campaign], float] | None = None  #: Upper bound in a campaign, if below ``high``.
+    is_place: bool = (
+        False  #: A position on an axis, such as an onset: prior uniform in the value, not its log.
+    )
 
     @property
     def is_scale(self) -> bool:
-        """Whether it is positive and its logarithm equally probable everywhere."""
+        """Whether it is positive and the prior is uniform in its logarithm."""
         return self.low > 0.0 and not self.is_place
 
 
@@ -41,23 +43,23 @@ class Parameter:
 class Form:
     """One mathematical form of an effect."""
 
-    terms: tuple[str, ...]  #: What each term follows, with its unit.
-    #: Terms of a campaign at values of the parameters: shape (n, 3, k), NaN nowhere. The bias of a gyro is
-    #: the sum of its k terms, each times a fitted size in deg/h.
+    terms: tuple[str, ...]  #: Quantity that each term follows, with its unit.
+    #: Terms in a campaign at values of the parameters: shape (n, 3, k), without NaN. The bias of a gyro is
+    #: the sum of its k terms, each multiplied by a fitted size in deg/h.
     columns: Callable[[Campaign, tuple[float, ...]], FloatArray]
     parameters: tuple[Parameter, ...] = ()  #: The nonlinear ones.
-    #: The input that the form needs and a campaign does not have; None if it has all.
+    #: Input that the form needs and a campaign lacks; None if it has all.
     missing_input: Callable[[Campaign], str | None] = lambda campaign: None  # noqa: ARG005
     name: str = ""  #: Distinguishes the forms of an effect; empty for a single one.
-    #: Largest factor between each term and what it follows, shape (k,), in a campaign at values of the
-    #: parameters. Figures and tables divide terms by it, to show them in the unit of what they follow.
+    #: Largest ratio of each term to the quantity that it follows, shape (k,), in a campaign at values of the
+    #: parameters. Figures and tables divide terms by it, to show them in the unit of that quantity.
     weights: Callable[[Campaign, tuple[float, ...]], FloatArray] = lambda campaign, values: np.ones(1)  # noqa: ARG005
-    weights_note: str = ""  #: What the terms in that unit are; one or two sentences.
+    weights_note: str = ""  #: Meaning of the terms in that unit; one or two sentences.
 
 
 @dataclass(frozen=True)
 class FittedForm:
-    """A form as fitted to a campaign: what an effect makes the terms of the INS from."""
+    """A form as fitted to a campaign, from which an effect derives the terms of the INS."""
 
     campaign: Campaign  #: All n dwells.
     searched: BoolArray  #: Shape (n,). The dwells that were fitted.
@@ -68,12 +70,12 @@ class FittedForm:
 
 @dataclass(frozen=True)
 class InsTerms:
-    """What an INS subtracts of an effect."""
+    """Terms with which an INS subtracts an effect."""
 
     #: By field of :class:`gyrobench.drivers.ins.compensation.Compensation`; empty if left out.
     coefficients: Mapping[str, FloatArray] = field(default_factory=dict)
-    left_out: str = ""  #: Why the INS can't subtract the effect; empty if it can.
-    note: str = ""  #: What is subtracted only in part; empty if nothing.
+    left_out: str = ""  #: Reason why the INS can't subtract the effect; empty if it can.
+    note: str = ""  #: Note on a part that is not subtracted; empty if all is.
 
 
 def no_ins_term(reason: str) -> Callable[[FittedForm], InsTerms]:
@@ -85,13 +87,13 @@ NO_INS_TERM = no_ins_term("the INS has no term for it")
 
 
 def always(campaign: Campaign) -> bool:  # noqa: ARG001
-    """Whether an effect may imitate another one: in all campaigns."""
+    """Default of :attr:`Effect.may_imitate`: True in all campaigns."""
     return True
 
 
 @dataclass(frozen=True)
 class MisalignmentTexts:
-    """Texts of an effect that accelerometers show at rest just as misalignments do; see :class:`Effect`."""
+    """Texts of an effect that looks like misalignments of accelerometers at rest; see :class:`Effect`."""
 
     label: str
     statement: str
@@ -103,24 +105,24 @@ class Effect:
     """A physical effect on gyro bias that the declared model lacks."""
 
     name: str  #: As in ``closure.json`` and as the name of the entry point.
-    statement: str  #: What the bias does; a sentence without its period: "the bias follows ...".
+    statement: str  #: Behaviour of the bias; a sentence without its period: "the bias follows ...".
     #: The measurement that separates it from other effects, in the imperative without a period.
     experiment: str
-    forms: tuple[Form, ...]  #: The candidate forms; the one that fits best counts.
-    #: Names of effects so correlated with it that they may be present in its place if a missing input
-    #: excludes them from the search.
+    forms: tuple[Form, ...]  #: The candidate forms; the best one is used.
+    #: Names of effects so correlated with it that they may be present instead if a missing input excludes
+    #: them from the search.
     imitated_by: tuple[str, ...] = ()
     compensation: Callable[[FittedForm], InsTerms] = NO_INS_TERM  #: How the INS compensates it.
     label: str = ""  #: Displayed in place of the name; by default the name with spaces.
-    #: Names of the effects that are special cases of its laws in any campaign: of less probability, it is no
-    #: other cause beside them.
+    #: Names of effects that are special cases of its laws in any campaign. If it is less probable than one of
+    #: them, it is not another cause.
     contains: tuple[str, ...] = ()
-    may_imitate: Callable[[Campaign], bool] = always  #: In which campaigns it may imitate another effect.
-    #: Runs that an empirical law was composed from, and the fingerprints of their dwells; empty if not known.
+    may_imitate: Callable[[Campaign], bool] = always  #: Whether it may imitate another effect in a campaign.
+    #: Runs from which an empirical law was composed, and the fingerprints of their dwells; empty if unknown.
     composed_from: tuple[str, ...] = ()
     composed_from_dwells: tuple[str, ...] = ()
-    sensors: tuple[str, ...] = ("gyro", "accelerometer")  #: Whose coefficients may show it.
-    #: Texts where accelerometers are searched, of an effect that these show at rest as misalignments do.
+    sensors: tuple[str, ...] = ("gyro", "accelerometer")  #: Sensors whose coefficients may show it.
+    #: Texts for a search of accelerometers, if the effect looks like their misalignments at rest.
     as_misalignment: MisalignmentTexts | None = None
 
     def seen_by(self, sensor: str) -> Effect:
@@ -131,11 +133,11 @@ class Effect:
 
     @property
     def display_name(self) -> str:
-        """Name on pages and in the terminal."""
+        """Name displayed on pages and in the terminal."""
         return f"{self.label or plain_name(self.name)}{' (empirical)' if self.composed_from else ''}"
 
     def bounded(self, campaign: Campaign) -> Effect:
-        """Same effect with the bounds of its parameters in a campaign."""
+        """The effect with the bounds of its parameters limited for a campaign."""
         if not any(parameter.limit for form in self.forms for parameter in form.parameters):
             return self
         forms = []
@@ -148,24 +150,24 @@ class Effect:
         return replace(self, forms=tuple(forms))
 
     def missing_input(self, campaign: Campaign) -> str | None:
-        """The input without which no form can be fitted; None if one form can."""
+        """The missing input that prevents the fit of every form; None if one can be fitted."""
         missing = [form.missing_input(campaign) for form in self.forms]
         return missing[0] if missing and all(missing) else None
 
 
 def checked(form: Form, effect: str) -> Form:
-    """Same form of another package's effect, with its columns checked whenever they are computed.
+    """The form of an external effect, with its columns checked whenever they are computed.
 
-    Its columns raise a MeasurementError if they have another shape or are not finite.
+    The columns raise a MeasurementError if they have a wrong shape or are not finite.
     """
 
     def columns(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
         shape = (len(campaign), 3, len(form.terms))
         terms = np.asarray(form.columns(campaign, values), dtype=np.float64)
         if terms.shape != shape or not np.isfinite(terms).all():
-            found = "values that are not finite" if terms.shape == shape else f"shape {terms.shape}"
+            fault = "values that are not finite" if terms.shape == shape else f"shape {terms.shape}"
             raise MeasurementError(
-                f"the terms of the effect {effect!r} have {found}; required: finite values of shape {shape}. "
+                f"the terms of the effect {effect!r} have {fault}; required: finite values of shape {shape}. "
                 "Report this to the package's author"
             )
         return terms
@@ -179,13 +181,13 @@ def fixed(*values: float) -> Callable[[Campaign], FloatArray]:
 
 
 def searched_length_s(campaign: Campaign) -> float:
-    """Time from the first to the last dwell that is not held out, at least an hour: bounds time constants."""
-    seen = ~campaign.held_out if not campaign.held_out.all() else slice(None)
-    return max(float(campaign.end_s[seen].max() - campaign.start_s[seen].min()), S_PER_H)
+    """Time from the first to the last dwell that is not held out, at least an hour."""
+    is_used = ~campaign.held_out if not campaign.held_out.all() else slice(None)
+    return max(float(campaign.end_s[is_used].max() - campaign.start_s[is_used].min()), S_PER_H)
 
 
 def time_constant(low_s: float, *starts_s: float, lengths: float = 1.0) -> Parameter:
-    """Time constant ``tau_s``, at most ``lengths`` campaigns long; a longer one is another effect."""
+    """Parameter ``tau_s``, at most ``lengths`` campaigns long, since a longer one is another effect."""
 
     def limit(campaign: Campaign) -> float:
         return lengths * searched_length_s(campaign)
@@ -197,14 +199,14 @@ def time_constant(low_s: float, *starts_s: float, lengths: float = 1.0) -> Param
 
 
 def same_for_all_gyros(terms: FloatArray) -> FloatArray:
-    """Terms (n, k) as those of each gyro: (n, 3, k)."""
+    """Terms (n, k) repeated for each gyro: (n, 3, k)."""
     return np.repeat(terms[:, None, :], 3, axis=1)
 
 
 def above_optics_c(campaign: Campaign) -> FloatArray:
     """Temperature of the electronics above the optics (n, 3); NaN if unknown."""
-    known = campaign.above_optics_c
-    return np.full_like(campaign.gyro_c, np.nan) if known is None else known
+    above_c = campaign.above_optics_c
+    return np.full_like(campaign.gyro_c, np.nan) if above_c is None else above_c
 
 
 def needs_positions(campaign: Campaign) -> str | None:
@@ -242,7 +244,7 @@ def heat_flow_terms(fitted: FittedForm) -> InsTerms:
 
 
 def constant_at_end(fitted: FittedForm) -> InsTerms:
-    """The effect at the end of the campaign as a constant."""
+    """Constant with the value of the effect at the end of the campaign."""
     columns = fitted.form.columns(fitted.campaign, fitted.values)[-1]
     constant = np.sum(columns * fitted.sizes_dph, axis=1, keepdims=True)
     return InsTerms(

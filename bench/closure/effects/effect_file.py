@@ -1,4 +1,4 @@
-"""Effects of the user: YAML files in folders ``effects``, laws of the grammar with their words and bounds."""
+"""Effects of the user: YAML files in folders ``effects``, each a law of the grammar with texts and bounds."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from gyrobench.bench.closure.effects.grammar import DRIVERS, EVENTS, SHAPES, Law
 from gyrobench.bench.foundations.documents import StrictModel, read_document, validate
 from gyrobench.bench.foundations.text import listed
 
-#: Folder of effect files: beside a table, in a run or beside it, and in the working directory.
+#: Name of folders with effect files: beside a table, in a run or beside it, and in the working directory.
 _FOLDER = "effects"
 _STARTS = {0: 1, 1: 6, 2: 4}
-#: Bounds of at least this ratio have starting values at equal ratios.
+#: If the ratio of the bounds is larger than this, starting values are spaced geometrically.
 _WIDE = 8.0
-#: Parameters that are places on the driver's axis, not scales.
+#: Parameters that are positions on the driver's axis, not scales.
 _PLACES = ("onset", "centre")
 
 _Bounds = Annotated[list[float], Field(min_length=2, max_length=2)]
@@ -88,16 +88,16 @@ class EffectFile(StrictModel):
         return self
 
     def laws(self) -> dict[str, Law]:
-        """The laws by the names of their forms: an onset acts above or below."""
-        known = DRIVERS.get(self.driver)
-        unit = known.unit if known else self.unit or "units"
-        count = _STARTS.get(len(self.bounds), 3)
+        """Laws by the names of their forms; an onset has one form above it and one below."""
+        driver = DRIVERS.get(self.driver)
+        unit = driver.unit if driver else self.unit or "units"
+        start_count = _STARTS.get(len(self.bounds), 3)
         parameters = tuple(
             Parameter(
                 name if name == "tau_s" else f"{name}_{unit}",
                 low,
                 high,
-                fixed(*_spaced(low, high, count)),
+                fixed(*_spaced(low, high, start_count)),
                 is_place=name in _PLACES,
             )
             for name in _parameters(self.shape, self.memory)
@@ -112,7 +112,7 @@ class EffectFile(StrictModel):
         }
 
     def build(self) -> Effect:
-        """The effect as the search takes it."""
+        """The effect for the search."""
         laws = self.laws()
         return Effect(
             self.effect,
@@ -129,33 +129,33 @@ class EffectFile(StrictModel):
 
 
 def _parameters(shape: str, memory: str) -> tuple[str, ...]:
-    of_shape = SHAPES["onset above" if shape == "onset" else shape].parameters
-    return (*of_shape, *{"none": (), "play": ("play",)}.get(memory, ("tau_s",)))
+    shape_parameters = SHAPES["onset above" if shape == "onset" else shape].parameters
+    return (*shape_parameters, *{"none": (), "play": ("play",)}.get(memory, ("tau_s",)))
 
 
 def _spaced(low: float, high: float, count: int) -> list[float]:
-    """Values between bounds: at equal ratios where the bounds are far apart, otherwise equal steps."""
-    inside = (np.arange(count) + 0.5) / count
+    """Values between bounds: spaced geometrically if the bounds are far apart, otherwise linearly."""
+    fractions = (np.arange(count) + 0.5) / count
     if low > 0.0 and high / low > _WIDE:
-        return [float(each) for each in low * (high / low) ** inside]
-    return [float(each) for each in low + (high - low) * inside]
+        return [float(each) for each in low * (high / low) ** fractions]
+    return [float(each) for each in low + (high - low) * fractions]
 
 
 def effect_folders(sources: Iterable[Path]) -> list[Path]:
-    """Folders of effect files for tables and runs, each once; those that exist."""
-    places = [
-        place
+    """Existing folders of effect files for tables and runs, without duplicates."""
+    parents = [
+        parent
         for source in sources
-        for place in ((source, source.parent) if source.is_dir() else (source.parent,))
+        for parent in ((source, source.parent) if source.is_dir() else (source.parent,))
     ]
-    folders = [(place / _FOLDER).resolve() for place in (*places, Path())]
+    folders = [(parent / _FOLDER).resolve() for parent in (*parents, Path())]
     return [folder for folder in dict.fromkeys(folders) if folder.is_dir()]
 
 
 def read_effects(folders: Iterable[Path]) -> list[tuple[Path, Effect]]:
-    """Effects of all files in folders, with their files.
+    """Effects of all files in folders, with the paths of the files.
 
-    Raises DocumentError, which lists everything wrong with a file, with places.
+    Raises DocumentError, which lists all problems of a file with line and column.
     """
     paths = [path for folder in folders for path in sorted(folder.glob("*.yaml"))]
     return [(path, validate(read_document(path), EffectFile).build()) for path in paths]

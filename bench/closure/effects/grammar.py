@@ -1,9 +1,9 @@
 """The grammar of effects: a bias that follows factor x shape(memory(driver)).
 
-The driver is a column of the dwell table or a state of the thermal network, the memory how the past acts,
-the shape how the bias follows, the factor the direction of gravity. Built-in effects, those of files
-(:mod:`gyrobench.bench.closure.effects.effect_file`) and composed laws
-(:mod:`gyrobench.bench.closure.compose`) are made of it.
+The driver is a column of the dwell table or a state of the thermal network; the memory describes how its past
+acts, the shape how the bias depends on it, and the factor is a component of Up. Built-in effects, those of
+files (:mod:`gyrobench.bench.closure.effects.effect_file`) and composed laws
+(:mod:`gyrobench.bench.closure.compose`) are defined by it.
 """
 
 from __future__ import annotations
@@ -32,36 +32,36 @@ from gyrobench.bench.closure.temperature_record import followed_with_play, lag
 from gyrobench.bench.foundations.arrays import S_PER_DAY, S_PER_H, FloatArray
 from gyrobench.bench.navigation.positions import AXES
 
-#: Degree of the polynomial in temperature that an INS subtracts in place of a shape.
+#: Degree of the polynomial in temperature with which an INS approximates a shape.
 _INS_DEGREE = 5
 
 
 @dataclass(frozen=True)
 class Law:
-    """One law: what the bias follows, up to its sizes."""
+    """A law that the bias follows, without the sizes of its terms."""
 
     driver: str  #: Key of :data:`DRIVERS`, or a column of the dwell table; ``{axis}`` stands for the gyro's.
     shape: str = "linear"  #: Key of :data:`SHAPES`.
     memory: str = "none"  #: ``none`` or a key of :data:`MEMORIES`.
     factor: str = "none"  #: Key of :data:`_FACTORS`.
-    degree: int = 1  #: Of a polynomial.
-    parameters: tuple[Parameter, ...] = ()  #: Of the shape, then of the memory.
+    degree: int = 1  #: Degree of a polynomial.
+    parameters: tuple[Parameter, ...] = ()  #: Parameters of the shape, then of the memory.
 
     def columns(self, campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
         """Terms (n, 3, k) in all dwells at values of the parameters."""
         count = len(SHAPES[self.shape].parameters)
-        shaped = partial(self._shaped, values=values[:count])
+        apply_shape = partial(self._apply_shape, values=values[:count])
         if self.memory == "none" and (self.shape == "linear" or self.driver == "constant"):
-            terms = shaped(driver_values(self.driver, campaign))
+            terms = apply_shape(driver_values(self.driver, campaign))
         elif self.memory == "none":
-            terms = self._curved(campaign, shaped)
+            terms = self._nonlinear_means(campaign, apply_shape)
         elif self.driver in EVENTS:
             mean = mean_decay(campaign, EVENTS[self.driver](campaign), *values[count:])
-            terms = shaped(np.repeat(mean[:, np.newaxis], 3, axis=1))
+            terms = apply_shape(np.repeat(mean[:, np.newaxis], 3, axis=1))
         else:
             record = campaign.record
             state = MEMORIES[self.memory](course_of(self.driver, campaign), record.time_s, *values[count:])
-            terms = [campaign.means_over_dwells(each) for each in shaped(state)]
+            terms = [campaign.means_over_dwells(each) for each in apply_shape(state)]
         stacked = np.stack(terms, axis=2)
         axes = _FACTORS[self.factor]
         if not axes:
@@ -70,14 +70,14 @@ class Law:
         return np.asarray(product.reshape(len(campaign), 3, -1))
 
     def missing_input(self, campaign: Campaign) -> str | None:
-        """The input that a campaign does not have; None if it has all."""
+        """The input that a campaign lacks; None if it has all."""
         missing = needs_positions(campaign) if _FACTORS[self.factor] else None
         if missing is None and self.driver not in EVENTS:
             missing = _missing_driver(self.driver, campaign)
         return missing
 
     def terms(self) -> tuple[str, ...]:
-        """What each term follows."""
+        """Name of the quantity that each term follows."""
         name = driver_label(self.driver)
         if self.memory != "none":
             name = f"{_MEMORY_WORDS[self.memory]} {name}"
@@ -90,20 +90,26 @@ class Law:
             *shaped,
         )
 
-    def _curved(
-        self, campaign: Campaign, shaped: Callable[[FloatArray], list[FloatArray]]
+    def _nonlinear_means(
+        self, campaign: Campaign, apply_shape: Callable[[FloatArray], list[FloatArray]]
     ) -> list[FloatArray]:
-        """Means of the shape over the dwells: that of their means, and what the course within them adds."""
+        """Means over the dwells of a shape of the driver.
+
+        The shape of the measured mean, plus the difference that the course within the dwell makes.
+        """
         course = course_of(self.driver, campaign)
         mean = campaign.means_over_dwells
-        terms = zip(
-            shaped(driver_values(self.driver, campaign)), shaped(course), shaped(mean(course)), strict=True
+        triples = zip(
+            apply_shape(driver_values(self.driver, campaign)),
+            apply_shape(course),
+            apply_shape(mean(course)),
+            strict=True,
         )
         return [
-            of_mean + mean(over_course) - of_course_mean for of_mean, over_course, of_course_mean in terms
+            of_mean + mean(over_course) - of_course_mean for of_mean, over_course, of_course_mean in triples
         ]
 
-    def _shaped(self, state: FloatArray, values: tuple[float, ...]) -> list[FloatArray]:
+    def _apply_shape(self, state: FloatArray, values: tuple[float, ...]) -> list[FloatArray]:
         if self.shape == "polynomial":
             return [state**power for power in range(1, self.degree + 1)]
         return SHAPES[self.shape].of(state, *values)
@@ -111,9 +117,9 @@ class Law:
 
 @dataclass(frozen=True)
 class Shape:
-    """How a bias follows a quantity."""
+    """Function by which the bias follows a quantity."""
 
-    of: Callable[..., list[FloatArray]]  #: Terms from the quantity and the parameters.
+    of: Callable[..., list[FloatArray]]  #: Computes the terms from the quantity and the parameters.
     parameters: tuple[str, ...] = ()  #: Names of its parameters, all in the unit of the driver.
     terms: tuple[str, ...] = ("",)  #: Words before the driver's name.
 
@@ -160,16 +166,16 @@ def _lag(state: FloatArray, time_s: FloatArray, tau_s: float) -> FloatArray:
 
 
 def _decay(state: FloatArray, time_s: FloatArray, tau_s: float) -> FloatArray:
-    """What remains of the changes of a quantity, which decay: the quantity minus its lag."""
+    """Changes of a quantity (m, 3) that decay exponentially: the quantity minus its lag."""
     return -lag(state, time_s, tau_s)
 
 
 def _play(state: FloatArray, _: FloatArray, half_width: float) -> FloatArray:
-    """How far a follower with play stands from the quantity (m, 3): at most the half width."""
+    """Distance of a follower with play from the quantity (m, 3): at most the half width."""
     return followed_with_play(state, half_width, state[0]) - state
 
 
-#: State (m, 3) of a quantity over time, from that, the times (m,) and the parameter.
+#: Functions of a quantity (m, 3), the times (m,) and the parameter that return its state (m, 3).
 MEMORIES: Mapping[str, Callable[..., FloatArray]] = MappingProxyType(
     {"lag": _lag, "play": _play, "decay": _decay}
 )
@@ -180,11 +186,11 @@ _FACTORS: Mapping[str, tuple[int, ...]] = MappingProxyType(
 )
 
 
-def _of_gyros(values: FloatArray) -> FloatArray:
+def _for_each_gyro(values: FloatArray) -> FloatArray:
     return np.repeat(values[:, np.newaxis], 3, axis=1)
 
 
-def _of_column(campaign: Campaign, name: str) -> FloatArray:
+def _from_column(campaign: Campaign, name: str) -> FloatArray:
     missing = np.full(len(campaign), np.nan)
     names = [name.replace("{axis}", axis) for axis in AXES]
     return np.stack([campaign.columns.get(each, missing) for each in names], axis=1)
@@ -192,67 +198,81 @@ def _of_column(campaign: Campaign, name: str) -> FloatArray:
 
 @dataclass(frozen=True)
 class Driver:
-    """A quantity that every dwell table has a place for, or a state of the thermal network."""
+    """A quantity with a standard column of the dwell table, or a state of the thermal network."""
 
     label: str
     unit: str
-    values: Callable[[Campaign], FloatArray | None]  #: Shape (n, 3); None or NaN where not measured.
-    instrument: str = ""  #: What measures it.
+    values: Callable[[Campaign], FloatArray | None]  #: Shape (n, 3); None or NaN if not measured.
+    instrument: str = ""  #: Instrument that measures it.
 
 
 _CHAMBER = "the chamber's readings"
 DRIVERS: Mapping[str, Driver] = MappingProxyType(
     {
-        "gyro_c": Driver("optics temperature", "c", lambda of: of.gyro_c),
-        "gyro_rate_c_per_h": Driver("temperature rate", "c_per_h", lambda of: of.rate_c_per_h),
+        "gyro_c": Driver("optics temperature", "c", lambda campaign: campaign.gyro_c),
+        "gyro_rate_c_per_h": Driver("temperature rate", "c_per_h", lambda campaign: campaign.rate_c_per_h),
         "board_c": Driver(
-            "electronics temperature", "c", lambda of: of.board_c, "temperature sensors at the electronics"
+            "electronics temperature",
+            "c",
+            lambda campaign: campaign.board_c,
+            "temperature sensors at the electronics",
         ),
-        "above_optics_k": Driver("electronics above optics", "k", lambda of: of.above_optics_c),
+        "above_optics_k": Driver("electronics above optics", "k", lambda campaign: campaign.above_optics_c),
         "case_c": Driver(
-            "case temperature", "c", lambda of: _of_gyros(of.case_c), "a temperature sensor at the case"
+            "case temperature",
+            "c",
+            lambda campaign: _for_each_gyro(campaign.case_c),
+            "a temperature sensor at the case",
         ),
-        "chamber_c": Driver("chamber air", "c", lambda of: _of_gyros(of.air_c), _CHAMBER),
-        "chamber_set_c": Driver("chamber set point", "c", lambda of: _of_gyros(of.set_c), _CHAMBER),
+        "chamber_c": Driver("chamber air", "c", lambda campaign: _for_each_gyro(campaign.air_c), _CHAMBER),
+        "chamber_set_c": Driver(
+            "chamber set point", "c", lambda campaign: _for_each_gyro(campaign.set_c), _CHAMBER
+        ),
         "supply_w": Driver(
             "supply power",
             "w",
-            lambda of: _of_column(of, "supply_w"),
+            lambda campaign: _from_column(campaign, "supply_w"),
             "a logged power supply or power meter (column supply_w)",
         ),
         "room_c": Driver(
             "room temperature",
             "c",
-            lambda of: _of_column(of, "room_c"),
+            lambda campaign: _from_column(campaign, "room_c"),
             "a logged thermometer in the room (column room_c)",
         ),
-        "time_days": Driver("time", "days", lambda of: _of_gyros((of.middle_s - of.middle_s[0]) / S_PER_DAY)),
+        "time_days": Driver(
+            "time",
+            "days",
+            lambda campaign: _for_each_gyro((campaign.middle_s - campaign.middle_s[0]) / S_PER_DAY),
+        ),
         "since_power_on_h": Driver(
             "time since power-on",
             "h",
-            lambda of: _of_gyros((of.since_power_on_s + 0.5 * (of.end_s - of.start_s)) / S_PER_H),
+            lambda campaign: _for_each_gyro(
+                (campaign.since_power_on_s + 0.5 * (campaign.end_s - campaign.start_s)) / S_PER_H
+            ),
         ),
-        "constant": Driver("", "", lambda of: np.ones_like(of.gyro_c)),
+        "constant": Driver("", "", lambda campaign: np.ones_like(campaign.gyro_c)),
     }
 )
-#: Times of events, from which on a decay begins.
+#: Times of events at which a decay begins.
 EVENTS: Mapping[str, Callable[[Campaign], FloatArray]] = MappingProxyType(
-    {"power_on": lambda of: of.power_on_s, "start": lambda of: of.whole.start_s[:1]}
+    {"power_on": lambda campaign: campaign.power_on_s, "start": lambda campaign: campaign.whole.start_s[:1]}
 )
 
 
 def driver_label(driver: str) -> str:
     """Name of a driver in sentences."""
-    known = DRIVERS.get(driver)
-    return known.label if known else driver.replace("_{axis}", "").replace("_", " ")
+    standard = DRIVERS.get(driver)
+    return standard.label if standard else driver.replace("_{axis}", "").replace("_", " ")
 
 
 def driver_values(driver: str, campaign: Campaign) -> FloatArray:
-    """Means over the dwells (n, 3); NaN where not measured."""
-    known = DRIVERS.get(driver)
-    if known is None:
-        return _of_column(campaign, driver)
-    values = known.values(campaign)
+    """Means of a driver over the dwells (n, 3); NaN if not measured."""
+    standard = DRIVERS.get(driver)
+    if standard is None:
+        return _from_column(campaign, driver)
+    values = standard.values(campaign)
     return np.full_like(campaign.gyro_c, np.nan) if values is None else values
 
 
@@ -261,12 +281,12 @@ def _missing_driver(driver: str, campaign: Campaign) -> str | None:
         return needs_electronics(campaign)
     if np.isfinite(driver_values(driver, campaign)).all():
         return None
-    known = DRIVERS.get(driver)
-    return known.instrument if known else f"a column {driver.replace('{axis}', 'x')} in the dwell table"
+    standard = DRIVERS.get(driver)
+    return standard.instrument if standard else f"a column {driver.replace('{axis}', 'x')} in the dwell table"
 
 
 def course_of(driver: str, campaign: Campaign) -> FloatArray:
-    """A driver at the times of the campaign's record (m, 3), without influence of held-out dwells."""
+    """Driver at the times of the campaign's record (m, 3), not influenced by held-out dwells."""
     if driver == "gyro_c":
         return campaign.record.gyro_c
     whole = campaign.whole
@@ -278,16 +298,17 @@ def course_of(driver: str, campaign: Campaign) -> FloatArray:
     return whole.computed_once(("course", driver), course)
 
 
-def mean_decay(campaign: Campaign, on_s: FloatArray, tau_s: float) -> FloatArray:
-    """Mean over each dwell of decays (n,) that begin with 1: a dwell with an event has parts of two.
+def mean_decay(campaign: Campaign, event_s: FloatArray, tau_s: float) -> FloatArray:
+    """Mean over each dwell (n,) of an exponential decay that starts at 1 with each event.
 
-    ``on_s``: times of the events, ascending, at least one.
+    A dwell that contains events has parts of several decays. ``event_s``: times of the events, ascending, at
+    least one.
     """
     instants_s = np.stack([campaign.start_s, campaign.end_s])
-    event = np.maximum(np.searchsorted(on_s, instants_s, "right") - 1, 0)
-    since_s = np.maximum(instants_s - on_s[event], 0.0)
-    earlier = np.cumsum(np.append(0.0, -np.expm1((on_s[:-1] - on_s[1:]) / tau_s)))
-    until_start, until_end = tau_s * (earlier[event] - np.expm1(-since_s / tau_s))
+    event = np.maximum(np.searchsorted(event_s, instants_s, "right") - 1, 0)
+    since_s = np.maximum(instants_s - event_s[event], 0.0)
+    completed = np.cumsum(np.append(0.0, -np.expm1((event_s[:-1] - event_s[1:]) / tau_s)))
+    until_start, until_end = tau_s * (completed[event] - np.expm1(-since_s / tau_s))
     return np.asarray((until_end - until_start) / np.maximum(campaign.end_s - campaign.start_s, 1e-9))
 
 
@@ -307,7 +328,7 @@ def effect_of(
     contains: tuple[str, ...] = (),
     as_misalignment: MisalignmentTexts | None = None,
 ) -> Effect:
-    """Effect of one law, compensated by the INS's terms where the INS has them."""
+    """Effect of one law, compensated by the terms of the INS if it has them."""
     form = form_of(law, terms)
     compensation = partial(ins_terms, {form.name: law})
     return Effect(
@@ -317,9 +338,9 @@ def effect_of(
 
 
 def ins_terms(laws: Mapping[str, Law], fitted: FittedForm) -> InsTerms:
-    """What an INS subtracts of a fitted law; ``laws`` by the names of their forms."""
+    """Terms with which an INS subtracts a fitted law; ``laws`` by the names of their forms."""
     law = laws[fitted.form.name]
-    sizes, same = fitted.sizes_dph, np.ones(3)
+    sizes, ones = fitted.sizes_dph, np.ones(3)
     match law.driver, law.shape, law.memory, law.factor:
         case "gyro_rate_c_per_h", "linear", "none", "none":
             limit_c_per_h = np.abs(fitted.campaign.rate_c_per_h[fitted.searched]).max(axis=0)
@@ -327,9 +348,9 @@ def ins_terms(laws: Mapping[str, Law], fitted: FittedForm) -> InsTerms:
         case "above_optics_k", "linear", "none", "none":
             return heat_flow_terms(fitted)
         case "gyro_c", "linear", "play", "none":
-            return InsTerms({"hysteresis_dph_per_k": sizes[:, 0], "half_width_k": fitted.values[0] * same})
+            return InsTerms({"hysteresis_dph_per_k": sizes[:, 0], "half_width_k": fitted.values[0] * ones})
         case "power_on", "linear", "decay", "none":
-            return InsTerms({"warm_up_dph": sizes[:, 0], "warm_up_s": fitted.values[0] * same})
+            return InsTerms({"warm_up_dph": sizes[:, 0], "warm_up_s": fitted.values[0] * ones})
         case "constant", "linear", "none", _:
             vectors = np.zeros((3, 3))
             vectors[:, list(_FACTORS[law.factor])] = sizes
@@ -342,17 +363,18 @@ def ins_terms(laws: Mapping[str, Law], fitted: FittedForm) -> InsTerms:
 
 
 def _as_polynomial(fitted: FittedForm) -> InsTerms:
-    """Polynomial in temperature that is closest to a function of temperature in the dwells searched."""
-    part_dph = np.einsum("ngk,gk->ng", fitted.form.columns(fitted.campaign, fitted.values), fitted.sizes_dph)
-    gyro_c, part_dph = fitted.campaign.gyro_c[fitted.searched], part_dph[fitted.searched]
+    """Polynomial in temperature that fits a function of temperature best in the dwells searched."""
+    effect_dph = np.einsum(
+        "ngk,gk->ng", fitted.form.columns(fitted.campaign, fitted.values), fitted.sizes_dph
+    )
+    gyro_c, effect_dph = fitted.campaign.gyro_c[fitted.searched], effect_dph[fitted.searched]
     degree = min(_INS_DEGREE, len(gyro_c) // 4)
     fits = [
-        np.polynomial.Polynomial.fit(gyro_c[:, gyro], part_dph[:, gyro], degree).convert()
+        np.polynomial.Polynomial.fit(gyro_c[:, gyro], effect_dph[:, gyro], degree).convert()
         for gyro in range(3)
     ]
     coefficients = np.array([np.pad(each.coef, (0, degree + 1 - len(each.coef))) for each in fits])
-    left = part_dph - np.stack([fit(each) for fit, each in zip(fits, gyro_c.T, strict=True)], axis=1)
-    note = (
-        f"compensated by a polynomial of degree {degree}, which leaves {np.sqrt(np.mean(left**2)):.2g} deg/h"
-    )
+    error_dph = effect_dph - np.stack([fit(each) for fit, each in zip(fits, gyro_c.T, strict=True)], axis=1)
+    rms_dph = np.sqrt(np.mean(error_dph**2))
+    note = f"compensated by a polynomial of degree {degree}, which leaves {rms_dph:.2g} deg/h"
     return InsTerms({"polynomial_dph": coefficients}, note=f"{note} rms of it")

@@ -1,4 +1,4 @@
-"""Effects of the unit itself, most of them a law of the grammar: what drives the bias, a memory, a factor."""
+"""Effects of the unit itself, most of them a law of the grammar: driver, memory and factor."""
 
 from __future__ import annotations
 
@@ -44,15 +44,16 @@ TEMPERATURE_RATE = effect_of(
 )
 
 _LAG = Law("gyro_c", memory="decay", parameters=(_LAG_TAU,))
-_AHEAD = ("sensor ahead of the lagging temperature, K",)
-#: A temperature that changes by no more at the first dwell was settled until then.
+_SENSOR_AHEAD = ("sensor ahead of the lagging temperature, K",)
+#: A temperature with at most this rate at the first dwell was settled before it.
 _SETTLED_C_PER_H = 3.0
-#: Lag at the first dwell over that on a ramp which long had the rate of that dwell; 0: settled until then.
+#: Ratio of the lag at the first dwell to that on a long ramp with the rate of that dwell; 0 if settled before
+#: it.
 _FIRST_LAG = Parameter("lag_at_first_dwell", 0.0, 1.0, fixed(0.0), is_place=True)
 
 
-def _lag_underway(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
-    """Sensor ahead of a temperature that lags at the first dwell already, K: (n, 3, 1)."""
+def _lag_with_initial_value(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
+    """Sensor minus a lagging temperature, with a lag already at the first dwell, K: (n, 3, 1)."""
     tau_s, share = values
     first_k = share * campaign.whole.rate_c_per_h[0] * tau_s / S_PER_H
     decay = mean_decay(campaign, campaign.whole.start_s[:1], tau_s)
@@ -64,7 +65,7 @@ def _begins_settled(campaign: Campaign) -> bool:
     return bool(np.abs(rate_c_per_h).max() <= _SETTLED_C_PER_H)
 
 
-#: What warmed or cooled an INS before the first dwell is not recorded, and takes hours to be forgotten.
+#: What warmed or cooled an INS before the first dwell is not recorded, and acts for hours.
 THERMAL_LAG = Effect(
     name="thermal_lag",
     statement="the bias follows a temperature that lags behind the measured one",
@@ -77,49 +78,56 @@ THERMAL_LAG = Effect(
     compensation=no_ins_term("the INS has no term for what follows a lagging temperature"),
     forms=(
         Form(
-            _AHEAD,
+            _SENSOR_AHEAD,
             _LAG.columns,
             (_LAG_TAU,),
-            lambda of: None if _begins_settled(of) else "a settled temperature at the first dwell",
+            lambda campaign: (
+                None if _begins_settled(campaign) else "a settled temperature at the first dwell"
+            ),
             "settled at first",
         ),
         Form(
-            _AHEAD,
-            _lag_underway,
+            _SENSOR_AHEAD,
+            _lag_with_initial_value,
             (_LAG_TAU, _FIRST_LAG),
-            lambda of: "a changing temperature at the first dwell" if _begins_settled(of) else None,
+            lambda campaign: (
+                "a changing temperature at the first dwell" if _begins_settled(campaign) else None
+            ),
             "changing at first",
         ),
     ),
 )
 
 _PLAY = Law("gyro_c", memory="play", parameters=(_HALF_WIDTH,))
-#: Half widths of equally many joints, in units of their mean: the midpoints of equal parts of 0 to 2.
-_JOINTS = (0.25, 0.75, 1.25, 1.75)
+#: Half widths of groups of equally many joints, in units of their mean: midpoints of equal parts of 0 to 2.
+_JOINT_WIDTHS = (0.25, 0.75, 1.25, 1.75)
 
 
 def _many_widths(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
     """Mean of play with half widths from zero to twice the mean, (n, 3, 1)."""
     record, play = campaign.record, MEMORIES[_PLAY.memory]
-    states = (play(record.gyro_c, record.time_s, values[0] * each) for each in _JOINTS)
-    return campaign.means_over_dwells(np.asarray(sum(states)) / len(_JOINTS))[:, :, np.newaxis]
+    states = (play(record.gyro_c, record.time_s, values[0] * each) for each in _JOINT_WIDTHS)
+    return campaign.means_over_dwells(np.asarray(sum(states)) / len(_JOINT_WIDTHS))[:, :, np.newaxis]
 
 
-def _as_one_width(fitted: FittedForm) -> InsTerms:
-    """Play of one width, which is what an INS subtracts: the mean width, with the closest sizes."""
+def _single_width_terms(fitted: FittedForm) -> InsTerms:
+    """Play of a single width, which an INS can subtract: the mean width, with the best sizes."""
     one_width = {_ONE_WIDTH: _PLAY}
     if fitted.form.name == _ONE_WIDTH:
         return ins_terms(one_width, fitted)
-    many, one = (
+    many_widths, single_width = (
         columns(fitted.campaign, fitted.values)[fitted.searched, :, 0]
         for columns in (fitted.form.columns, _PLAY.columns)
     )
-    many, one = many - many.mean(axis=0), one - one.mean(axis=0)
-    shares = np.sum(one * many, axis=0) / np.maximum(np.sum(one**2, axis=0), 1e-300)
+    many_widths, single_width = (
+        many_widths - many_widths.mean(axis=0),
+        single_width - single_width.mean(axis=0),
+    )
+    shares = np.sum(single_width * many_widths, axis=0) / np.maximum(np.sum(single_width**2, axis=0), 1e-300)
     sizes_dph = fitted.sizes_dph * shares[:, np.newaxis]
-    missed_dph = rms(many * fitted.sizes_dph[:, 0] - one * sizes_dph[:, 0])
+    residual_dph = rms(many_widths * fitted.sizes_dph[:, 0] - single_width * sizes_dph[:, 0])
     terms = ins_terms(one_width, replace(fitted, form=THERMAL_HYSTERESIS.forms[0], sizes_dph=sizes_dph))
-    note = f"compensated as play of a single width, which leaves {missed_dph:.2g} deg/h rms of it"
+    note = f"compensated as play of a single width, which leaves {residual_dph:.2g} deg/h rms of it"
     return replace(terms, note=note)
 
 
@@ -132,7 +140,7 @@ THERMAL_HYSTERESIS = Effect(
         "reach one temperature from above and from below and soak for hours: a lag decays, hysteresis "
         "remains; small temperature loops show its width"
     ),
-    compensation=_as_one_width,
+    compensation=_single_width_terms,
     forms=(
         form_of(_PLAY, ("play behind the temperature, K",), _ONE_WIDTH),
         Form(
@@ -159,8 +167,8 @@ THERMAL_GRADIENT = effect_of(
 )
 
 #: The specific force at rest is gravity, so the matrix of the sensors does the same.
-_OR_MISALIGNMENT = "as misalignments do at rest"
-_BY_MATRIX = "compensate the matrix that rotations measure (rotate): at rest it includes both"
+_AS_MISALIGNMENT = "as misalignments do at rest"
+_COMPENSATE_MATRIX = "compensate the matrix that rotations measure (rotate): at rest it includes both"
 
 G_SENSITIVITY = effect_of(
     Law("constant", factor="up"),
@@ -175,13 +183,13 @@ G_SENSITIVITY = effect_of(
     imitated_by=("magnetic_sensitivity",),
     as_misalignment=MisalignmentTexts(
         "misalignment or g-sensitivity",
-        f"the bias follows gravity along the body axes, {_OR_MISALIGNMENT}, equally at all temperatures",
-        _BY_MATRIX,
+        f"the bias follows gravity along the body axes, {_AS_MISALIGNMENT}, equally at all temperatures",
+        _COMPENSATE_MATRIX,
     ),
 )
 
-#: The springs of block and dither soften with temperature. The part that is equal at all temperatures is
-#: :data:`G_SENSITIVITY`.
+#: The springs of block and dither soften with temperature. :data:`G_SENSITIVITY` is the part that is equal at
+#: all temperatures.
 THERMAL_G_SENSITIVITY = effect_of(
     Law("gyro_c", factor="up"),
     name="thermal_g_sensitivity",
@@ -194,8 +202,8 @@ THERMAL_G_SENSITIVITY = effect_of(
     terms=("temperature by Up along x, K", "temperature by Up along y, K", "temperature by Up along z, K"),
     as_misalignment=MisalignmentTexts(
         "misalignment or g-sensitivity over temperature",
-        f"the bias follows gravity along the body axes, {_OR_MISALIGNMENT}, in proportion to the temperature",
-        _BY_MATRIX,
+        f"the bias follows gravity along the body axes, {_AS_MISALIGNMENT}, in proportion to the temperature",
+        _COMPENSATE_MATRIX,
     ),
 )
 
@@ -236,8 +244,8 @@ def _log_time(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
     """Mean of log(1 + t / tau) over each dwell, (n, 3, 1)."""
 
     def integral(time_s: FloatArray) -> FloatArray:
-        after = np.maximum(time_s - campaign.whole.start_s[0], 0.0) / values[0]
-        return np.asarray((1.0 + after) * np.log1p(after) - after)
+        elapsed = np.maximum(time_s - campaign.whole.start_s[0], 0.0) / values[0]
+        return np.asarray((1.0 + elapsed) * np.log1p(elapsed) - elapsed)
 
     spans = np.maximum(campaign.end_s - campaign.start_s, 1e-9) / values[0]
     mean = (integral(campaign.end_s) - integral(campaign.start_s)) / spans
@@ -247,9 +255,11 @@ def _log_time(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
 _EXPONENTIAL = _Ageing(
     "start", memory="decay", parameters=(time_constant(S_PER_DAY, S_PER_DAY, 3.0 * S_PER_DAY),)
 )
-#: That of a logarithm is how long the INS had aged before the first dwell, which no campaign limits.
+#: For the logarithm it is the age of the INS at the first dwell, which the length of a campaign does not
+#: limit.
 _LOG_TAU = time_constant(0.5 * S_PER_DAY, S_PER_DAY, 3.0 * S_PER_DAY, lengths=3.0)
-#: Stress that relaxes by many processes at once follows the logarithm of time, as crystals age.
+#: Stress that relaxes by many simultaneous processes follows the logarithm of time, as in the ageing of
+#: crystals.
 AGEING = Effect(
     name="ageing",
     statement=(
@@ -275,8 +285,8 @@ AGEING = Effect(
 
 _ROOM = Law("room_c")
 _ROOM_TAU = Parameter("tau_s", 300.0, 14_400.0, fixed(900.0, 3600.0))
-_ROOM_LAG = Law("room_c", memory="lag", parameters=(_ROOM_TAU,))
-#: What the room warms and cools, as a rack of electronics or the wall of the chamber, follows it later.
+_LAGGING_ROOM = Law("room_c", memory="lag", parameters=(_ROOM_TAU,))
+#: A rack of electronics or the wall of the chamber follows the temperature of the room with a lag.
 DAILY_COURSE = Effect(
     name="daily_course",
     label="daily course of the room",
@@ -288,10 +298,10 @@ DAILY_COURSE = Effect(
     compensation=NO_INS_TERM,
     forms=(
         form_of(_ROOM, ("room temperature, K",), "at once"),
-        form_of(_ROOM_LAG, ("lagging room temperature, K",), "lagging"),
+        form_of(_LAGGING_ROOM, ("lagging room temperature, K",), "lagging"),
     ),
     imitated_by=("supply_power",),
-    # Over two days and more a daily course returns: no drift looks like it.
+    # Over two days and more a daily course repeats, so no drift looks like it.
     may_imitate=lambda campaign: float(campaign.end_s.max() - campaign.start_s.min()) < _TWO_DAYS_S,
 )
 
@@ -299,8 +309,8 @@ DAILY_COURSE = Effect(
 def _after_jump(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
     """Share of each dwell after the jump: (n, 3, 1)."""
     length_s = np.maximum(campaign.end_s - campaign.start_s, 1e-9)
-    after = np.clip((campaign.end_s - values[0]) / length_s, 0.0, 1.0)
-    return same_for_all_gyros(after[:, None])
+    share = np.clip((campaign.end_s - values[0]) / length_s, 0.0, 1.0)
+    return same_for_all_gyros(share[:, None])
 
 
 def _starts_of_dwells(campaign: Campaign) -> FloatArray:
@@ -324,8 +334,8 @@ BIAS_JUMP = Effect(
 def _squares_across(campaign: Campaign, _: tuple[float, ...]) -> FloatArray:
     """Terms ``Kpp ap^2 + Koo ao^2`` of the model equation of an accelerometer, IEEE Std 1293: (n, 3, 1).
 
-    Across a level input axis the squares of gravity add up to one, so that at rest their difference alone is
-    distinguished from the bias.
+    For a level input axis the squares of gravity along the other axes add up to one, so that at rest only
+    their difference is distinguished from the bias.
     """
     squares = campaign.up_body**2
     across = np.roll(squares, -1, axis=1) - np.roll(squares, -2, axis=1)

@@ -1,18 +1,17 @@
-"""Effects of what surrounds the unit: the chamber, other units in it, the supply, the Earth's magnetic field.
+"""Effects of the surroundings: the chamber, other units in it, the supply, the Earth's magnetic field.
 
 * Chamber: vibration, air flow or magnetic fields of its cooling. The refrigeration runs while the set point
-  falls and while it is cold, or while there is heat to remove: what leaks in from the room, and what walls
-  and load give off for an hour or so after a ramp. It runs below a limit of the set point minus the
-  temperature of the walls above it, times the ratio of the two conductances.
+  falls and while it is cold, or while there is heat to remove: heat that leaks in from the room, and heat
+  that walls and load release for about an hour after a ramp. In the latter form it runs while the set point,
+  minus the temperature of the walls above it times the ratio of the two conductances, is below a limit.
 * Other units: their heat warms one side of the unit.
-* Supply: the bias follows its power at once, or as what it heats becomes warm and cold. Electronics, heaters
-  and discharge warm what is near them within minutes, beginning at each power-on: with a power that never
-  changes this is a warm-up. How long the INS had been off before the first power-on is not known, so that
-  what it heats may still be warm then.
-* Magnetic field: its vertical part is exactly a g-sensitivity, since the field's vertical is gravity's. The
-  horizontal part turns with the heading; a pair of headings half a turn apart cancels it as far as both weigh
-  the same. What is fitted is the direction of the field that acts: its inclination is that of the Earth's
-  field where a dwell has one heading, and steeper where the pair cancels a part.
+* Supply: the bias follows its power at once, or with the lag of the parts that it heats. Electronics, heaters
+  and discharge warm their vicinity within minutes after each power-on; with constant power this is a warm-up.
+  How long the INS was off before the first power-on is unknown, so these parts may still be warm then.
+* Magnetic field: its vertical component is exactly a g-sensitivity, since both follow Up. The horizontal
+  component turns with the heading; a pair of headings half a turn apart cancels it if both have the same
+  weight. The direction of the effective field is fitted: its inclination is that of the Earth's field if a
+  dwell has one heading, and steeper if the pair cancels a part.
 """
 
 from __future__ import annotations
@@ -39,8 +38,9 @@ from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.navigation.positions import POSITIONS
 
 _MIN_SLOPE_C = 1e-4
-#: The refrigeration switches within this, K: without it nothing changes with the limit between two instants.
-_SWITCH_C = 0.5
+#: Half width of the transition in which the refrigeration switches, K; it makes the terms depend smoothly on
+#: the limit.
+_SWITCHING_C = 0.5
 
 
 def _refrigeration(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
@@ -57,13 +57,13 @@ def _heat_to_remove(campaign: Campaign, values: tuple[float, ...]) -> FloatArray
     record, set_c = campaign.record, course_of("chamber_set_c", campaign)[:, :1]
     limited_c = set_c - ratio * lag(set_c, record.time_s, tau_s)
     neighbours_c = np.concatenate([limited_c[:1], limited_c, limited_c[-1:]])
-    low_c = np.minimum(np.minimum(neighbours_c[:-2], neighbours_c[2:]), limited_c) - _SWITCH_C
-    high_c = np.maximum(np.maximum(neighbours_c[:-2], neighbours_c[2:]), limited_c) + _SWITCH_C
+    low_c = np.minimum(np.minimum(neighbours_c[:-2], neighbours_c[2:]), limited_c) - _SWITCHING_C
+    high_c = np.maximum(np.maximum(neighbours_c[:-2], neighbours_c[2:]), limited_c) + _SWITCHING_C
     runs = np.clip((cold_below_c - low_c) / (high_c - low_c), 0.0, 1.0)
     return same_for_all_gyros(campaign.means_over_dwells(runs))
 
 
-def _no_set_point(campaign: Campaign) -> str | None:
+def _missing_set_point(campaign: Campaign) -> str | None:
     return None if np.isfinite(campaign.set_c).all() else "the chamber's set point"
 
 
@@ -77,7 +77,7 @@ CHAMBER_STATE = Effect(
             ("cooling, share of the dwell", "holding cold, share of the dwell"),
             _refrigeration,
             (Parameter("cold_below_c", -15.0, 25.0, fixed(-12.0, -5.0, 5.0, 15.0)),),
-            _no_set_point,
+            _missing_set_point,
             "falling or cold",
         ),
         Form(
@@ -88,7 +88,7 @@ CHAMBER_STATE = Effect(
                 Parameter("walls_to_leak", 0.5, 30.0, fixed(2.0, 8.0)),
                 Parameter("walls_tau_s", 900.0, 14_400.0, fixed(3600.0)),
             ),
-            _no_set_point,
+            _missing_set_point,
             "heat to remove",
         ),
     ),
@@ -99,13 +99,13 @@ _NEIGHBOURS = Law(NEIGHBOURS_ON, memory="lag", parameters=(time_constant(60.0, 3
 
 
 def _neighbours_heat(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
-    """Heat of the other units: their number, lagging; none before the first power-on."""
-    at_first = campaign.whole.columns[NEIGHBOURS_ON][0]
-    missing = at_first * mean_decay(campaign, campaign.power_on_s[:1], values[0])
-    return _NEIGHBOURS.columns(campaign, values) - same_for_all_gyros(missing[:, np.newaxis])
+    """Lagging number of other units that are on, (n, 3, 1); without their heat before the first power-on."""
+    count_at_start = campaign.whole.columns[NEIGHBOURS_ON][0]
+    heat_before_power_on = count_at_start * mean_decay(campaign, campaign.power_on_s[:1], values[0])
+    return _NEIGHBOURS.columns(campaign, values) - same_for_all_gyros(heat_before_power_on[:, np.newaxis])
 
 
-def _no_neighbour(campaign: Campaign) -> str | None:
+def _missing_neighbour(campaign: Campaign) -> str | None:
     if NEIGHBOURS_ON not in campaign.columns:
         return "another unit in the chamber"
     if np.ptp(campaign.columns[NEIGHBOURS_ON]) == 0.0:
@@ -119,50 +119,52 @@ NEIGHBOURING_UNIT = Effect(
     experiment="leave this unit on and switch the one beside it off and on again, for several dwells each",
     forms=(
         replace(
-            form_of(_NEIGHBOURS, ("other units on",)), columns=_neighbours_heat, missing_input=_no_neighbour
+            form_of(_NEIGHBOURS, ("other units on",)),
+            columns=_neighbours_heat,
+            missing_input=_missing_neighbour,
         ),
     ),
     compensation=no_ins_term("it belongs to the unit beside it"),
 )
 
 
-#: Time within which the power changes at a power-on or off, or between two dwells without a gap.
-_SWITCH_S = 1.0
-#: Smallest change of the power in a power cycle that distinguishes a lag from a warm-up.
+#: Duration of a change of the power at power-on or off, or between two dwells without a gap.
+_SWITCHING_S = 1.0
+#: Smallest relative change of the power in a power cycle that distinguishes a lag from a warm-up.
 _MIN_CHANGE = 0.02
 
 
-def _lagging(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
-    """Means over the dwells of the power behind a first-order lag, zero while the INS is off: (n, 3, 1)."""
+def _lagging_power(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
+    """Means over the dwells of the power with a first-order lag, zero while the INS is off: (n, 3, 1)."""
     whole = campaign.whole
-    seen = ~whole.held_out
-    mean_w = _lagging_over(whole, np.ones_like(seen), *values)
-    if seen.any():
-        mean_w[seen] = _lagging_over(whole, seen, *values)
-    chosen = slice(None) if campaign.part_of is None else campaign.part_of[1]
-    return same_for_all_gyros(mean_w[chosen, np.newaxis])
+    not_held_out = ~whole.held_out
+    mean_w = _lagging_power_over(whole, np.ones_like(not_held_out), *values)
+    if not_held_out.any():
+        mean_w[not_held_out] = _lagging_power_over(whole, not_held_out, *values)
+    indices = slice(None) if campaign.part_of is None else campaign.part_of[1]
+    return same_for_all_gyros(mean_w[indices, np.newaxis])
 
 
-def _lagging_over(whole: Campaign, known: BoolArray, tau_s: float, warm_share: float) -> FloatArray:
-    """Means over the known dwells (n,), from these alone: the power is constant in each, linear in gaps."""
-    start_s, end_s, on_s = whole.start_s[known], whole.end_s[known], whole.power_on_s
-    power_w = driver_values("supply_w", whole)[known, 0]
-    first = np.minimum(np.searchsorted(end_s, on_s, side="right"), len(end_s) - 1)
-    before_s = np.minimum(np.where(first > 0, end_s[first - 1], np.inf), on_s - 2.0 * _SWITCH_S)
-    inside_s = np.minimum(0.5 * _SWITCH_S, 0.1 * (end_s - start_s))
-    edges_s = start_s + inside_s, end_s - inside_s
-    times_s = np.concatenate([*edges_s, before_s + 0.5 * _SWITCH_S, on_s - _SWITCH_S, on_s])
+def _lagging_power_over(whole: Campaign, used: BoolArray, tau_s: float, warm_share: float) -> FloatArray:
+    """Means over the dwells ``used`` (n,) only; the power is constant in each and linear in gaps."""
+    start_s, end_s, on_s = whole.start_s[used], whole.end_s[used], whole.power_on_s
+    power_w = driver_values("supply_w", whole)[used, 0]
+    first_dwell = np.minimum(np.searchsorted(end_s, on_s, side="right"), len(end_s) - 1)
+    off_s = np.minimum(np.where(first_dwell > 0, end_s[first_dwell - 1], np.inf), on_s - 2.0 * _SWITCHING_S)
+    margin_s = np.minimum(0.5 * _SWITCHING_S, 0.1 * (end_s - start_s))
+    edges_s = start_s + margin_s, end_s - margin_s
+    times_s = np.concatenate([*edges_s, off_s + 0.5 * _SWITCHING_S, on_s - _SWITCHING_S, on_s])
     off_w = np.zeros(2 * len(on_s))
-    off_w[:: len(on_s)] = warm_share * power_w[first[0]]  # of the first power-on
+    off_w[:: len(on_s)] = warm_share * power_w[first_dwell[0]]  # of the first power-on
     time_s, order = np.unique(times_s, return_index=True)
-    course_w = np.concatenate([power_w, power_w, off_w, power_w[first]])[order, np.newaxis]
+    course_w = np.concatenate([power_w, power_w, off_w, power_w[first_dwell]])[order, np.newaxis]
     state_w = (course_w + lag(course_w, time_s, tau_s))[:, 0]
     rise_w = np.diff([state_w[np.searchsorted(time_s, each_s)] for each_s in edges_s], axis=0)[0]
-    # The rate of the lag is what it lacks of the power, over the time constant.
+    # The lagging state changes at the rate (power - state) / tau.
     return np.asarray(power_w - tau_s * rise_w / np.maximum(edges_s[1] - edges_s[0], 1e-9))
 
 
-def _no_power_step(campaign: Campaign) -> str | None:
+def _missing_power_step(campaign: Campaign) -> str | None:
     if missing := _POWER.missing_input(campaign):
         return missing
     power_w = driver_values("supply_w", campaign)[:, 0]
@@ -185,31 +187,33 @@ SUPPLY_POWER = Effect(
         form_of(_POWER, ("supply power, W",), "at once"),
         Form(
             ("lagging supply power, W",),
-            _lagging,
+            _lagging_power,
             (
                 Parameter("tau_s", 30.0, 3600.0, fixed(120.0, 900.0)),
                 Parameter("warm_at_first_power_on", 0.0, 1.0, fixed(0.0, 1.0), is_place=True),
             ),
-            _no_power_step,
+            _missing_power_step,
             "lagging",
         ),
     ),
 )
 
 
-_AT_AZIMUTH_0 = {name: position.C_nb() for name, position in POSITIONS.items()}
+_ROTATION_AT_AZIMUTH_0 = {name: position.C_nb() for name, position in POSITIONS.items()}
 _INCLINATION = Parameter("inclination_deg", -89.0, 89.0, fixed(-70.0, -30.0, 30.0, 70.0))
 
 
-def _field(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
+def _field_components(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
     azimuth_rad = np.deg2rad(np.asarray(campaign.azimuth_deg))[:, np.newaxis]
-    east, north = np.moveaxis(np.array([_AT_AZIMUTH_0[name] for name in campaign.position])[:, :2], 1, 0)
+    east, north = np.moveaxis(
+        np.array([_ROTATION_AT_AZIMUTH_0[name] for name in campaign.position])[:, :2], 1, 0
+    )
     north = np.cos(azimuth_rad) * north + np.sin(azimuth_rad) * east
     inclination_rad = np.deg2rad(values[0])
     return same_for_all_gyros(np.cos(inclination_rad) * north - np.sin(inclination_rad) * campaign.up_body)
 
 
-def _no_headings(campaign: Campaign) -> str | None:
+def _missing_headings(campaign: Campaign) -> str | None:
     azimuth_deg = campaign.azimuth_deg
     if azimuth_deg is None or not np.isfinite(azimuth_deg).all():
         return "the headings of the dwells (column azimuth_deg)"
@@ -227,7 +231,12 @@ MAGNETIC_SENSITIVITY = Effect(
         "unit settles the vertical part, which equals a g-sensitivity at every heading"
     ),
     forms=(
-        Form(tuple(f"magnetic field along {axis}" for axis in "xyz"), _field, (_INCLINATION,), _no_headings),
+        Form(
+            tuple(f"magnetic field along {axis}" for axis in "xyz"),
+            _field_components,
+            (_INCLINATION,),
+            _missing_headings,
+        ),
     ),
     compensation=no_ins_term("the INS has no magnetometer"),
     contains=("g_sensitivity",),

@@ -9,7 +9,7 @@ from gyrobench.bench.report.figures.style import fitted_figure, house_style
 
 _CURVES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _MIN_DRAWN = 0.02
-_OTHERS = {"nothing": ("nothing beside the declared model", "#888888"), "": ("not on the list", "#222222")}
+_OTHERS = {"nothing": ("nothing beyond the declared model", "#888888"), "": ("not on the list", "#222222")}
 
 
 @house_style
@@ -17,7 +17,10 @@ def probability_figure(found: Investigation) -> Figure:
     """Draw the probability of each effect, of nothing and of what is on no list over the hours."""
     hours = [stage.spent_h for stage in found.stages]
     posteriors = [stage.closure.posterior for stage in found.stages]
-    values = [each.of_effect | {"nothing": each.nothing, "": each.not_on_list} for each in posteriors]
+    values = [
+        each.effect_probabilities | {"nothing": each.no_effect_probability, "": each.unlisted_probability}
+        for each in posteriors
+    ]
     curves = {name: [each.get(name, 0.0) for each in values] for every in values for name in every}
     figure = fitted_figure(3.4)
     axes = figure.subplots()

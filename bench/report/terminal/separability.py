@@ -11,7 +11,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from gyrobench.bench.closure.loop import too_few_dwells
+from gyrobench.bench.closure.loop import reason_too_few_dwells
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.planned_campaign import UnitProperties
 from gyrobench.bench.closure.posterior import TIE_ODDS
@@ -93,7 +93,7 @@ def closure_forecast(
     words = ("found", "tied with")
     table = titled_table(headers=(*words, "now", "plan alone", "if found", "if tied"), words=words)
     for each in ties:
-        odds = [_odds(value) for value in (each.now, each.alone, each.if_found, each.if_other)]
+        odds = [_odds(value) for value in (each.now, each.plan_only, each.if_found, each.if_other)]
         table.add_row(closure.label(each.found), closure.label(each.other), *odds)
     columns = (
         "now: odds by which the dwells searched prefer the effect found. plan alone: expected from the plan "
@@ -153,7 +153,7 @@ def _basis(separability: Separability, dwells: int, unit: UnitProperties) -> str
             f"There is one cycle of {counted(dwells, 'dwell')}. A search needs two, one of them held out; "
             "this table is for all dwells."
         )
-    if text := too_few_dwells(campaign, np.ones(len(campaign), dtype=bool)):
+    if text := reason_too_few_dwells(campaign, np.ones(len(campaign), dtype=bool)):
         searched += f" Too few for gyrobench close: {text}."
     return f"{searched} Standard uncertainty of a bias: {sigma}, from {walk}, {unit.noise_source}."
 
@@ -200,11 +200,11 @@ def _advice_sentence(advice: Advice, label: Callable[[str], str]) -> str:
         )
     if advice.pairs:
         benefits.append(f"distinguishes {pairs_text(_labelled(advice.pairs, label))}")
-    if not advice.what:
+    if not advice.instructions:
         return f"No known change {', or '.join(benefits)}."
     hours = f"{abs(advice.added_h):.1f} h {'less' if advice.added_h < 0.0 else 'more'}"
     lost = f", but does not distinguish {pairs_text(_labelled(advice.lost, label))}" if advice.lost else ""
-    return f"With {hours}: {listed(advice.what)}. This {', and '.join(benefits)}{lost}."
+    return f"With {hours}: {listed(advice.instructions)}. This {', and '.join(benefits)}{lost}."
 
 
 def _size(size_dph: float) -> str:

@@ -14,7 +14,7 @@ from tests.bench.investigation.simulated_bench import first_campaign, simulate
 @pytest.fixture(scope="module", autouse=True)
 def searched_once():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(investigation, "searched", search_once())
+        patch.setattr(investigation, "search_campaign", search_once())
         yield
 
 

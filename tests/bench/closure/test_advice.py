@@ -45,7 +45,7 @@ def test_every_unresolved_effect_and_pair_gets_one_advice(fig7, advice):
 
 
 def test_the_least_added_time_comes_first(advice):
-    hours = [each.added_h for each in advice if each.what]
+    hours = [each.added_h for each in advice if each.instructions]
     assert hours == sorted(hours)
     assert hours[0] < 5.0
 
@@ -74,7 +74,7 @@ def test_a_station_that_can_not_run_any_change_leaves_all_open(fig7):
         raise changed.error([DocumentProblem((), "the mount is in the way")])
 
     [open_] = advise(document, plan, refuse, unit, now, TARGET_DPH)
-    assert open_.what == ()
+    assert open_.instructions == ()
     assert list(open_.pairs) == now.not_distinguished(TARGET_DPH)
 
 
@@ -84,6 +84,6 @@ def test_sensors_cost_no_time(fig7):
     shown_by_sensors = [each for each in EFFECTS if each.name in {"thermal_gradient", "attitude_thermal"}]
     now = now_of(plan, blind, shown_by_sensors)
     first = advise(document, plan, station().plan_document, blind, now, TARGET_DPH)[0]
-    assert first.what == ("measure the temperature of each gyro's electronics",)
+    assert first.instructions == ("measure the temperature of each gyro's electronics",)
     assert first.added_h == 0.0
     assert "attitude_thermal" in first.found or "thermal_gradient" in first.found

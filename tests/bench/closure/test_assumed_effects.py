@@ -6,7 +6,7 @@ import pytest
 from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter, fixed
 from gyrobench.bench.closure.planned_campaign import UnitProperties, planned_campaign
 from gyrobench.bench.closure.problem import declared_columns, declared_problem
-from gyrobench.bench.closure.separability import alternative_fits, assumed_effects, basis_of, unit_parts
+from gyrobench.bench.closure.separability import alternative_fits, assumed_effects, basis_of, unit_components
 from tests.bench.closure.plans import shipped
 
 
@@ -30,7 +30,7 @@ DECAY = Effect(
 def test_the_middle_value_comes_first_and_all_others_after_it(problem):
     shapes = assumed_effects(problem, DECAY)
     assert len(shapes) == 1 + 3
-    np.testing.assert_allclose(shapes[0].parts, shapes[2].parts)
+    np.testing.assert_allclose(shapes[0].components, shapes[2].components)
 
 
 def test_nothing_of_a_shape_lies_along_the_declared_model(problem):
@@ -40,7 +40,7 @@ def test_nothing_of_a_shape_lies_along_the_declared_model(problem):
             declared = declared_columns(campaign, gyro) / campaign.sigma_dph[:, gyro, np.newaxis]
             declared /= np.linalg.norm(declared, axis=0)
             np.testing.assert_allclose(
-                declared.T @ shape.parts[gyro], 0.0, atol=1e-6 * np.abs(shape.parts).max()
+                declared.T @ shape.components[gyro], 0.0, atol=1e-6 * np.abs(shape.components).max()
             )
 
 
@@ -70,7 +70,7 @@ def test_parts_of_an_effect_are_one_rms_with_any_signs():
     rng = np.random.default_rng(3)
     columns = rng.normal(size=(20, 3, 4)) * [1.0, 10.0, 0.1, 1.0] + 5.0
     columns[:, :, 3] = columns[:, :, 0]  # says nothing new
-    parts = unit_parts(columns)
+    parts = unit_components(columns)
     assert parts.shape == (20, 3, 3)
     for signs in np.array([[1, 1, 1], [1, -1, 1], [-1, -1, 1]]):
         assert np.sqrt(np.mean((parts @ signs) ** 2)) == pytest.approx(1.0)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize, rosen
 
-from gyrobench.bench.closure.candidates import Candidate, best_start, lowest, refine, stack, starts
+from gyrobench.bench.closure.candidates import Candidate, best_start, nelder_mead, refine, stack, starts
 from gyrobench.bench.closure.effects import attitude_thermal
 from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter, fixed
 from gyrobench.bench.closure.effects.laws import (
@@ -99,4 +99,4 @@ def test_the_simplex_takes_the_steps_of_scipys(count):
     options = {"initial_simplex": simplex, "xatol": 1e-3, "fatol": 1e-3, "maxfev": 4000}
     expected = minimize(cost, simplex[0], method="Nelder-Mead", options=options)
     assert expected.success
-    np.testing.assert_allclose(lowest(cost, simplex, 4000, 1e-3, 1e-3), expected.x, rtol=1e-12)
+    np.testing.assert_allclose(nelder_mead(cost, simplex, 4000, 1e-3, 1e-3), expected.x, rtol=1e-12)

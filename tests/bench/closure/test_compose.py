@@ -11,7 +11,7 @@ import pytest
 from gyrobench.bench.bias.dwell_table import read_dwells, write_dwells
 from gyrobench.bench.closure import evidence
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.compose import _laws
+from gyrobench.bench.closure.compose import _all_laws
 from gyrobench.bench.closure.effects.laws import TEMPERATURE_RATE, TIME_DRIFT
 from gyrobench.bench.closure.loop import close_loop, composed
 from tests.bench.closure.thermal_bench import measure
@@ -47,7 +47,7 @@ def searched(law):
 def test_the_driver_of_an_unknown_effect_is_the_most_probable(law, driver):
     closure = composed(searched(law))
     assert closure.verdict == "unexplained"
-    assert next(iter(closure.composed.of_driver)) == driver
+    assert next(iter(closure.composed.driver_probabilities)) == driver
     best = closure.composed.laws[0]
     assert best.file.driver == driver
     assert best.probability > 0.5
@@ -70,7 +70,7 @@ def test_noise_on_no_law_of_the_grammar_stays_other():
 
     closure = composed(close_loop(campaign_of(table(random_walk))))
     assert closure.composed.other > 0.5
-    assert max(closure.composed.of_driver.values()) < 0.5
+    assert max(closure.composed.driver_probabilities.values()) < 0.5
 
 
 @pytest.mark.long
@@ -81,7 +81,7 @@ def test_a_law_beside_something_else_is_no_law_alone(monkeypatch):
     found = composed(closure).composed
     assert found.law_and_remainder > 0.99
     assert found.law_and_remainder <= found.other <= 1.0 + 1e-9
-    assert sum(found.of_driver.values()) == pytest.approx(1.0 - found.other)
+    assert sum(found.driver_probabilities.values()) == pytest.approx(1.0 - found.other)
     assert found.laws == ()
 
 
@@ -92,7 +92,7 @@ def test_laws_of_columns_with_any_name_have_valid_unique_names():
         for row in table(supply_limit)
     ]
     campaign = campaign_of(rows)
-    laws = list(_laws(campaign, {"composed_gyro_c"}))
+    laws = list(_all_laws(campaign, {"composed_gyro_c"}))
     assert {each.driver for each in laws} >= set(campaign.columns)
     used = [each.effect for each in laws]
     assert len(set(used)) == len(used)

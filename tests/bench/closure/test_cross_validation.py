@@ -15,7 +15,7 @@ from gyrobench.bench.closure.problem import declared_problem
 from gyrobench.bench.closure.validation import (
     LeftOut,
     leave_out_cycles,
-    measured_minus,
+    measured_minus_model,
     without_unseen_constants,
 )
 from tests.bench.closure.test_candidates import whole
@@ -109,13 +109,15 @@ def test_chi2_of_a_cycle_left_out_is_that_of_a_fit_to_the_others(problem):
     second = one.campaign.cycle == 2
     for squares, candidates in ((left_out.chi2_fewer, []), (left_out.chi2_more, [drift])):
         model = solve_with(first, candidates)
-        rest = measured_minus(one.campaign, first.searched, model)[second] / one.campaign.sigma_dph[second]
+        rest = (
+            measured_minus_model(one.campaign, first.searched, model)[second] / one.campaign.sigma_dph[second]
+        )
         assert squares == pytest.approx(np.sum(rest**2))
 
 
 def test_the_true_effect_leaves_the_noise(problem):
     one = problem({"time_drift": 20.0})
-    rest = measured_minus(one.campaign, one.searched, solve_with(one, [whole(TIME_DRIFT)]))
+    rest = measured_minus_model(one.campaign, one.searched, solve_with(one, [whole(TIME_DRIFT)]))
     assert np.sqrt(np.mean(rest**2)) == pytest.approx(SIGMA_DPH, rel=0.15)
 
 

@@ -8,7 +8,7 @@ from scipy.special import logsumexp
 from scipy.stats import invgamma, multivariate_normal
 
 from gyrobench.bench.closure import evidence
-from gyrobench.bench.closure.candidates import hypothesis
+from gyrobench.bench.closure.candidates import hypothesis_with
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter, fixed
 from gyrobench.bench.closure.effects.laws import TEMPERATURE_RATE, TIME_DRIFT
@@ -54,12 +54,12 @@ def test_evidence_of_one_term_is_that_of_numerical_quadrature(problem, monkeypat
     """Difference to the declared model: what does not depend on the hypothesis is left out."""
     clean = problem({"time_drift": 1.0}, cycles=2, seed=2)
     monkeypatch.setattr(evidence, "MAGNITUDES", np.array([sigma]))
-    monkeypatch.setattr(evidence, "_SMALLER", np.eye(1))
+    monkeypatch.setattr(evidence, "_MAGNITUDE_IN_GYRO", np.eye(1))
     evidences = Evidences(clean, [TIME_DRIFT])
-    drift, none = hypothesis(clean, [whole(TIME_DRIFT)]), hypothesis(clean, [])
+    drift, none = hypothesis_with(clean, [whole(TIME_DRIFT)]), hypothesis_with(clean, [])
     prior = [np.log(each) for each in evidence.EFFECT_COUNT_PRIOR[:2]]
     found = evidences.weights(drift)[0] - evidences.weights(none)[0] - (prior[1] - prior[0])
-    columns, rms = clean.beside(whole(TIME_DRIFT).columns(clean.campaign)[clean.searched])
+    columns, rms = clean.project_out(whole(TIME_DRIFT).columns(clean.campaign)[clean.searched])
     column = [columns[gyro, :, 0] / rms[gyro, 0] for gyro in range(3)]
     expected = log_evidence_by_quadrature(clean, column, sigma) - log_evidence_by_quadrature(
         clean, column, 0.0
@@ -72,7 +72,7 @@ def test_probabilities_are_frequencies_of_data_from_the_prior(problem, count):
     """Half the data have a drift of a magnitude from the prior, half nothing."""
     clean, random = problem(cycles=2), np.random.default_rng(5)
     column = whole(TIME_DRIFT).columns(clean.campaign)[clean.searched]
-    _, rms = clean.beside(column)
+    _, rms = clean.project_out(column)
     stated, true = [], []
     prior = np.array(evidence.EFFECT_COUNT_PRIOR[:2]) / sum(evidence.EFFECT_COUNT_PRIOR[:2])
     for _ in range(count):
@@ -81,8 +81,8 @@ def test_probabilities_are_frequencies_of_data_from_the_prior(problem, count):
         noise = random.standard_normal((clean.searched.sum(), 3))
         data = with_biases(clean, noise + column[:, :, 0] / rms[:, 0] / clean.sigma_dph * size)
         evidences = Evidences(data, [TIME_DRIFT])
-        both = [hypothesis(data, []), hypothesis(data, [whole(TIME_DRIFT)])]
-        stated.append(evidences.posterior(both).of_effect["time_drift"])
+        both = [hypothesis_with(data, []), hypothesis_with(data, [whole(TIME_DRIFT)])]
+        stated.append(evidences.posterior(both).effect_probabilities["time_drift"])
         true.append(is_there)
     stated, true = np.array(stated), np.array(true)
     for low, high in ((0.0, 0.1), (0.1, 0.9), (0.9, 1.0)):
@@ -94,22 +94,24 @@ def test_probabilities_are_frequencies_of_data_from_the_prior(problem, count):
 def test_a_bend_that_no_effect_describes_is_not_on_the_list(problem):
     data = problem({"g_sensitivity": 2.0}, seed=3)
     found, posterior = Search(data, [TEMPERATURE_RATE, TIME_DRIFT]).most_probable()
-    assert posterior.not_on_list > 0.99
-    assert max(posterior.follows, key=posterior.follows.get).startswith("attitude")
+    assert posterior.unlisted_probability > 0.99
+    assert max(posterior.process_probabilities, key=posterior.process_probabilities.get).startswith(
+        "attitude"
+    )
     assert not found.names
 
 
 def test_clean_data_are_probably_clean(problem):
     _, posterior = Search(problem(seed=4), all_effects()).most_probable()
-    assert posterior.nothing > 0.9
-    assert posterior.not_on_list < 0.05
+    assert posterior.no_effect_probability > 0.9
+    assert posterior.unlisted_probability < 0.05
 
 
 def test_an_effect_that_can_not_be_fitted_is_as_probable_as_the_one_that_it_imitates(problem):
     data = problem({"temperature_rate": 4.0}, sensors=(), seed=1)
     _, posterior = Search(data, all_effects()).most_probable()
-    assert posterior.of_effect["thermal_gradient"] == pytest.approx(
-        posterior.of_effect["temperature_rate"], rel=0.1
+    assert posterior.effect_probabilities["thermal_gradient"] == pytest.approx(
+        posterior.effect_probabilities["temperature_rate"], rel=0.1
     )
     assert "thermal_gradient" in posterior.tied_with(frozenset({"temperature_rate"}), "temperature_rate")
 
@@ -126,7 +128,7 @@ def test_terms_that_were_dropped_are_summed_over(problem):
 
     def weight(*kept):
         one = replace(whole(two), kept=np.stack(kept))
-        return evidences.weights(hypothesis(data, [one]))[0]
+        return evidences.weights(hypothesis_with(data, [one]))[0]
 
     assert weight(*[subsets[0]] * 3) == pytest.approx(weight(*[subsets[1]] * 3), abs=0.7)
 
@@ -146,7 +148,7 @@ def test_the_evidence_of_a_step_is_the_same_for_all_times_between_two_dwells(pro
     gap_s = np.linspace(campaign.end_s[10], campaign.start_s[11], 4)[1:-1]
     data = with_biases(clean, clean.residuals + 4.0 * (campaign.start_s > gap_s[0])[clean.searched, None])
     [jump] = [each for each in all_effects() if each.name == "bias_jump"]
-    fits = [hypothesis(data, [replace(whole(jump), values=(at_s,))]) for at_s in gap_s.tolist()]
+    fits = [hypothesis_with(data, [replace(whole(jump), values=(at_s,))]) for at_s in gap_s.tolist()]
     first, second = (Evidences(data, [jump]).weights(each)[0] for each in fits)
     assert gap_s[1] > gap_s[0]
     assert first == pytest.approx(second, abs=1e-6)
@@ -156,7 +158,7 @@ def test_effects_that_are_not_significant_count(problem):
     search = Search(problem(seed=4), all_effects())
     found, posterior = search.most_probable()
     assert not found.names
-    weak = [p for name, p in posterior.of_effect.items() if name not in search.alone]
+    weak = [p for name, p in posterior.effect_probabilities.items() if name not in search.single_effects]
     assert len(weak) > 5
     assert 0.0 < min(weak) <= max(weak) < 0.1
 
@@ -174,5 +176,5 @@ def test_a_remainder_of_the_stated_size_is_shown_in_nine_of_ten(problem, count, 
             amplitudes = size * np.sqrt(remainder.powers[gyro, index]) * random.standard_normal(RANK)
             noise[:, gyro] += remainder.directions[gyro, index] @ amplitudes
         data = with_biases(clean, noise)
-        shown.append(Evidences(data, []).posterior([hypothesis(data, [])]).not_on_list > 0.5)
+        shown.append(Evidences(data, []).posterior([hypothesis_with(data, [])]).unlisted_probability > 0.5)
     assert np.mean(shown) == pytest.approx(0.9, abs=within)  # three standard deviations

@@ -155,7 +155,7 @@ def test_with_an_unexplained_residual_a_cross_validated_effect_is_kept_with_its_
     assert found.candidate.effect.name == "g_sensitivity"
     assert min(found.gains.values()) > 0.5
     assert closure.error_after_dph < 0.5 * closure.error_before_dph
-    assert closure.posterior.not_on_list > 0.95
+    assert closure.posterior.unlisted_probability > 0.95
     assert found.probability > 0.95
 
 
@@ -456,4 +456,6 @@ def test_a_constant_gyro_temperature_without_other_temperatures_is_searched(cand
     ]
     closure = close_loop(campaign_of(rows), effects=candidates)
     assert closure.verdict in {"explained", "ambiguous", "unexplained"}
-    assert np.isfinite([closure.posterior.not_on_list, closure.posterior.nothing]).all()
+    assert np.isfinite(
+        [closure.posterior.unlisted_probability, closure.posterior.no_effect_probability]
+    ).all()

@@ -236,7 +236,7 @@ def follows_of_wandering(kind, seed):
     """What a bias that wanders follows, with probabilities; it is no effect."""
     closure = close_loop(campaign_of(make_unit(seed, [kind], 2.0)[0]))
     assert closure.verdict == "unexplained"
-    follows = closure.posterior.follows
+    follows = closure.posterior.process_probabilities
     assert sum(share for name, share in follows.items() if name.startswith("time")) > 0.9
     return follows
 

@@ -15,9 +15,9 @@ def test_probabilities_are_summed_over_sets():
     one, two = frozenset({"a"}), frozenset({"a", "b"})
     weights = ((one, False, 0.6), (two, False, 0.3), (one, True, 0.1))
     posterior = Posterior(tuple(HypothesisProbability(*each, ()) for each in weights), {})
-    assert posterior.of_effect == {"a": pytest.approx(1.0), "b": pytest.approx(0.3)}
-    assert posterior.not_on_list == pytest.approx(0.1)
-    assert posterior.nothing == 0.0
+    assert posterior.effect_probabilities == {"a": pytest.approx(1.0), "b": pytest.approx(0.3)}
+    assert posterior.unlisted_probability == pytest.approx(0.1)
+    assert posterior.no_effect_probability == 0.0
     assert posterior.sets == [one, two]
     assert posterior.odds(one, two) == pytest.approx(2.0)
 
@@ -26,11 +26,11 @@ def test_an_effect_is_there_as_such_or_as_a_special_case():
     one, general, other = (frozenset({name}) for name in "agb")
     weights = ((one, False, 0.9), (general, False, 0.06), (one | other, False, 0.03), (one, True, 0.01))
     posterior = Posterior(tuple(HypothesisProbability(*each, ()) for each in weights), {})
-    assert posterior.of_all(one) == pytest.approx(0.93)
+    assert posterior.joint_probability(one) == pytest.approx(0.93)
     assert posterior.similar(one) == [general]
     posterior = replace(posterior, more_general={"a": general})
-    assert posterior.of_all(one) == pytest.approx(0.99)
-    assert posterior.of_all(one, has_remainder=None) == pytest.approx(1.0)
+    assert posterior.joint_probability(one) == pytest.approx(0.99)
+    assert posterior.joint_probability(one, has_remainder=None) == pytest.approx(1.0)
     assert posterior.similar(one) == []
     assert posterior.rivals(one) == {}
 
@@ -40,7 +40,7 @@ def test_an_effect_that_is_not_improbable_is_a_rival():
     posterior = Posterior(
         (HypothesisProbability(one, False, 0.8, ()), HypothesisProbability(both, False, 0.2, ())), {}
     )
-    assert posterior.of_all(one) == pytest.approx(1.0)
+    assert posterior.joint_probability(one) == pytest.approx(1.0)
     assert posterior.rivals(one) == {"b": pytest.approx(0.2)}
 
 

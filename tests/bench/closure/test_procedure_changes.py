@@ -10,7 +10,7 @@ from gyrobench.bench.closure.procedure_changes import CHANGES
 from gyrobench.bench.navigation.positions import POSITIONS
 from tests.bench.closure.plans import dwell, planned, shipped, station
 
-BY_NAME = {change.what: change for change in CHANGES}
+BY_NAME = {change.instructions: change for change in CHANGES}
 ON_RAMPS = ("measure two positions on each ramp",)
 CYCLE = ("add a cycle",)
 POWER = ("switch the unit off for an hour between cycles",)

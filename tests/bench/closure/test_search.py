@@ -15,7 +15,7 @@ from gyrobench.bench.closure.effects.laws import (
 )
 from gyrobench.bench.closure.posterior import TIE_ODDS
 from gyrobench.bench.closure.problem import declared_problem
-from gyrobench.bench.closure.search import EFFECT_SIGNIFICANCE, MAY_BE_LACK, Search
+from gyrobench.bench.closure.search import EFFECT_SIGNIFICANCE, MAY_CORRECT_LAWS, Search
 from tests.bench.closure.conftest import EQUIPPED
 from tests.bench.closure.thermal_bench import SIGMA_DPH
 
@@ -145,7 +145,7 @@ def test_no_effect_of_the_best_set_has_a_better_one_in_its_place(search):
 def test_the_first_of_several_effects_may_be_one_that_is_none_of_them(search, among):
     """Of one effect at a time a stand-in for several does best; it is exchanged for them later."""
     one, best = search(THREE, among, cycles=2, seed=7)
-    first = min(one.alone.values(), key=lambda each: each.bic)
+    first = min(one.single_effects.values(), key=lambda each: each.bic)
     assert first.names.isdisjoint(best.names)
 
 
@@ -159,10 +159,10 @@ def test_what_one_width_lacks_of_a_hysteresis_of_many_is_no_second_effect(proble
         bias_dph += size * SIGMA_DPH * course / course.std()
     searched = declared_problem(replace(one.campaign, bias_dph=bias_dph), one.searched)
     searching = Search(searched, [replace(THERMAL_HYSTERESIS, forms=(width,)), effect])
-    both = searching.add(searching.alone["thermal_hysteresis"], effect)
+    both = searching.add(searching.single_effects["thermal_hysteresis"], effect)
     place = [each.effect.name for each in both.candidates].index(effect.name)
     assert searching.p_value(both, place) < EFFECT_SIGNIFICANCE
-    assert searching.lack(both, place).startswith(MAY_BE_LACK) == (drift == 0.0)
+    assert searching.correction_objection(both, place).startswith(MAY_CORRECT_LAWS) == (drift == 0.0)
 
 
 def test_an_effect_in_one_dwell_is_not_found(problem):
@@ -171,7 +171,7 @@ def test_an_effect_in_one_dwell_is_not_found(problem):
     bias_dph[20] += 10.0 * SIGMA_DPH
     searched = declared_problem(replace(one.campaign, bias_dph=bias_dph), one.searched)
     searching = Search(searched, [BIAS_JUMP, following_dwell(20)])
-    assert searching.p_value(searching.alone["dwells"], 0) < EFFECT_SIGNIFICANCE
+    assert searching.p_value(searching.single_effects["dwells"], 0) < EFFECT_SIGNIFICANCE
     assert "dwells" not in searching.best().names
 
 
@@ -192,7 +192,7 @@ def test_an_effect_that_is_not_accepted_has_an_objection(problem):
     bias_dph[20] += 10.0 * SIGMA_DPH
     searched = declared_problem(replace(one.campaign, bias_dph=bias_dph), one.searched)
     searching = Search(searched, [following_dwell(20)])
-    assert searching.objection(searching.alone["dwells"], 0) == (
+    assert searching.objection(searching.single_effects["dwells"], 0) == (
         "it rests on dwell 21 alone (p = 1 without it)"
     )
 
@@ -212,13 +212,13 @@ def test_each_gyro_says_by_itself_whether_it_shows_an_effect(problem):
     mixed = Search(declared_problem(replace(one.campaign, bias_dph=bias_dph), one.searched), [TIME_DRIFT])
     best = mixed.best()
     assert best.names == {"time_drift"}
-    assert mixed.shows(best, 0) == [False, True, False]
+    assert mixed.significant_gyros(best, 0) == [False, True, False]
 
 
 def test_a_special_case_at_the_lower_bound_of_a_parameter_is_no_tie(search):
     """A lag of a second follows the rate as well as the rate itself."""
     one, best = search({"temperature_rate": 4.0}, cycles=2, seed=1)
-    assert one.alone["thermal_lag"].bic < best.bic + 2.0 * np.log(TIE_ODDS)
+    assert one.single_effects["thermal_lag"].bic < best.bic + 2.0 * np.log(TIE_ODDS)
     assert ties(one, best) == ()
 
 
@@ -243,7 +243,7 @@ def test_terms_that_explain_nothing_are_not_added(problem):
     nothing = Effect(
         "nothing", "", "", (Form(("zero",), lambda campaign, _: np.zeros((len(campaign), 3, 1))),)
     )
-    assert Search(problem({"time_drift": 4.0}), [nothing]).alone == {}
+    assert Search(problem({"time_drift": 4.0}), [nothing]).single_effects == {}
 
 
 def test_a_weak_effect_of_one_ramp_rate_is_not_distinguished_from_similar_ones(search):
@@ -282,9 +282,9 @@ def test_a_time_constant_at_its_upper_bound_counts_where_a_line_is_excluded(prob
     """Both time constants are above three lengths of the campaign; the longer one looks like a line."""
     one = problem({after_start(law): size}, cycles=4, power_on_each_cycle=True, sensors=())
     searching = Search(one, all_effects())
-    [alone] = searching.alone["ageing"].candidates
+    [alone] = searching.single_effects["ageing"].candidates
     assert alone.values[0] >= 0.999 * alone.form.parameters[0].high
-    assert bool(searching.objection(searching.alone["ageing"], 0)) == ("ageing" not in found)
+    assert bool(searching.objection(searching.single_effects["ageing"], 0)) == ("ageing" not in found)
     best, posterior = searching.most_probable()
     assert best.names == found
     assert posterior.sets[0] == found
@@ -294,7 +294,7 @@ def test_an_effect_that_contains_the_one_found_is_no_alternative(search):
     one, best = search({"g_sensitivity": 3.0}, cycles=2, seed=1, headings_deg=EQUIPPED["headings_deg"])
     assert ties(one, best) == ()
     # Alone, heat flow that depends on attitude at all temperatures says nearly the same.
-    assert one.alone["attitude_thermal"].chi2 < 0.5 * one.declared.chi2
+    assert one.single_effects["attitude_thermal"].chi2 < 0.5 * one.declared.chi2
 
 
 @OF_TWO
@@ -317,4 +317,4 @@ def test_each_effect_of_the_best_set_is_significant(search, among):
 
 def test_effects_with_missing_inputs_are_not_fitted(search):
     one, _ = search({"bias_jump": 3.0}, sensors=())
-    assert one.alone.keys().isdisjoint({"chamber_state", "thermal_gradient"})
+    assert one.single_effects.keys().isdisjoint({"chamber_state", "thermal_gradient"})

@@ -19,7 +19,7 @@ def test_an_effect_that_is_not_improbable_has_a_reason_though_alone_it_is_not_si
         if not each.missing_input(campaign) and not selected.search.add(selected.search.declared, each)
     )
     assert selected.rejection(weak) == ""
-    beside = HypothesisProbability(selected.found.names | {weak.name}, False, 0.2, ())
+    beside = HypothesisProbability(selected.accepted.names | {weak.name}, False, 0.2, ())
     hypotheses = (*selected.posterior.hypotheses, beside)
     probable = replace(selected, posterior=replace(selected.posterior, hypotheses=hypotheses))
     assert probable.rejection(weak).startswith(f"{NOT_SIGNIFICANT} beside bias jump")

@@ -11,7 +11,7 @@ from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter, fixe
 from gyrobench.bench.closure.planned_campaign import planned_campaign
 from gyrobench.bench.closure.problem import declared_problem
 from gyrobench.bench.closure.search import EFFECT_SIGNIFICANCE, Search
-from gyrobench.bench.closure.separability import searched_dwells, separability, unit_parts
+from gyrobench.bench.closure.separability import searched_dwells, separability, unit_components
 from tests.bench.closure.plans import dwell, planned, shipped, station
 
 EFFECTS = {effect.name: effect for effect in all_effects()}
@@ -46,7 +46,7 @@ def following(name, *values):
 def searched(campaign, name, size_dph, seed, beside=()):
     """Search of made-up biases: one effect without parameters at some size, and noise."""
     rng = np.random.default_rng(seed)
-    parts = unit_parts(EFFECTS[name].forms[0].columns(campaign, ()))
+    parts = unit_components(EFFECTS[name].forms[0].columns(campaign, ()))
     signs = rng.choice([-1.0, 1.0], (3, parts.shape[2]))
     bias_dph = size_dph * np.einsum("ngk,gk->ng", parts, signs)
     bias_dph += rng.normal(size=bias_dph.shape) * campaign.sigma_dph
@@ -59,7 +59,7 @@ def share_found(campaign, name, size_dph, repeats=60):
     found = 0
     for seed in range(repeats):
         search = searched(campaign, name, size_dph, seed)
-        alone = search.alone.get(name)
+        alone = search.single_effects.get(name)
         found += alone is not None and search.p_value(alone, 0) * len(EFFECTS) < EFFECT_SIGNIFICANCE
     return found / repeats
 
@@ -82,7 +82,7 @@ def test_the_search_ties_effects_below_the_stated_size_and_not_above(
     distinguished = []
     for seed in range(8):
         search = searched(campaign, true, size_dph, seed, beside=(alternative,))
-        posterior = search.evidences.posterior([search.declared, *search.alone.values()])
+        posterior = search.evidences.posterior([search.declared, *search.single_effects.values()])
         distinguished.append(alternative not in posterior.tied_with(frozenset({true}), true))
     assert np.mean(distinguished) == pytest.approx(float(is_distinguished), abs=0.3)
 

@@ -60,7 +60,7 @@ def test_the_same_procedure_again_leaves_by_itself_the_tie_that_the_closure_foun
     assert {(each.found, each.other) for each in forecasts} == ties
     for each in forecasts:
         assert 1.0 / TIE_ODDS < each.now < TIE_ODDS
-        assert each.missing_input or each.alone < TIE_ODDS
+        assert each.missing_input or each.plan_only < TIE_ODDS
         assert not each.missing_input or not each.is_settled
 
 

@@ -10,7 +10,7 @@ from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.candidates import Candidate, best_start, refine, solve_with
 from gyrobench.bench.closure.effects.laws import G_SENSITIVITY, WARM_UP
 from gyrobench.bench.closure.problem import declared_problem
-from gyrobench.bench.closure.uncertainty import _chi2_of_four, bound_of, draw, interval
+from gyrobench.bench.closure.uncertainty import _chi2_quantile_4_dof, bound_of, draw, interval
 from tests.bench.closure.thermal_bench import SIGMA_DPH, measure
 
 TWO_SIGMA = 1.96
@@ -89,4 +89,4 @@ def test_noise_above_the_stated_one_widens_the_uncertainties(quiet):
 
 def test_the_quantiles_of_four_squares_are_those_of_scipy():
     probability = np.array([1e-9, 1e-3, 0.3, 0.5, 0.9, 1.0 - 1e-6])
-    assert _chi2_of_four(probability) == pytest.approx(chdtri(4.0, probability), rel=1e-9)
+    assert _chi2_quantile_4_dof(probability) == pytest.approx(chdtri(4.0, probability), rel=1e-9)

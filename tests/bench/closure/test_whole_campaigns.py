@@ -13,7 +13,7 @@ pytestmark = pytest.mark.long
 #: By the cycles that its campaign takes.
 OUTSIDE = {"supply_ripple": 2, "mode_hop": 2, "dither_crossing": 3, "loose_clamp": 3}
 #: Each effect that the search knows is in one of these.
-TOGETHER = (
+ALL_PROCESSES = (
     ("thermal_gradient",),
     ("temperature_rate", "g_sensitivity"),
     ("thermal_hysteresis", "bias_jump"),
@@ -39,17 +39,17 @@ def test_nothing_is_found_where_nothing_is_undeclared(tmp_path):
 
 
 def test_every_effect_of_the_world_is_hidden_in_a_campaign():
-    assert sorted([*OUTSIDE, *(kind for kinds in TOGETHER for kind in kinds)]) == sorted(EFFECTS)
+    assert sorted([*OUTSIDE, *(kind for kinds in ALL_PROCESSES for kind in kinds)]) == sorted(EFFECTS)
 
 
-@pytest.mark.parametrize("kinds", TOGETHER, ids="+".join)
+@pytest.mark.parametrize("kinds", ALL_PROCESSES, ids="+".join)
 def test_undeclared_effects_are_named_and_the_error_falls_to_the_noise(tmp_path, kinds):
     closure = closed(tmp_path, *kinds)
     assert {each.candidate.effect.name for each in closure.effects} == set(kinds)
     assert all(each.axes == ("x", "y", "z") for each in closure.effects)
-    probability = closure.posterior.of_all(kinds)
+    probability = closure.posterior.joint_probability(kinds)
     tied = any(each.tied_with for each in closure.effects)
-    assert tied or closure.posterior.of_set(kinds) > 0.5
+    assert tied or closure.posterior.set_probability(kinds) > 0.5
     is_open = tied or closure.posterior.rivals(kinds)
     assert closure.verdict == ("explained" if probability >= EXPLAINED and not is_open else "ambiguous")
     assert closure.error_before_dph > 1.5 * noise_of_held_out(closure)

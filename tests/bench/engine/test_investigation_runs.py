@@ -120,9 +120,9 @@ def test_a_block_that_the_station_cannot_run_is_not_proposed(measured):
     start = bench.start([*bench.rows, *rows])
     hot, less = (Timeline([*bench.rows, *rows], start=start) for _ in range(2))
     hot.ramp(500.0)
-    hot.dwells(["z_up"])
-    less.dissipation(0.7)
-    less.dwells(["z_up"])
+    hot.measure_dwells(["z_up"])
+    less.set_dissipation(0.7)
+    less.measure_dwells(["z_up"])
     assert bench.timed(Block(("hot",), "", hot.plan())) is None
     assert bench.timed(Block(("less power",), "", less.plan())) is None
 

@@ -3,7 +3,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.investigation.choice import Prediction, entropy, expected_after, linearized
+from gyrobench.bench.investigation.choice import Prediction, entropy, expected_entropy_after, linearize
 from tests.bench.investigation.simulated_bench import first_campaign, simulate
 
 
@@ -21,14 +21,14 @@ def test_the_log_likelihood_is_that_of_a_normal_distribution_but_for_a_constant(
 
 def test_equal_predictions_leave_the_entropy_as_it_is():
     probabilities = np.array([0.7, 0.3])
-    assert expected_after([prediction([1.0, 2.0])] * 2, probabilities, 0.99).entropy == pytest.approx(
+    assert expected_entropy_after([prediction([1.0, 2.0])] * 2, probabilities, 0.99).entropy == pytest.approx(
         entropy(probabilities)
     )
 
 
 def test_predictions_far_apart_remove_all_doubt():
     apart = [prediction([0.0] * 3), prediction([30.0] * 3)]
-    after = expected_after(apart, np.array([0.5, 0.5]), 0.99)
+    after = expected_entropy_after(apart, np.array([0.5, 0.5]), 0.99)
     assert after.entropy < 1e-6
     assert (after.unsettled, after.unsettled_entropy) == (0.0, 0.0)
 
@@ -43,7 +43,9 @@ def test_the_expected_entropy_is_that_of_numerical_integration():
     pointwise = -np.sum(posterior * np.log(np.maximum(posterior, 1e-300)), axis=0)
     exact = np.trapezoid(joint.sum(axis=0) * pointwise, outcomes)
     drawn = [
-        expected_after([prediction([0.0]), prediction([1.5])], np.array([0.5, 0.5]), 0.99, seed).entropy
+        expected_entropy_after(
+            [prediction([0.0]), prediction([1.5])], np.array([0.5, 0.5]), 0.99, seed
+        ).entropy
         for seed in range(40)
     ]
     assert np.mean(drawn) == pytest.approx(exact, abs=3.0 * np.std(drawn) / np.sqrt(40) + 1e-3)
@@ -57,7 +59,7 @@ def test_the_declared_model_predicts_the_last_cycle_of_a_unit_without_effects():
         )
         campaign = campaign_of(rows)
         measured = campaign.cycle < campaign.cycle.max()
-        found = linearized(campaign, measured, (), 1.0, 0.005).prediction(measured, ~measured)
+        found = linearize(campaign, measured, (), 1.0, 0.005).prediction(measured, ~measured)
         error = campaign.bias_dph[~measured].T.ravel() - found.mean_dph
         squares += float(error @ np.linalg.solve(found.covariance, error))
         count += len(error)

@@ -32,7 +32,7 @@ def test_forecast_temperatures_agree_with_a_network_of_other_physics(rows, name)
         assert (expected.run, expected.cycle, expected.position) == (
             measured.run, measured.cycle, measured.position
         )  # fmt: skip
-    assert forecast._fitted[0].rms_k < 1.0
+    assert forecast._thermal_model[0].rms_k < 1.0
 
 
 def test_a_longer_dwell_is_expected_to_be_less_uncertain(rows):

@@ -13,7 +13,12 @@ from gyrobench.bench.investigation import investigation, open_hypotheses
 from gyrobench.bench.investigation.external_bench import AfterLastDwell, ExternalBench
 from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.investigation import Investigator
-from gyrobench.bench.investigation.open_hypotheses import is_settled, only_unconfirmed, rivals_of, searched
+from gyrobench.bench.investigation.open_hypotheses import (
+    is_settled,
+    only_unconfirmed,
+    rivals_of,
+    search_campaign,
+)
 from gyrobench.bench.investigation.proposal import outcome_of
 from gyrobench.bench.report import investigation_text
 from gyrobench.bench.runs.journal import read_journal
@@ -44,7 +49,7 @@ def search():
 
 @pytest.fixture
 def searched_once(search, monkeypatch):
-    monkeypatch.setattr(investigation, "searched", search)
+    monkeypatch.setattr(investigation, "search_campaign", search)
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +57,7 @@ def settled(search, tmp_path_factory):
     """A warm-up that the first table can't distinguish from a drift, settled."""
     folder = tmp_path_factory.mktemp("investigation") / "whole"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(investigation, "searched", search)
+        patch.setattr(investigation, "search_campaign", search)
         return investigator(unit_with({"warm_up": 0.02}), folder).run(WallClock()), folder
 
 
@@ -157,7 +162,7 @@ def test_a_block_that_the_bench_refuses_is_replaced_by_another(tmp_path):
 def test_nothing_is_measured_for_a_unit_without_an_effect(tmp_path):
     found = investigator(unit_with({}, seed=5), tmp_path / "clean").run(WallClock())
     assert (found.ended, found.spent_h, found.test) == ("nothing_found", 0.0, None)
-    assert found.closure.posterior.nothing < 0.99
+    assert found.closure.posterior.no_effect_probability < 0.99
     assert "above 0.5 but below 0.99" in found.reason
     assert found.closure.verdict == "clean"
     first, *_ = investigation_text.closing_sentences(found)
@@ -354,8 +359,8 @@ def test_a_cause_is_open_for_lack_of_confirmation_alone_if_nothing_else_remains(
     other = CandidateResult(SimpleNamespace(name="bias_jump"), rejected=rejected)
     posterior = SimpleNamespace(
         rivals=lambda names: {"bias_jump": rival},
-        of_all=lambda names, has_remainder: probability,
-        not_on_list=not_on_list,
+        joint_probability=lambda names, has_remainder: probability,
+        unlisted_probability=not_on_list,
     )
     closure = SimpleNamespace(
         verdict="ambiguous", effects=effects, names=("warm_up",), evidence=[other], posterior=posterior
@@ -385,6 +390,6 @@ def test_an_ageing_and_a_drift_are_not_settled_as_two_effects(tmp_path):
 def test_small_effects_that_a_first_campaign_shows(seed):
     """A refrigeration of 1.2 times the noise that runs on after ramps; a rate, and no lag of minutes."""
     unit = unit_of(seed)
-    closure = searched(campaign_of(unit.rows), [max(row.cycle for row in unit.rows)])
+    closure = search_campaign(campaign_of(unit.rows), [max(row.cycle for row in unit.rows)])
     assert is_settled(closure)
     assert set(closure.names) == set(unit.kinds)

@@ -57,7 +57,7 @@ def test_biases_are_as_certain_as_by_the_procedure_once_it_was_measured(unit):
     assert before.ratio > 1.5
     assert 0.0 < before.missing_h(before.variances) < PROFILE.duration_h
     assert before.missing_h(before.reference) == 0.0
-    whole = Forecast(unit.rows).rows(PROFILE.whole(unit.rows, None))
+    whole = Forecast(unit.rows).rows(PROFILE.whole_plan(unit.rows, None))
     measured = [replace(row, sigma_dph=unit.rows[0].sigma_dph) for row in whole]
     after = calibration_of(Forecast([*unit.rows, *measured]), PROFILE, DECLARED)
     assert after.ratio < 1.0

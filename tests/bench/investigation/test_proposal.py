@@ -8,17 +8,17 @@ from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.effects.laws import TIME_DRIFT, WARM_UP
 from gyrobench.bench.closure.posterior import HypothesisProbability, Posterior
 from gyrobench.bench.investigation.blocks import Block, catalogue
-from gyrobench.bench.investigation.choice import Expected
+from gyrobench.bench.investigation.choice import ExpectedEntropy
 from gyrobench.bench.investigation.forecast import Forecast
-from gyrobench.bench.investigation.open_hypotheses import confirming_rivals, rivals_of, searched
+from gyrobench.bench.investigation.open_hypotheses import confirming_rivals, rivals_of, search_campaign
 from gyrobench.bench.investigation.proposal import (
     Outcome,
     PossibleBlocks,
     Proposal,
-    hours_left,
     is_confirmed_by,
     outcome_of,
     propose,
+    remaining_hours_of,
 )
 from tests.bench.investigation.simulated_bench import first_campaign, simulate
 
@@ -33,7 +33,7 @@ def rows():
 
 @pytest.fixture(scope="module")
 def closure(rows):
-    return searched(campaign_of(rows), [2])
+    return search_campaign(campaign_of(rows), [2])
 
 
 def test_an_effect_whose_input_only_a_block_has_is_predicted_for_that_block(rows, closure):
@@ -45,8 +45,8 @@ def test_an_effect_whose_input_only_a_block_has_is_predicted_for_that_block(rows
     pair = [replace(gravity, probability=0.5), replace(magnetic, probability=0.5)]
     found = {each.block.name: each for each in propose(Forecast(rows, closure.noise_scale), pair)}
     headings, cycle = found["four headings"], found["power cycle"]
-    assert cycle.fall == pytest.approx(0.0, abs=1e-6)
-    assert headings.fall > 0.05
+    assert cycle.entropy_decrease == pytest.approx(0.0, abs=1e-6)
+    assert headings.entropy_decrease > 0.05
     assert np.allclose(cycle.predictions[0].mean_dph, cycle.predictions[1].mean_dph)
 
 
@@ -85,7 +85,7 @@ def test_a_kind_that_was_measured_is_worth_half_of_what_is_expected(rows, closur
 def test_an_effect_whose_input_the_new_dwells_lack_is_predicted_with_its_size_as_scatter(rows):
     unit = UNIT | {"effects": {"thermal_gradient": 0.01}}
     warm = simulate(unit)
-    closure = searched(campaign_of(warm), [2])
+    closure = search_campaign(campaign_of(warm), [2])
     rival = next(each for each in rivals_of(closure) if "thermal_gradient" in each.names)
     bare = [replace(row, board_c=(np.nan,) * 3, case_c=np.nan) for row in warm]
     forecast = Forecast(bare, closure.noise_scale)
@@ -111,7 +111,7 @@ def test_new_dwells_without_electronics_are_compared_with_those_forecast(rows, c
 def proposal(hours, fall, unsettled, missing_h=0.0, replaced_h=0.0):
     """A proposal with an entropy of 0.6 nats before it."""
     plan = SimpleNamespace(duration_h=hours)
-    expected = Expected(0.6 - fall, unsettled, (0.6 - fall) * (unsettled > 0.0))
+    expected = ExpectedEntropy(0.6 - fall, unsettled, (0.6 - fall) * (unsettled > 0.0))
     block = Block(("some",), "measure", plan)
     return Proposal(block, (), (), 0.6, expected, missing_h=missing_h, replaced_h=replaced_h)
 
@@ -119,7 +119,7 @@ def proposal(hours, fall, unsettled, missing_h=0.0, replaced_h=0.0):
 def test_a_block_that_settles_the_cause_is_chosen_before_one_that_needs_another():
     settling, faster = proposal(2.0, 0.5, 0.0), proposal(1.9, 0.5, 1.0)
     assert faster.gain_per_h > settling.gain_per_h
-    hours = hours_left([settling, faster])
+    hours = remaining_hours_of([settling, faster])
     assert hours(settling) == 2.0
     assert hours(faster) == pytest.approx(1.9 + 1.9)
 
@@ -132,7 +132,7 @@ def test_a_block_helps_by_the_doubt_that_it_removes_or_by_settling_the_cause(fal
 
 
 def test_a_block_does_not_help_by_settling_what_is_settled():
-    settled = replace(proposal(2.0, 0.01, 0.0), entropy=0.05, expected=Expected(0.04, 0.0, 0.0))
+    settled = replace(proposal(2.0, 0.01, 0.0), entropy=0.05, expected=ExpectedEntropy(0.04, 0.0, 0.0))
     assert not settled.can_help
 
 
@@ -152,9 +152,9 @@ def test_hours_until_the_biases_are_certain_count_too():
         proposal(2.0, 0.5, 0.0, missing_h=10.0),
         proposal(3.0, 0.5, 0.0, missing_h=4.0, replaced_h=6.0),
     )
-    hours = hours_left([cause, both])
+    hours = remaining_hours_of([cause, both])
     assert (hours(cause), hours(both)) == (2.0 + 10.0 / 2.0 + 2.0, 3.0 + 4.0 / 2.0 + 2.0)
-    assert hours_left([cause, both], is_settled=True)(both) == 7.0
+    assert remaining_hours_of([cause, both], is_settled=True)(both) == 7.0
 
 
 def test_a_block_that_makes_the_biases_certain_is_chosen_before_short_ones_that_hardly_help():
@@ -162,7 +162,7 @@ def test_a_block_that_makes_the_biases_certain_is_chosen_before_short_ones_that_
         proposal(5.0, 0.0, 0.0, missing_h=0.0, replaced_h=3.0),
         proposal(1.7, 0.0, 0.0, missing_h=2.9, replaced_h=0.1),
     )
-    hours = hours_left([enough, short], is_settled=True)
+    hours = remaining_hours_of([enough, short], is_settled=True)
     assert hours(enough) < hours(short)
 
 

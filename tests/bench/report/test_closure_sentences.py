@@ -71,7 +71,7 @@ def test_one_cycle_that_was_not_searched_is_compensated_by_the_declared_model():
 def test_without_an_accepted_effect_the_most_probable_cause_is_stated_with_the_objection():
     assert faint().verdict == "ambiguous"
     assert not faint().effects
-    assert faint().posterior.nothing < 0.5
+    assert faint().posterior.no_effect_probability < 0.5
     sentence = closure_text.verdict_sentence(faint())
     assert sentence.startswith("It is not settled whether the residual is noise (P = 0.32, required 0.5).")
     assert (
@@ -200,10 +200,10 @@ def test_the_remaining_residual_is_located_or_noise():
 
 def test_scatter_above_the_stated_uncertainties_is_stated():
     closure = close_loop(campaign_of(made_up_rows(SENSITIVITY, scatter=1.3)), effects=EFFECTS)
-    [sentence] = closure.noise.sentences(is_all=True)
+    [sentence] = closure.noise.sentences(is_structureless=True)
     assert sentence.startswith("The noise is 1.")
-    assert "times the stated uncertainties; what is left follows nothing" in sentence
-    assert explained().noise.sentences(is_all=True) == []
+    assert "times the stated uncertainties; the residual has no structure" in sentence
+    assert explained().noise.sentences(is_structureless=True) == []
 
 
 def test_a_clean_search_states_its_sensitivity():
