@@ -1,1 +1,1 @@
-"""Writing the bench's YAML files: kinds of file, schemas, checks, and commented files to start from."""
+"""Support for writing the bench's YAML files: kinds of file, schemas, checks, and commented templates."""

@@ -1,7 +1,7 @@
 """The kinds of YAML file: how to recognise one, its JSON Schema, and the check of a file.
 
-World files and lists of faults are read by the emulators alone: a separate process gives their schema and
-checks them, so that nothing of the simulated truth enters the bench.
+World files and lists of faults are read only by the emulators: a separate process gives their schema and
+checks them, so that the bench has no access to the simulated truth.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ class FileKind:
 
     name: str  #: Name in commands.
     title: str  #: Title of its schema.
-    folder: str  #: Of shipped files; empty without any.
-    keys: frozenset[str]  #: Top-level keys, by which it is recognised.
-    model: type[StrictModel] | None = None  #: None for files that the emulators alone read.
+    folder: str  #: Folder of shipped files; empty if there are none.
+    keys: frozenset[str]  #: Top-level keys, by which a file is recognised.
+    model: type[StrictModel] | None = None  #: None for files that only the emulators read.
 
     @property
     def schema_name(self) -> str:
@@ -82,13 +82,13 @@ KINDS = {kind.name: kind for kind in _ALL}
 
 
 def kind_of(document: Document) -> FileKind:
-    """Recognise a file by its top-level keys; a DocumentError if they fit no kind or several."""
-    found = document.data if isinstance(document.data, dict) else {}
-    # The kind whose name is a key of the file, else the one that shares most keys.
-    named = [kind for kind in KINDS.values() if kind.name in kind.keys and kind.name in found]
-    likely = named if len(named) == 1 else _most_similar(found)
-    if len(likely) == 1:
-        return likely[0]
+    """Recognise a file by its top-level keys; raises DocumentError if they fit no kind or several."""
+    keys = document.data if isinstance(document.data, dict) else {}
+    # The kind whose name is a key of the file, otherwise the one that shares most keys.
+    named_kinds = [kind for kind in KINDS.values() if kind.name in kind.keys and kind.name in keys]
+    candidates = named_kinds if len(named_kinds) == 1 else _most_similar(keys)
+    if len(candidates) == 1:
+        return candidates[0]
     raise DocumentError(
         f"{document.path}:1:1: its keys fit no kind of file, or several. Give the kind with --as "
         f"{'|'.join(KINDS)}"
@@ -97,8 +97,8 @@ def kind_of(document: Document) -> FileKind:
 
 def _most_similar(keys: Iterable[str]) -> list[FileKind]:
     shared = {name: len(kind.keys.intersection(keys)) for name, kind in KINDS.items()}
-    most = max(shared.values())
-    return [KINDS[name] for name, count in shared.items() if count == most > 0]
+    max_shared = max(shared.values())
+    return [KINDS[name] for name, count in shared.items() if count == max_shared > 0]
 
 
 _PROGRAM = "gyrobench.drivers.emulators.check_file"
@@ -125,14 +125,14 @@ def _emulator_documents(*arguments: str) -> str:
 
 _VARIABLE = {"$ref": "#/$defs/variable"}
 _ENTRY = {"$ref": "#/$defs/entry"}
-#: What a loop can go over.
+#: Types of the values that a loop variable can have.
 _SCALARS = {"number", "integer", "string"}
 
 
 def _procedure_schema(title: str) -> Schema:
     """Write the schema of procedures, draft 2020-12."""
     schema = json_schema(Procedure, title)
-    loop = _section(json_schema(Repeat, ""))
+    loop = _subschema(json_schema(Repeat, ""))
     definitions = {
         "entry": {"description": "one step, or steps that are repeated", "oneOf": list(_entries())},
         "variable": {
@@ -143,34 +143,36 @@ def _procedure_schema(title: str) -> Schema:
         "repeat": loop,
     }
     for name, kind in STEP_KINDS.items():
-        of_kind = json_schema(kind, "")
-        definitions |= {below: _with_variables(each) for below, each in of_kind.get("$defs", {}).items()}
-        definitions[name] = _with_variables(_section(of_kind))
+        kind_schema = json_schema(kind, "")
+        definitions |= {
+            definition: _with_variables(each) for definition, each in kind_schema.get("$defs", {}).items()
+        }
+        definitions[name] = _with_variables(_subschema(kind_schema))
     for section in (schema, loop):
         section["properties"]["steps"]["items"] = _ENTRY
     return {**schema, "$defs": schema.get("$defs", {}) | definitions}
 
 
-def _section(schema: Schema) -> Schema:
-    """A schema as part of another."""
+def _subschema(schema: Schema) -> Schema:
+    """Schema without the keys that only a root schema has."""
     return {key: value for key, value in schema.items() if key not in ("$schema", "title", "$defs")}
 
 
 def _entries() -> list[Schema]:
-    bare = [name for name, kind in STEP_KINDS.items() if _needs_no_key(kind)]
+    names_without_keys = [name for name, kind in STEP_KINDS.items() if _needs_no_key(kind)]
     return [
-        {"type": "string", "description": "a step without keys", "enum": bare},
-        *(_single(name, or_nothing=name in bare) for name in STEP_KINDS),
-        _single("repeat", or_nothing=False),
+        {"type": "string", "description": "a step without keys", "enum": names_without_keys},
+        *(_single_key_schema(name, may_be_null=name in names_without_keys) for name in STEP_KINDS),
+        _single_key_schema("repeat", may_be_null=False),
     ]
 
 
-def _single(name: str, or_nothing: bool) -> Schema:
-    """``name: {...}``, and nothing beside it."""
+def _single_key_schema(name: str, may_be_null: bool) -> Schema:
+    """Schema of an object with the single key ``name``."""
     keys: Schema = {"$ref": f"#/$defs/{name}"}
     return {
         "type": "object",
-        "properties": {name: {"anyOf": [keys, {"type": "null"}]} if or_nothing else keys},
+        "properties": {name: {"anyOf": [keys, {"type": "null"}]} if may_be_null else keys},
         "required": [name],
         "additionalProperties": False,
     }
@@ -185,20 +187,20 @@ def _needs_no_key(kind: type[Step]) -> bool:
 
 
 def _with_variables(schema: Schema) -> Schema:
-    """Allow a variable in place of every number or text."""
+    """Allow a variable in place of each number or text."""
     properties = schema.get("properties", {})
-    return {**schema, "properties": {key: _or_variable(each) for key, each in properties.items()}}
+    return {**schema, "properties": {key: _with_variable(each) for key, each in properties.items()}}
 
 
-def _or_variable(schema: Schema) -> Schema:
+def _with_variable(schema: Schema) -> Schema:
     options = schema.get("anyOf", [schema])
     if not any(option.get("type") in _SCALARS for option in options):
         return schema
     common: Schema = {key: schema[key] for key in ("description", "default") if key in schema}
-    bare: list[dict[str, Any]] = [
+    alternatives: list[dict[str, Any]] = [
         {key: value for key, value in option.items() if key not in common} for option in options
     ]
-    return {**common, "anyOf": [*bare, _VARIABLE]}
+    return {**common, "anyOf": [*alternatives, _VARIABLE]}
 
 
 _FOLDER = "schemas"
@@ -214,7 +216,7 @@ def schema_of(kind: FileKind) -> Schema:
 
 @cache
 def _schema_document(kind: FileKind) -> str:
-    """JSON of a schema; that of ``world`` or ``faults`` files comes from the emulators' program."""
+    """Schema as JSON; that of ``world`` or ``faults`` files comes from the emulators' program."""
     if kind.model is None:
         return _emulator_documents("schema", kind.name)
     return json.dumps(
@@ -230,14 +232,14 @@ def write_schemas(folder: Path) -> None:
 
 
 def schema_text(schema: Schema) -> str:
-    """A schema as the files hold it."""
+    """Format a schema as in its file."""
     return json.dumps(schema, indent=1, ensure_ascii=False) + "\n"
 
 
 def editor_line(kind: FileKind, path: Path) -> str:
-    """First line of a file at ``path``, which names the shipped schema for its editor.
+    """First line of a file at ``path``, which gives the editor the path of the shipped schema.
 
-    Installed packages have the schemas; in a checkout they are written when first needed. Empty where
+    Installed packages contain the schemas; in a checkout they are written when first needed. Empty if
     they can't be written.
     """
     folder = next(iter(shipped_folders(_FOLDER)), None)
@@ -248,17 +250,17 @@ def editor_line(kind: FileKind, path: Path) -> str:
             write_schemas(folder)
         except OSError:
             return ""
-    # Beside the shipped folders a relative path holds wherever the project is copied to.
-    place = f"../{_FOLDER}" if folder == path.resolve().parent.parent / _FOLDER else str(folder)
-    return f"{EDITOR_MARK}{place}/{kind.schema_name}\n"
+    # For a file next to the shipped folders, a relative path stays valid if the project is copied.
+    schema_folder = f"../{_FOLDER}" if folder == path.resolve().parent.parent / _FOLDER else str(folder)
+    return f"{EDITOR_MARK}{schema_folder}/{kind.schema_name}\n"
 
 
-_PLACED = re.compile(r"(?P<file>.+?):(?P<line>\d+):(?P<column>\d+): (?P<message>.*)", re.DOTALL)
+_PROBLEM_LINE = re.compile(r"(?P<file>.+?):(?P<line>\d+):(?P<column>\d+): (?P<message>.*)", re.DOTALL)
 
 
 @dataclass(frozen=True)
 class PlacedProblem:
-    """A mistake and its line and column, from 1; None where it has no place in the file."""
+    """A mistake with its line and column, from 1; None if it has no place in the file."""
 
     message: str
     line: int | None = None
@@ -270,7 +272,7 @@ class FileCheck:
     """Kind and problems of a file."""
 
     path: Path
-    kind: str  #: Empty where not known.
+    kind: str  #: Name of the kind; empty if unknown.
     text: str = ""  #: All problems, one a line; empty for a correct file.
     found: str = ""  #: Summary of a correct file.
 
@@ -280,12 +282,12 @@ class FileCheck:
         return not self.text
 
     def problems(self) -> list[PlacedProblem]:
-        """The problems one by one."""
-        return [_placed(line) for line in self.text.splitlines()]
+        """Return the problems one by one."""
+        return [_parse_problem(line) for line in self.text.splitlines()]
 
 
 def check_file(path: Path, kind: FileKind | None = None, station: Station | None = None) -> FileCheck:
-    """Check a file of the given kind, by default recognised by its keys; procedures also on a station."""
+    """Check a file of a kind, by default recognised by its keys; a procedure also on a station."""
     name = kind.name if kind else ""
     try:
         document = read_document(path)
@@ -298,7 +300,7 @@ def check_file(path: Path, kind: FileKind | None = None, station: Station | None
 
 def _summary(document: Document, kind: FileKind, station: Station | None) -> str:
     if kind is PROCEDURE:
-        return _procedure(document, station)
+        return _procedure_summary(document, station)
     if kind is STATION:
         station = Station(document.path)
         station.check_dbc()
@@ -313,7 +315,7 @@ def _summary(document: Document, kind: FileKind, station: Station | None) -> str
     return ""
 
 
-def _procedure(document: Document, station: Station | None) -> str:
+def _procedure_summary(document: Document, station: Station | None) -> str:
     procedure = checked_procedure(document)
     if station is None:
         plan = expand(document, procedure)
@@ -327,8 +329,8 @@ def _procedure(document: Document, station: Station | None) -> str:
     )
 
 
-def _placed(line: str) -> PlacedProblem:
-    match = _PLACED.match(line)
+def _parse_problem(line: str) -> PlacedProblem:
+    match = _PROBLEM_LINE.match(line)
     if match is None:
         return PlacedProblem(line)
     return PlacedProblem(match["message"], int(match["line"]), int(match["column"]))

@@ -1,7 +1,7 @@
 """Commented procedure, station, world and effect files to start from, written from the JSON Schemas.
 
-Keys with a value are written as they are. Optional keys without one are commented out with their default:
-``#`` and no space, or an even number of spaces, before the key.
+Keys with a value are written as they are. Optional keys without a value are commented out with their default:
+the key follows ``#`` with no space, or with an even number of spaces.
 """
 
 from __future__ import annotations
@@ -45,20 +45,20 @@ _BOUNDS = (
 )
 
 
-class _StartingFile:
-    """Writes files of one schema. The schema holds all it refers to in ``$defs``."""
+class _TemplateWriter:
+    """Writes templates for one schema, which contains all referenced schemas in ``$defs``."""
 
     def __init__(self, schema: Schema) -> None:
         self._schema = schema
         self._definitions: Mapping[str, Schema] = schema.get("$defs", {})
-        self._explained_once: set[str] = set()
+        self._written_comments: set[str] = set()
 
     def lines(self, values: Mapping[str, Any]) -> Iterator[str]:
         """Lines of a file with these values.
 
-        A missing required key gets a permitted value.
+        A missing required key gets an allowed value.
         """
-        self._explained_once.clear()
+        self._written_comments.clear()
         return self._section(self._schema, values, "")
 
     def _section(self, schema: Schema, values: Mapping[str, Any], indent: str) -> Iterator[str]:
@@ -66,55 +66,57 @@ class _StartingFile:
         # The key that selects the section's kind, such as a dialect, comes first.
         for key, each in sorted(schema["properties"].items(), key=lambda item: "const" not in item[1]):
             if key in values or key in required:
-                value = values[key] if key in values else _some_value(self._resolved(each, None))
-                yield from self._given(key, each, value, indent)
+                value = values[key] if key in values else _some_value(self._resolve(each, None))
+                yield from self._lines_of_key(key, each, value, indent)
             else:
-                yield from self._left_out(key, each, indent)
+                yield from self._lines_of_optional_key(key, each, indent)
 
-    def _given(self, key: str, schema: Schema, value: Any, indent: str) -> Iterator[str]:
-        below = self._resolved(schema, value)
-        if isinstance(value, Mapping) and "properties" in below and not self._has_short_form(schema):
+    def _lines_of_key(self, key: str, schema: Schema, value: Any, indent: str) -> Iterator[str]:
+        resolved = self._resolve(schema, value)
+        if isinstance(value, Mapping) and "properties" in resolved and not self._has_short_form(schema):
             if not indent:
                 yield ""
-            yield from self._commented(f"{indent}{key}:", _meaning(schema, below), indent)
-            yield from self._section(below, value, f"{indent}  ")
+            yield from self._with_comment(f"{indent}{key}:", _description_of(schema, resolved), indent)
+            yield from self._section(resolved, value, f"{indent}  ")
         else:
-            yield from self._commented(f"{indent}{key}: {_inline(value)}", self._explained(schema), indent)
+            yield from self._with_comment(
+                f"{indent}{key}: {_inline(value)}", self._value_comment(schema), indent
+            )
 
-    def _left_out(self, key: str, schema: Schema, indent: str) -> Iterator[str]:
-        below = self._resolved(schema, {})
-        is_section = "properties" in below and not self._may_be_null(schema)
-        if is_section and not below.get("required"):
-            yield from self._commented(f"{indent}#{key}:", _meaning(schema, below), indent)
-            for line in self._section(below, {}, ""):
-                # Keys begin after an even number of spaces, explanations after one.
+    def _lines_of_optional_key(self, key: str, schema: Schema, indent: str) -> Iterator[str]:
+        resolved = self._resolve(schema, {})
+        is_section = "properties" in resolved and not self._may_be_null(schema)
+        if is_section and not resolved.get("required"):
+            yield from self._with_comment(f"{indent}#{key}:", _description_of(schema, resolved), indent)
+            for line in self._section(resolved, {}, ""):
+                # Keys follow an even number of spaces, explanations a single space.
                 yield f"{indent}{line}" if line.startswith("# ") else f"{indent}#  {line.removeprefix('#')}"
             return
-        default = _inline(schema.get("default")) if "default" in schema else _empty(below)
-        yield from self._commented(f"{indent}#{key}: {default}", self.explained(schema), indent)
+        default = _inline(schema.get("default")) if "default" in schema else _empty_value(resolved)
+        yield from self._with_comment(f"{indent}#{key}: {default}", self.key_comment(schema), indent)
 
-    def _commented(self, line: str, text: str, indent: str) -> Iterator[str]:
-        """A line with its explanation after it, or above it if too long; long ones only once."""
-        together = f"{line}  # {text}" if text else line
-        if len(together) <= _WIDTH:
-            yield together
+    def _with_comment(self, line: str, text: str, indent: str) -> Iterator[str]:
+        """A line with its explanation after it, or above it if too long; a long one only the first time."""
+        commented_line = f"{line}  # {text}" if text else line
+        if len(commented_line) <= _WIDTH:
+            yield commented_line
             return
-        if text not in self._explained_once:
+        if text not in self._written_comments:
             yield from _comment(text, f"{indent}# ")
-        self._explained_once.add(text)
+        self._written_comments.add(text)
         yield line
 
-    def _resolved(self, schema: Schema, value: Any) -> Schema:
+    def _resolve(self, schema: Schema, value: Any) -> Schema:
         """Resolve references and alternatives to the schema of a value."""
         if "$ref" in schema:
-            return self._resolved(self._definitions[schema["$ref"].rpartition("/")[2]], value)
-        options = [self._resolved(each, value) for key in ("oneOf", "anyOf") for each in schema.get(key, ())]
+            return self._resolve(self._definitions[schema["$ref"].rpartition("/")[2]], value)
+        options = [self._resolve(each, value) for key in ("oneOf", "anyOf") for each in schema.get(key, ())]
         if "properties" in schema or not options:
             return schema
         if isinstance(value, Mapping):
             sections = [each for each in options if "properties" in each]
-            fitting = [each for each in sections if _names_the_same(each, value)]
-            return (fitting or sections or options)[0]
+            matching = [each for each in sections if _has_same_constants(each, value)]
+            return (matching or sections or options)[0]
         return options[0]
 
     def _has_short_form(self, schema: Schema) -> bool:
@@ -123,20 +125,20 @@ class _StartingFile:
     def _may_be_null(self, schema: Schema) -> bool:
         return any(each.get("type") == "null" for each in schema.get("anyOf", ()))
 
-    def explained(self, schema: Schema) -> str:
-        """Meaning of a key, permitted values, and keys below it."""
-        below = self._resolved(schema, {})
-        keys = f" (keys: {', '.join(below['properties'])})" if below.get("properties") else ""
-        return self._explained(schema) + keys
+    def key_comment(self, schema: Schema) -> str:
+        """Meaning of a key, its allowed values, and its keys."""
+        resolved = self._resolve(schema, {})
+        keys = f" (keys: {', '.join(resolved['properties'])})" if resolved.get("properties") else ""
+        return self._value_comment(schema) + keys
 
-    def _explained(self, schema: Schema) -> str:
+    def _value_comment(self, schema: Schema) -> str:
         options = schema.get("anyOf", [schema])
-        allowed = (_allowed(self._resolved(each, None)) for each in options)
-        return "; ".join(filter(None, (_meaning(schema, self._resolved(schema, None)), *allowed)))
+        allowed = (_allowed_values(self._resolve(each, None)) for each in options)
+        return "; ".join(filter(None, (_description_of(schema, self._resolve(schema, None)), *allowed)))
 
 
 def _inline(value: Any) -> str:
-    """A value on one line of YAML."""
+    """Format a value as one line of YAML."""
     text: str = yaml.safe_dump(
         value, default_flow_style=True, width=float("inf"), sort_keys=False, allow_unicode=True
     )
@@ -144,16 +146,16 @@ def _inline(value: Any) -> str:
 
 
 def _comment(text: str, lead: str = "# ", then: str = "") -> list[str]:
-    """Lines of a comment, each with ``lead`` before it, all but the first with ``then`` too."""
+    """Lines of a comment, each after ``lead``; ``then`` indents all but the first."""
     return textwrap.wrap(text, _WIDTH, initial_indent=lead, subsequent_indent=lead + then)
 
 
-def _meaning(schema: Schema, below: Schema) -> str:
-    text = str(schema.get("description", below.get("description", "")))
+def _description_of(schema: Schema, resolved: Schema) -> str:
+    text = str(schema.get("description", resolved.get("description", "")))
     return text if text.endswith("...") else text.removesuffix(".")
 
 
-def _allowed(schema: Schema) -> str:
+def _allowed_values(schema: Schema) -> str:
     if "enum" in schema:
         return f"one of {', '.join(map(str, schema['enum']))}"
     if "minimum" in schema and "maximum" in schema:
@@ -162,10 +164,10 @@ def _allowed(schema: Schema) -> str:
     return ", ".join(bounds)
 
 
-def _names_the_same(schema: Schema, value: Mapping[str, Any]) -> bool:
-    """Whether a value has the constants of one alternative of several, such as the name of a dialect."""
-    fixed = {key: each["const"] for key, each in schema["properties"].items() if "const" in each}
-    return bool(fixed) and all(value.get(key) == const for key, const in fixed.items())
+def _has_same_constants(schema: Schema, value: Mapping[str, Any]) -> bool:
+    """Whether a value has the constants of a schema, such as the name of a dialect."""
+    constants = {key: each["const"] for key, each in schema["properties"].items() if "const" in each}
+    return bool(constants) and all(value.get(key) == const for key, const in constants.items())
 
 
 def _some_value(schema: Schema) -> Any:
@@ -177,14 +179,14 @@ def _some_value(schema: Schema) -> Any:
     return {"string": FILL_IN, "boolean": False, "array": [], "object": {}}.get(schema.get("type", ""), 1)
 
 
-def _empty(schema: Schema) -> str:
+def _empty_value(schema: Schema) -> str:
     return {"array": "[]", "object": "{}"}.get(schema.get("type", ""), "null")
 
 
 _EXAMPLE_STATION = "example_bench"
 _NOT_FILLED_IN = f"{FILL_IN}: mounting and what the INS sends are those of an example"
-#: Keys by section whose values no other bench has: those of the example would be taken for this bench's.
-_OWN = {
+#: Keys, by section, with values specific to a bench, in which the example's values would be misleading.
+_BENCH_SPECIFIC_KEYS = {
     ("location",): ("latitude_deg", "height_m"),
     ("rate_table", "limits"): ("rate_dps", "acceleration_dps2", "jerk_dps3", "outer_deg", "inner_deg"),
     ("chamber", "limits"): ("low_c", "high_c", "ramp_c_per_min"),
@@ -201,16 +203,16 @@ _HINT = (
 def new_procedure(name: str, like: str, path: Path) -> str:
     """Write the text of a procedure file.
 
-    Raises DocumentError if there is no such template, or the name can't be one.
+    Raises DocumentError if there is no such template, or the name is invalid.
 
     Parameters
     ----------
     name : str
-        Of the procedure.
+        Name of the procedure.
     like : str
         A key of :data:`gyrobench.bench.foundations.shipped.TEMPLATES`, a shipped procedure, or a file.
     path : Path
-        Of the new file.
+        Path of the new file.
     """
     template = read_document(find_document("procedures", TEMPLATES.get(like, like)))
     values = {
@@ -221,15 +223,15 @@ def new_procedure(name: str, like: str, path: Path) -> str:
     }
     schema = schema_of(PROCEDURE)
     steps = values.pop("steps")
-    of_head = {key: each for key, each in schema["properties"].items() if key != "steps"}
-    head = {**schema, "properties": of_head, "required": ["procedure"]}
+    head_properties = {key: each for key, each in schema["properties"].items() if key != "steps"}
+    head = {**schema, "properties": head_properties, "required": ["procedure"]}
     text = _text(
         PROCEDURE,
         path,
-        _StartingFile(head).lines(values),
+        _TemplateWriter(head).lines(values),
         ["", "# What to do, in order. The kinds of step and their keys are at the end.", "steps:"],
         _steps(steps, "  "),
-        ["", *_catalogue(schema)],
+        ["", *_step_reference(schema)],
     )
     document = parse_document(text, path)
     resolve(document, checked_procedure(document))
@@ -237,72 +239,72 @@ def new_procedure(name: str, like: str, path: Path) -> str:
 
 
 def new_station(name: str, path: Path, table: str | None = None, chamber: str | None = None) -> str:
-    """Write the text of a station file, after the shipped example, with placeholders for one bench's values.
+    """Write the text of a station file from the shipped example, with placeholders for bench-specific values.
 
-    Raises DocumentError if there is no such dialect, or the name can't be one.
+    Raises DocumentError if there is no such dialect, or the name is invalid.
 
     Parameters
     ----------
     name : str
-        Of the bench.
+        Name of the bench.
     path : Path
-        Of the new file.
+        Path of the new file.
     table, chamber : str, optional
-        Dialects of the rate table and the chamber; the example's without them.
+        Dialects of the rate table and the chamber; by default those of the example.
     """
     values = read_document(find_document("stations", _EXAMPLE_STATION)).data
     values |= {"station": name, "description": _NOT_FILLED_IN}
     for section, dialect in (("rate_table", table), ("chamber", chamber)):
         if dialect is not None and dialect != values[section]["dialect"]:
-            values[section] = _of_dialect(values[section], dialect, section)
+            values[section] = _for_dialect(values[section], dialect, section)
         values[section] = {**values[section], "port": FILL_IN}
     validate(parse_document(_inline(values), path), StationFile)
-    for path_of_section, keys in _OWN.items():
+    for path_of_section, keys in _BENCH_SPECIFIC_KEYS.items():
         section = values
         for key in path_of_section:
             section = section[key]
         section.update(dict.fromkeys(keys, FILL_IN))
-    return _text(STATION, path, _StartingFile(schema_of(STATION)).lines(values))
+    return _text(STATION, path, _TemplateWriter(schema_of(STATION)).lines(values))
 
 
 def new_world(name: str, like: str, path: Path) -> str:
-    """Copy a world file under another name without reading it: only the emulators may.
+    """Copy a world file under another name without parsing it, which only the emulators may do.
 
-    Raises DocumentError if there is no such world, or the name can't be one.
+    Raises DocumentError if there is no such world, or the name is invalid.
 
     Parameters
     ----------
     name : str
-        Of the world.
+        Name of the new world.
     like : str
         A shipped world, or a file.
     path : Path
-        Of the new file.
+        Path of the new file.
     """
     if not _NAME.fullmatch(name):
         raise DocumentError(f"{name}: not a name of a world; use letters, digits, underscore and hyphen")
-    text = _copied(find_document("worlds", like))
+    text = _text_to_copy(find_document("worlds", like))
     return editor_line(WORLD, path) + _WORLD_NAME.sub(f"world: {name}", text, count=1)
 
 
 def new_import_map(like: str, path: Path) -> str:
-    """Copy an import map. ``like``: a shipped one, or a file. ``path``: of the new file.
+    """Copy an import map: ``like`` is a shipped one or a file, ``path`` that of the new file.
 
     Raises DocumentError if there is no such import map.
     """
-    return editor_line(IMPORT_MAP, path) + _copied(find_document("imports", like))
+    return editor_line(IMPORT_MAP, path) + _text_to_copy(find_document("imports", like))
 
 
-def _copied(path: Path) -> str:
+def _text_to_copy(path: Path) -> str:
     """Text of a file without the line for editors."""
     lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
     return "".join(line for line in lines if not line.startswith(EDITOR_MARK))
 
 
 def new_effect(name: str, path: Path) -> str:
-    """Write the text of an effect file, to be changed: an onset of the electronics temperature.
+    """Write the text of an effect file to edit: an onset of the electronics temperature.
 
-    ``name``: of the effect. ``path``: of the new file. Raises DocumentError if the name can't be one.
+    ``name``: of the effect. ``path``: of the new file. Raises DocumentError if the name is invalid.
     """
     values = {
         "effect": name,
@@ -312,15 +314,15 @@ def new_effect(name: str, path: Path) -> str:
         "shape": "onset",
         "bounds": {"onset": [20.0, 70.0], "width": [1.0, 10.0]},
     }
-    text = _text(EFFECT, path, _StartingFile(schema_of(EFFECT)).lines(values))
+    text = _text(EFFECT, path, _TemplateWriter(schema_of(EFFECT)).lines(values))
     validate(parse_document(text, path), EffectFile)
     return text
 
 
-def _of_dialect(section: Mapping[str, Any], dialect: str, name: str) -> dict[str, Any]:
-    """The section for another dialect, with the keys that all dialects have."""
+def _for_dialect(section: Mapping[str, Any], dialect: str, name: str) -> dict[str, Any]:
+    """A section for another dialect, with the keys that all dialects have."""
     common: Any = StationFile.model_fields[name].annotation
-    section_of(common, dialect)  # raises DocumentError where it is not installed
+    section_of(common, dialect)  # raises DocumentError if it is not installed
     keys = common.model_fields.keys() - {"baudrate", "parity"}
     return {**{key: value for key, value in section.items() if key in keys}, "dialect": dialect}
 
@@ -345,8 +347,8 @@ def _steps(entries: list[Any], indent: str) -> Iterator[str]:
             yield f"{indent}- {entry}"
 
 
-def _catalogue(schema: Schema) -> Iterator[str]:
-    """Every kind of step with its keys, as comments."""
+def _step_reference(schema: Schema) -> Iterator[str]:
+    """Describe each kind of step with its keys, as comments."""
     yield "# Kinds of step. Each can have these keys:"
     kinds = {name: schema["$defs"][name] for name in (*STEP_KINDS, "repeat")}
     common = Step.model_fields.keys()
@@ -358,10 +360,10 @@ def _catalogue(schema: Schema) -> Iterator[str]:
 
 
 def _keys(schema: Schema, kind: Schema, only: Collection[str]) -> Iterator[str]:
-    explained = _StartingFile(schema).explained
+    key_comment = _TemplateWriter(schema).key_comment
     for key, each in kind["properties"].items():
         if key in only:
-            notes = [explained(each)]
+            notes = [key_comment(each)]
             if each.get("default") is not None:
                 notes.append(f"{_inline(each['default'])} if not given")
             if key in kind.get("required", ()):

@@ -1,6 +1,6 @@
 """The command line: its commands by task, one module a command.
 
-Each is loaded, and imports what it needs, when it is used.
+A command's module, and the modules that it needs, are imported only when the command is used.
 """
 
 from __future__ import annotations
@@ -59,43 +59,43 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "Files": ("new", "validate", "schema"),
     "Try and learn": ("emulate", "record", "replay"),
 }
-#: What does the task of a command that does not exist.
-_ELSEWHERE = {
+#: Replacements for commands that do not exist.
+_SUGGESTIONS = {
     **dict.fromkeys(("status", "watch"), "gyrobench monitor RUN, or gyrobench resume RUN --look"),
     **{each: f"gyrobench control RUN {each}" for each in ("pause", "continue", "hold", "skip", "abort")},
     "stop": "gyrobench control RUN abort",
     "compare": "gyrobench report RUN --before RUN, or gyrobench runs --trend",
     "init": "gyrobench new station NAME",
 }
-#: Names that are still accepted, by module and function.
+#: Old names that are still accepted, with module and function.
 _HIDDEN = {"tell": "control.tell"}
-#: The first sentence is shown in full.
+#: Maximum length of a command's first sentence in the list of commands.
 _MAX_HELP = 300
 
 
 def _callback(name: str) -> Callable[..., None] | typer.Typer:
-    """Import a command, or group of commands, named as its module."""
+    """Import a command or group of commands by name."""
     word = "import_log" if name == "import" else name.replace("-", "_")
     module, _, function = _HIDDEN.get(name, word).partition(".")
-    found: Callable[..., None] | typer.Typer = getattr(
+    callback: Callable[..., None] | typer.Typer = getattr(
         import_module(f"gyrobench.bench.cli.{module}"), function or module
     )
-    return found
+    return callback
 
 
 class _Command(TyperCommand):
-    """A command without infinite numbers: ranges let inf and nan through."""
+    """A command that rejects inf and nan, which ranges of options accept."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Read the arguments. Raises BadParameter for one that is inf or nan."""
-        rest = super().parse_args(ctx, args)
+        """Parse the arguments. Raises BadParameter if one is inf or nan."""
+        remaining = super().parse_args(ctx, args)
         for option in self.params:
             given = ctx.params.get(option.name)
             for value in given if isinstance(given, list) else [given]:
                 if isinstance(value, float) and not math.isfinite(value):
                     hint = f"'{option.opts[0]}'"
                     raise typer.BadParameter(f"{value} is not a finite number.", ctx, param_hint=hint)
-        return rest
+        return remaining
 
 
 @cache
@@ -104,9 +104,9 @@ def _command(name: str) -> Any:
     if isinstance(callback, typer.Typer):
         command: Any = typer.main.get_group(callback)
     else:
-        alone = typer.Typer(add_completion=False, rich_markup_mode=None)
-        alone.command(cls=_Command, hidden=name in _HIDDEN)(callback)
-        command = typer.main.get_command(alone)
+        single_command_app = typer.Typer(add_completion=False, rich_markup_mode=None)
+        single_command_app.command(cls=_Command, hidden=name in _HIDDEN)(callback)
+        command = typer.main.get_command(single_command_app)
     command.name = name
     return command
 
@@ -135,7 +135,7 @@ class _CommandGroups(TyperGroup):
         self.commands = _Commands()  # type: ignore[assignment]  # nothing adds to them
 
     def invoke(self, ctx: Any) -> Any:
-        """Execute a command. A wrong value is reported in plain words, with the nearest allowed one."""
+        """Execute a command; the error for a wrong value suggests the nearest allowed one."""
         try:
             return super().invoke(ctx)
         except typer.BadParameter as error:
@@ -145,13 +145,13 @@ class _CommandGroups(TyperGroup):
             message = plain_message(error.message).rstrip(".")
             found, _, allowed = message.partition(" is not one of ")
             near = did_you_mean(found.strip("'"), re.findall(r"'([^']+)'", allowed))
-            error.message = f"{message}{near}{'.' if message else ''}"  # empty where one is missing
+            error.message = f"{message}{near}{'.' if message else ''}"  # empty if a value is missing
             raise
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Find the command. The error for one that does not exist names what does its task."""
-        if args and (instead := _ELSEWHERE.get(args[0])):
-            ctx.fail(f"No such command '{args[0]}'. Use {instead}.")
+        """Find the command; the error for an unknown command suggests another one."""
+        if args and (suggestion := _SUGGESTIONS.get(args[0])):
+            ctx.fail(f"No such command '{args[0]}'. Use {suggestion}.")
         return super().resolve_command(ctx, args)
 
     def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002
@@ -159,7 +159,7 @@ class _CommandGroups(TyperGroup):
         return list(self.commands)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002
-        """Write the groups into the help."""
+        """Write the groups of commands to the help."""
         widest = max(map(len, self.commands))
         for group, names in GROUPS.items():
             with formatter.section(group):
@@ -172,19 +172,19 @@ def _summary(name: str) -> str:
     return str(TyperCommand(name, help=text).get_short_help_str(_MAX_HELP))
 
 
-# The matrices of this project are small: threads of the linear algebra slow each other down.
+# The matrices of this project are small: threads of the linear algebra would only slow each other down.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# Its tables are small too: a pool takes 4 MB in advance.
+# Its tables are small too: a memory pool would allocate 4 MB in advance.
 os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
-# To look for plugins of pydantic, it reads the metadata of all packages.
+# Searching for plugins, pydantic would read the metadata of all packages.
 os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
-# Where they are installed, numba would import coverage, for a tenth of its time, and pyarrow.parquet the
-# clients of remote file systems, 3.5 MB.
+# If they are installed, numba would import coverage, which takes a tenth of its import time, and
+# pyarrow.parquet the clients of remote file systems, 3.5 MB.
 for _unused in ("coverage", "pyarrow._azurefs", "pyarrow._gcsfs", "pyarrow._hdfs", "pyarrow._s3fs"):
     sys.modules.setdefault(_unused, None)  # type: ignore[arg-type]
 
-#: Modules leave half a million objects that stay: to search them for cycles as often as Python does takes a
-#: fifth of the time to start.
+#: Imports leave half a million permanent objects: searching them for cycles at Python's default rate takes a
+#: fifth of the start-up time.
 _GC_THRESHOLD = (50_000, 10, 10)
 
 app = typer.Typer(
@@ -197,8 +197,8 @@ app = typer.Typer(
 )
 
 
-def _print_version(is_wanted: bool) -> None:
-    if is_wanted:
+def _print_version(is_requested: bool) -> None:
+    if is_requested:
         from gyrobench.bench import __version__
 
         typer.echo(f"gyrobench {__version__}")
@@ -215,8 +215,8 @@ def options(
 
 
 def _end_quickly() -> None:
-    """Leave the objects as they are: Python would search all of them for cycles once more."""
-    if "duckdb" not in sys.modules:  # which reports those that are left as leaks
+    """Freeze the objects at exit: Python would otherwise search all of them for cycles again."""
+    if "duckdb" not in sys.modules:  # duckdb reports the remaining objects as leaks
         gc.freeze()
 
 

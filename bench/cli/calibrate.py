@@ -30,38 +30,39 @@ def calibrate(
         Path | None, typer.Option(help="Folder for the results; default: none are written.")
     ] = None,
     lever_arms: Annotated[
-        bool, typer.Option("--lever-arms", help="Estimate where the accelerometers are in the unit, too.")
+        bool,
+        typer.Option("--lever-arms", help="Also estimate the positions of the accelerometers in the unit."),
     ] = False,
     delay: Annotated[
-        bool, typer.Option("--delay", help="Estimate the delay of the accelerometers, too.")
+        bool, typer.Option("--delay", help="Also estimate the delay of the accelerometers.")
     ] = False,
     quadratic: Annotated[
-        bool, typer.Option("--quadratic", help="Estimate the quadratic terms of the accelerometers, too.")
+        bool, typer.Option("--quadratic", help="Also estimate the quadratic terms of the accelerometers.")
     ] = False,
     g_sensitivity: Annotated[
-        bool,
-        typer.Option("--g-sensitivity", help="Estimate how the gyro biases follow the specific force, too."),
+        bool, typer.Option("--g-sensitivity", help="Also estimate the g-sensitivity of the gyro biases.")
     ] = False,
     asymmetry: Annotated[
         bool,
         typer.Option(
             "--asymmetry",
-            help="Estimate the asymmetry of each gyro's scale factor, too; default: where the log has whole "
-            "turns both ways.",
+            help="Also estimate the asymmetry of each gyro's scale factor; default: if the log has whole "
+            "turns in both directions.",
         ),
     ] = False,
     drift: Annotated[
-        bool, typer.Option("--drift", help="Estimate a steady drift of each gyro's bias in each log, too.")
+        bool, typer.Option("--drift", help="Also estimate a steady drift of each gyro's bias in each log.")
     ] = False,
     body_frame: Annotated[
-        Literal["accelerometers", "gyros"], typer.Option(help="Sensors that the body frame is fixed to.")
+        Literal["accelerometers", "gyros"], typer.Option(help="Sensors to which the body frame is fixed.")
     ] = "accelerometers",
     as_json: JsonOption = False,
 ) -> None:
-    """Estimate all sensor coefficients from rates or increments of a unit that is turned between rests.
+    """Estimate all sensor coefficients from rates or increments of a unit that is rotated between rests.
 
     Biases, scale factors and misalignments of gyros and accelerometers, with uncertainties. Rests and
-    rotations are found in the logs; what the data do not determine is stated. Missing samples divide a log.
+    rotations are detected in the logs; undetermined coefficients are reported. A gap in the samples splits a
+    log.
 
     With --out: coefficients.csv, correlations.csv, calibration.json, which is also what --json prints:
     {"logs", "map", "body_frame", "coefficients", "noise", "gravity_mps2", "gravity_sigma_mps2",
@@ -83,15 +84,15 @@ def calibrate(
     log_map = load_log_map(map_path, for_calibration=True)
     for path in logs:
         if path.is_dir():
-            within = path / "can" if (path / "can").is_dir() else path
-            raise DocumentError(f"{path}: is a folder. Give its log files, as {within}/*.blf")
+            log_folder = path / "can" if (path / "can").is_dir() else path
+            raise DocumentError(f"{path}: is a folder. Give its log files, as {log_folder}/*.blf")
         if not path.exists():
             raise DocumentError(f"{path}: there is no such file")
     digests = {path: file_sha256(path) for path in logs}
     if len(set(digests.values())) < len(logs):
         raise DocumentError("two logs have the same content, which would count twice. Name each log once")
-    read = read_logs(logs, log_map)
-    interval_error = max(each.interval_error for each in read)
+    read_results = read_logs(logs, log_map)
+    interval_error = max(each.interval_error for each in read_results)
     site, options = calibration_settings(log_map, interval_error)
     options = replace(
         options,
@@ -102,21 +103,25 @@ def calibrate(
         asymmetries=(0, 1, 2) if asymmetry else None,
         bias_drift=BIAS_DRIFT if drift else 0.0,
     )
-    found = estimate([recording for each in read for recording in each.recordings], site, options)
-    counts = sum(each.left_out for each in read), sum(each.samples for each in read)
+    calibration = estimate(
+        [recording for each in read_results for recording in each.recordings], site, options
+    )
+    counts = sum(each.left_out for each in read_results), sum(each.samples for each in read_results)
     origin = {
         "logs": [
             {"file": str(path), "sha256": digests[path], "samples": log.samples, "left_out": log.left_out}
-            for path, log in zip(logs, read, strict=True)
+            for path, log in zip(logs, read_results, strict=True)
         ],
         "map": {"file": str(map_path), "sha256": file_sha256(map_path)},
     }
     turns = options.whole_turns
-    spins = [] if turns is None else spin_scale_factors(found, site, turns)
+    spins = [] if turns is None else spin_scale_factors(calibration, site, turns)
     if body_frame == "gyros":
-        found = found.in_gyro_frame()
-    record = plain(calibration_record(found, site, spins, origin))
-    paths = write_calibration(out, found, record) if out else []
-    summary = calibration_summary(found, site, spins, turns is not None, counts)
-    without = [f"Left out {path}: no sample" for path, log in zip(logs, read, strict=True) if not log.samples]
-    print_result(record, as_json, summary, *without, *(f"Written  {path}" for path in paths))
+        calibration = calibration.in_gyro_frame()
+    record = plain(calibration_record(calibration, site, spins, origin))
+    paths = write_calibration(out, calibration, record) if out else []
+    summary = calibration_summary(calibration, site, spins, turns is not None, counts)
+    empty_logs = [
+        f"Left out {path}: no sample" for path, log in zip(logs, read_results, strict=True) if not log.samples
+    ]
+    print_result(record, as_json, summary, *empty_logs, *(f"Written  {path}" for path in paths))

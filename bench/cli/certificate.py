@@ -93,40 +93,40 @@ def certificate(
     from gyrobench.bench.runs.folder import open_run_folder
     from gyrobench.bench.runs.seal import keep_sealed
 
-    wanted = {each.strip() for each in formats.split(",")}
-    if not wanted <= set(FORMATS):
+    selected = {each.strip() for each in formats.split(",")}
+    if not selected <= set(FORMATS):
         raise DocumentError(f"--format {formats}: is not dcc, pdf or dcc,pdf")
     folder = open_run_folder(run_folder)
     recalibration = _recalibration(folder, limit_dph) if limit_dph else ""
-    stated = Order(customer, order, item, number, authorised_by, ambient, recalibration)
-    made = certificate_of(folder, stated, simulated=simulated)
-    signing = load_signing_key(key) if key else None
-    paths = issue_certificate(made, wanted, out or folder.path / "certificate", signing, schema)
+    order_data = Order(customer, order, item, number, authorised_by, ambient, recalibration)
+    content = certificate_of(folder, order_data, simulated=simulated)
+    signing_key = load_signing_key(key) if key else None
+    paths = issue_certificate(content, selected, out or folder.path / "certificate", signing_key, schema)
     keep_sealed(folder)
     print_unfinished([folder.path], on_stderr=as_json)
     if as_json:
         print_json(
             {
-                "number": made.number,
+                "number": content.number,
                 "files": paths,
-                "validated": "dcc" in wanted and schema is not None,
-                "signed": signing is not None,
+                "validated": "dcc" in selected and schema is not None,
+                "signed": signing_key is not None,
             }
         )
         return
     terminal = console()
     for path in paths:
         terminal.print(f"Written  {path}", soft_wrap=True)
-    if signing is None:
+    if signing_key is None:
         terminal.print("Not signed: --key FILE names the laboratory's key.", soft_wrap=True)
-    if "dcc" in wanted and schema is None:
+    if "dcc" in selected and schema is None:
         terminal.print(
             "The DCC is not validated: --schema FOLDER names PTB's dcc.xsd and SI_Format.xsd.", soft_wrap=True
         )
 
 
 def _recalibration(folder: RunFolder, limit_dph: float) -> str:
-    """Until when the biases of the unit stay within a limit; raises DocumentError if that is not known."""
+    """Sentence on how long the unit's biases stay within a limit; raises DocumentError if unknown."""
     from gyrobench.bench.cli.run_selection import open_index
     from gyrobench.bench.report.run_content import read_run
     from gyrobench.bench.report.run_report import serial_number_of
@@ -137,15 +137,15 @@ def _recalibration(folder: RunFolder, limit_dph: float) -> str:
     from gyrobench.bench.runs.index.selection import Selection
 
     index = open_index(str(folder.path.resolve().parent))
-    own = Selection(unit=serial_number_of(read_run(folder)))
-    fitted = trends(read_run_biases(index, [run["path"] for run in find_runs(index, own)]))
-    due = recalibrations(index, own, fitted, limit_dph)
+    selection = Selection(unit=serial_number_of(read_run(folder)))
+    fitted = trends(read_run_biases(index, [run["path"] for run in find_runs(index, selection)]))
+    due = recalibrations(index, selection, fitted, limit_dph)
     if not any(due):
         raise DocumentError(
-            f"{folder.path.parent}: holds too few runs of unit {own.unit} to state until when its "
+            f"{folder.path.parent}: holds too few runs of unit {selection.unit} to state until when its "
             "biases stay within a limit. Leave --limit-dph out"
         )
-    return recalibration_sentence(str(own.unit), due)
+    return recalibration_sentence(str(selection.unit), due)
 
 
 def _verify(path: Path, trusted: Path | None, as_json: bool) -> None:
@@ -156,10 +156,10 @@ def _verify(path: Path, trusted: Path | None, as_json: bool) -> None:
     if as_json:
         print_json({"file": path, "valid": is_valid, **vars(check)})
     elif is_valid:
-        known = "" if trusted else ", which was not compared with a trusted one"
+        trust_note = "" if trusted else ", which was not compared with a trusted one"
         console().print(
             f"Unchanged since it was signed by {check.signer}, certificate SHA-256 "
-            f"{check.fingerprint[:16]}…{known}.",
+            f"{check.fingerprint[:16]}…{trust_note}.",
             soft_wrap=True,
         )
     else:

@@ -69,9 +69,9 @@ def close(
 ) -> None:
     """Search for effects that explain the residual of the bias model, and test them on a held-out cycle.
 
-    A campaign of one cycle is searched whole; an effect found stays ambiguous without a second cycle.
+    In a campaign of one cycle all dwells are searched; an effect found is ambiguous without a second cycle.
     Several tables or runs are joined on one time axis. Their dwells and cycles get numbers that are
-    unique in all of them; the output shows which.
+    unique in all of them; the output lists them.
 
     With --json: {"folder", "report", "closure"}, the last with what closure.json holds: "verdict", which
     is clean, explained, ambiguous or unexplained, "effects", "error_before_dph", "error_after_dph", ...
@@ -102,8 +102,8 @@ def close(
     page, report = write_search(closure, tables, out)
     folder = page.parent
     if as_json:
-        found = json.loads((folder / "closure.json").read_text(encoding="utf-8"))
-        print_json({"folder": folder, "report": page, "closure": found})
+        outcome = json.loads((folder / "closure.json").read_text(encoding="utf-8"))
+        print_json({"folder": folder, "report": page, "closure": outcome})
         print_unfinished(tables, on_stderr=True)
         return
     terminal = console()

@@ -41,10 +41,10 @@ def control(
         raise RunFolderError(f"{run_folder}: is an investigation. Give the folder of its run in progress")
     holder = holder_of(run_folder)
     if holder is None:
-        look = f". `gyrobench resume {shlex.quote(str(run_folder))} --look` shows what is left of it"
+        hint = f". `gyrobench resume {shlex.quote(str(run_folder))} --look` shows what is left of it"
         is_run = RunFolder(run_folder).journal.exists()
         raise RunFolderError(
-            f"{run_folder}: no run is in progress there on this machine{look if is_run else ''}"
+            f"{run_folder}: no run is in progress there on this machine{hint if is_run else ''}"
         )
     if holder.host != socket.gethostname():
         raise RunFolderError(f"{run_folder}: the run is on {holder.host}. Run gyrobench control there")
@@ -68,7 +68,7 @@ def control(
 
 
 def _holds(live: Path) -> bool:
-    """Whether a run held, for the operator or after a trip, at its last snapshot."""
+    """Whether a run was holding at its last snapshot, by command or after a trip."""
     from gyrobench.bench.monitor.snapshot import RunState, read_snapshot
 
     try:

@@ -10,13 +10,13 @@ import typer
 from gyrobench.bench.cli.options import RunArgument
 from gyrobench.bench.foundations.errors import DocumentError
 
-_WHAT = "dwells, bins, joint, verification, telemetry, navigation, can, compensation"
+_DATA_KINDS = "dwells, bins, joint, verification, telemetry, navigation, can, compensation"
 
 
 def export(
     run_folder: RunArgument,
     what: Annotated[
-        str, typer.Option(help=f"Comma-separated list of {_WHAT}; default: all but navigation.")
+        str, typer.Option(help=f"Comma-separated list of {_DATA_KINDS}; default: all but navigation.")
     ] = "",
     formats: Annotated[
         str,
@@ -42,19 +42,19 @@ def export(
     from gyrobench.bench.runs.folder import open_run_folder
 
     selection = ExportSelection(
-        [DataKind(name) for name in _chosen(what, list(DataKind), "--what")],
-        [Format(name) for name in _chosen(formats, list(Format), "--format")],
+        [DataKind(name) for name in _parse_names(what, list(DataKind), "--what")],
+        [Format(name) for name in _parse_names(formats, list(Format), "--format")],
         dwell,
     )
     folder = open_run_folder(run_folder)
     exported = export_run(folder, selection, out or folder.path / "export", force)
     for path in exported.files:
         typer.echo(f"{_size(path):>9}  {path}")
-    for kind, why in exported.missing.items():
-        typer.echo(f"not exported: {kind}: {why}")
+    for kind, reason in exported.missing.items():
+        typer.echo(f"not exported: {kind}: {reason}")
 
 
-def _chosen(text: str, allowed: list[str], option: str) -> list[str]:
+def _parse_names(text: str, allowed: list[str], option: str) -> list[str]:
     names = [name.strip() for name in text.split(",") if name.strip()]
     for name in names:
         if name not in allowed:

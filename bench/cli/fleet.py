@@ -44,7 +44,9 @@ _SchedulerOption = Annotated[
         metavar="ADDRESS", help="Dask scheduler (tcp://host:8786) whose workers see the same paths."
     ),
 ]
-_AgainOption = Annotated[bool, typer.Option("--again", help="Process all runs, also those that are done.")]
+_AgainOption = Annotated[
+    bool, typer.Option("--again", help="Process all runs, including those that are done.")
+]
 _OutOption = Annotated[
     Path | None, typer.Option(help="Folder of the record fleet.json; default: ./fleet-KIND.")
 ]
@@ -52,7 +54,7 @@ _OutOption = Annotated[
 _HELP = {
     "bins": "Re-evaluate many runs from their raw CAN logs and write their tables.",
     "close": "Search many runs for effects that their bias models lack.\n\n"
-    "    Runs whose dwells can't be searched, as too few, are listed as not searched; they are not failures.",
+    "    Runs whose dwells can't be searched, such as too few, are listed as not searched, not as failures.",
     "report": "Write the reports of many runs.",
 }
 _DETAILS = """
@@ -86,10 +88,10 @@ def _add_command(kind: str) -> None:
         if scheduler and (workers or threads):
             raise DocumentError("--scheduler excludes --workers and --threads. Give one or the other")
         if bool(runs) == bool(from_index) or (runs and selection != ANY_RUN):
-            wrong = (
+            message = (
                 "give either RUNS or --from-index ROOT; only the latter can be selected by unit, date etc."
             )
-            raise DocumentError(wrong)
+            raise DocumentError(message)
         if from_index:
             paths = runs_in_index(from_index, open_index(from_index, index), selection)
         else:
@@ -108,7 +110,7 @@ for _kind in _HELP:
 
 def _process(record: FleetRecord, paths: list[Path], workers: Workers, *, as_json: bool) -> None:
     from gyrobench.bench.fleet.jobs import RECORD, JobState
-    from gyrobench.bench.fleet.workers import FleetProgress, connected, work_through
+    from gyrobench.bench.fleet.workers import FleetProgress, connect_workers, work_through
     from gyrobench.bench.foundations.clock import WallClock
 
     pending = record.pending(paths)
@@ -116,16 +118,16 @@ def _process(record: FleetRecord, paths: list[Path], workers: Workers, *, as_jso
     clock = WallClock()
     if pending:
         terminal.print(f"fleet {record.kind}: {len(pending)} of {len(paths)} runs, {workers.describe()}")
-        with connected(workers) as pool, FleetProgress(terminal, len(pending)) as progress:
+        with connect_workers(workers) as pool, FleetProgress(terminal, len(pending)) as progress:
             for result in work_through(pool, record, pending):
                 progress.advance(result)
     entries = {path: record.runs[str(path)] for path in paths}
     counts = Counter((path not in pending, entry.state) for path, entry in entries.items())
     parts = [
-        f"{counts[before, state]} {state}{' before' if before else ''}"
-        for before in (False, True)
+        f"{counts[is_earlier, state]} {state}{' before' if is_earlier else ''}"
+        for is_earlier in (False, True)
         for state in JobState
-        if counts[before, state]
+        if counts[is_earlier, state]
     ]
     is_incomplete = any(state in (JobState.FAILED, JobState.SKIPPED) for _, state in counts)
     again = " Repeat the command to retry only these." if is_incomplete else ""
@@ -166,29 +168,31 @@ def batch(
     from gyrobench.bench.report.terminal.tables import section_view
     from gyrobench.bench.runs.index.run_index import find_runs, watermark
 
-    opened = open_index(root, index)
-    runs = find_runs(opened, selection)
+    run_index = open_index(root, index)
+    runs = find_runs(run_index, selection)
     batches = sorted({run["batch"] for run in runs})
     if len(batches) != 1:
-        raise DocumentError(_which_batch(opened, root, selection.batch, batches))
+        raise DocumentError(_batch_problem(run_index, root, selection.batch, batches))
     name = batches[0]
-    fitted = fit_batch(read_batch(opened, runs))
+    statistics = fit_batch(read_batch(run_index, runs))
     word = watermark(runs)
-    page = write_batch(out, name, fitted, f"{len(runs)} runs in {root}", word)
+    page = write_batch(out, name, statistics, f"{len(runs)} runs in {root}", word)
     print_result(
-        batch_document(name, fitted, word),
+        batch_document(name, statistics, word),
         as_json,
-        section_view(batch_summary(name, fitted)),
+        section_view(batch_summary(name, statistics)),
         f"Report   {page}\nFigures  {out / 'figures'}\nTables   {out / 'batch.json'}",
     )
 
 
-def _which_batch(opened: RunIndex, root: str, batch: str | None, found: list[str]) -> str:
-    """Say why there is not one batch to compare, and which can be given."""
-    if found:
-        return f"the selected runs are of several batches: {', '.join(map(repr, found))}. Give --batch"
-    known = [str(row[0]) for row in opened.query("SELECT DISTINCT batch FROM units ORDER BY batch").rows]
-    what = f"no run of batch {batch}" if batch else "no run is selected"
-    if known:
-        return f"{what}; {root}/units.csv has the batches {', '.join(known)}"
-    return f"{what}. List the batch of each unit in {root}/units.csv (columns unit,batch,hardware,note)"
+def _batch_problem(run_index: RunIndex, root: str, batch: str | None, batches: list[str]) -> str:
+    """Message on why there is no single batch to compare, and which batches can be selected."""
+    if batches:
+        return f"the selected runs are of several batches: {', '.join(map(repr, batches))}. Give --batch"
+    known_batches = [
+        str(row[0]) for row in run_index.query("SELECT DISTINCT batch FROM units ORDER BY batch").rows
+    ]
+    problem = f"no run of batch {batch}" if batch else "no run is selected"
+    if known_batches:
+        return f"{problem}; {root}/units.csv has the batches {', '.join(known_batches)}"
+    return f"{problem}. List the batch of each unit in {root}/units.csv (columns unit,batch,hardware,note)"

@@ -99,7 +99,7 @@ def investigate(
     bench_time_limit_s: Annotated[
         float | None,
         typer.Option(
-            min=1.0, help="Longest time that the command may take for a block, s; default: by the plan."
+            min=1.0, help="Longest time that the command may take for a block, s; default: from the plan."
         ),
     ] = None,
     view: ViewOption = "live",
@@ -107,10 +107,10 @@ def investigate(
 ) -> None:
     """Choose and run measurements until the effect behind a residual is identified; verify its compensation.
 
-    Each block is the one that is expected to distinguish most, per hour, what the search left open. What each
-    hypothesis predicts is written to the journal before the block is measured. The same command continues an
-    investigation that was interrupted. Exit code 0: the effect is identified, or nothing was found; 1:
-    neither.
+    Each block is the one expected to distinguish best, per hour, between the hypotheses that the search left
+    open. The prediction of each hypothesis is recorded in the journal before the block is measured. The same
+    command continues an interrupted investigation. Exit code 0: the effect is identified, or nothing was
+    found; 1: neither.
 
     With --json: {"ended", "reason", "folder", "report", "hours", "blocks", "verdict", "effects",
     "uncertainty_ratio", "verification"}; ended is settled, nothing_found, not_on_list, budget, no_block,
@@ -132,8 +132,8 @@ def investigate(
                 "--bench goes with one table, without --station, --world, --seed and --verification"
             )
         folder = out or Path(sources[0]).parent / "investigation"
-        found = _with_command(bench, Path(sources[0]), folder, budget_h, bench_time_limit_s, consent)
-        _report(consent.terminal, found, folder, sources, None, as_json)
+        investigation = _with_command(bench, Path(sources[0]), folder, budget_h, bench_time_limit_s, consent)
+        _report(consent.terminal, investigation, folder, sources, None, as_json)
         return
     start = _start(sources, runs, station, world, seed, out, adaptive=adaptive)
     if approve == "auto" and start.job.station.file.block_approval != "auto":
@@ -141,13 +141,15 @@ def investigate(
             f"{start.job.station.path}: does not allow blocks without approval. Set block_approval: auto, or "
             "leave --approve auto out"
         )
-    found, proof = _with_station(start, budget_h, verification or "verify_compensation", view, consent)
-    _report(consent.terminal, found, start.folder, sources, proof, as_json)
+    investigation, verification_result = _with_station(
+        start, budget_h, verification or "verify_compensation", view, consent
+    )
+    _report(consent.terminal, investigation, start.folder, sources, verification_result, as_json)
 
 
 @dataclass(frozen=True)
 class _Consent:
-    """Approval of blocks: it shows each and asks, if a person approves."""
+    """Approval of blocks: prints each block and asks the operator, unless approval is automatic."""
 
     terminal: RunConsole
     is_automatic: bool
@@ -161,14 +163,14 @@ class _Consent:
         return self.is_given()
 
     def is_given(self) -> bool:
-        """Whether to measure what was shown."""
+        """Whether to measure the printed block."""
         return self.is_automatic or typer.confirm("Measure it?", err=self.as_json)
 
 
 def _with_command(
     command: str, table: Path, folder: Path, budget_h: float, time_limit_s: float | None, consent: _Consent
 ) -> Investigation:
-    """Investigate a table with blocks that a command measures."""
+    """Investigate a table with blocks measured by an external command."""
     from gyrobench.bench.bias.dwell_table import read_dwells
     from gyrobench.bench.foundations.clock import WallClock
     from gyrobench.bench.investigation.external_bench import ExternalBench
@@ -188,7 +190,7 @@ def _start(
     *,
     adaptive: bool,
 ) -> InvestigationStart:
-    """What an investigation on a station begins with: a procedure, or runs that were measured."""
+    """Start of an investigation on a station, from a procedure or from measured runs."""
     from gyrobench.bench.engine.investigation_runs import start_with_procedure, start_with_runs
     from gyrobench.bench.engine.job import require_one_unit
     from gyrobench.bench.foundations.errors import DocumentError
@@ -208,9 +210,9 @@ def _start(
 
 
 def _with_station(
-    start: InvestigationStart, budget_h: float, verification: str, view: View, consent: _Consent
+    start: InvestigationStart, budget_h: float, procedure: str, view: View, consent: _Consent
 ) -> tuple[Investigation, VerificationResult | None]:
-    """Investigate on a station, and verify the compensation of an effect that was found."""
+    """Investigate on a station, and verify the compensation of the identified effect."""
     from gyrobench.bench.engine.investigation_runs import StationBench, measure_campaign
     from gyrobench.bench.foundations.clock import WallClock
     from gyrobench.bench.investigation.investigation import Investigator
@@ -225,38 +227,42 @@ def _with_station(
     if start.is_measured_first:
         clock = measure_campaign(job, first, observe)
         write_report(first)
-    own = StationBench(job, start.runs, start.folder, observe, clock)
-    found = Investigator(own, start.folder, budget_h, consent, start.profile).run(WallClock())
-    proof = None
-    if found.is_conclusive and verification != "none":
-        proof = _verified(start, found, verification, observe, consent)
+    bench = StationBench(job, start.runs, start.folder, observe, clock)
+    investigation = Investigator(bench, start.folder, budget_h, consent, start.profile).run(WallClock())
+    verification_result = None
+    if investigation.is_conclusive and procedure != "none":
+        verification_result = _verify(start, investigation, procedure, observe, consent)
     write_report(first)
-    return found, proof
+    return investigation, verification_result
 
 
-def _verified(
-    start: InvestigationStart, found: Investigation, procedure: str, observe: Observe, consent: _Consent
+def _verify(
+    start: InvestigationStart,
+    investigation: Investigation,
+    procedure: str,
+    observe: Observe,
+    consent: _Consent,
 ) -> VerificationResult | None:
-    """Verify the compensation for the effect that was found; None where that is not confirmed."""
+    """Verify the compensation for the identified effect; None if the operator declines."""
     from gyrobench.bench.engine.investigation_runs import measure_verification, verification_runs
     from gyrobench.bench.runs.folder import RunFolder
     from gyrobench.bench.verification.compensation_verification import IN_WORDS
 
     campaign, folder = RunFolder(start.runs[0]), start.folder / "verification"
-    runs = verification_runs(campaign, found.closure, procedure, start.job, folder)
-    what = " and ".join(IN_WORDS[name] for name in runs.selected)
+    runs = verification_runs(campaign, investigation.closure, procedure, start.job, folder)
+    description = " and ".join(IN_WORDS[name] for name in runs.selected)
     hours = sum(runs.jobs[name].plan.duration_s for name in runs.selected) / 3600.0
-    consent.terminal.print(f"Verification in {hours:.1f} h, {what}.")
+    consent.terminal.print(f"Verification in {hours:.1f} h, {description}.")
     missing = [name for name in runs.selected if not runs.is_finished(name)]
     return measure_verification(runs, observe) if not missing or consent.is_given() else None
 
 
 def _report(
     terminal: RunConsole,
-    found: Investigation,
+    investigation: Investigation,
     folder: Path,
     sources: Sequence[str],
-    proof: VerificationResult | None,
+    verification_result: VerificationResult | None,
     as_json: bool,
 ) -> None:
     from gyrobench.bench.report.closure_page import write_search
@@ -266,33 +272,33 @@ def _report(
     from gyrobench.bench.report.verification_text import outcome_sentence
     from gyrobench.bench.verification.compensation_verification import table_records, write_verification_table
 
-    write_search(found.closure, [folder / "dwells.csv"], folder / "closure")
-    page = write_investigation_page(folder, found, ", ".join(sources), proof)
-    if proof is not None:
-        write_verification_table(folder / "verification" / "comparison.csv", proof.results)
-        write_verification_page(folder / "verification", proof, folder / "dwells.csv")
+    write_search(investigation.closure, [folder / "dwells.csv"], folder / "closure")
+    page = write_investigation_page(folder, investigation, ", ".join(sources), verification_result)
+    if verification_result is not None:
+        write_verification_table(folder / "verification" / "comparison.csv", verification_result.results)
+        write_verification_page(folder / "verification", verification_result, folder / "dwells.csv")
     if as_json:
         print_json(
             {
-                "ended": found.ended,
-                "reason": found.reason,
+                "ended": investigation.ended,
+                "reason": investigation.reason,
                 "folder": folder,
                 "report": page,
-                "hours": found.spent_h,
-                "blocks": len(found.stages) - 1,
-                "verdict": found.closure.verdict,
-                "effects": found.closure.posterior.effect_probabilities,
-                "uncertainty_ratio": found.calibration.ratio if found.calibration else None,
-                "verification": table_records(proof.results) if proof else None,
+                "hours": investigation.spent_h,
+                "blocks": len(investigation.stages) - 1,
+                "verdict": investigation.closure.verdict,
+                "effects": investigation.closure.posterior.effect_probabilities,
+                "uncertainty_ratio": investigation.calibration.ratio if investigation.calibration else None,
+                "verification": table_records(verification_result.results) if verification_result else None,
             }
         )
     else:
-        for sentence in closing_sentences(found):
+        for sentence in closing_sentences(investigation):
             terminal.print(sentence)
-        if proof is not None:
-            terminal.print(outcome_sentence(proof))
+        if verification_result is not None:
+            terminal.print(outcome_sentence(verification_result))
         terminal.print(
             f"Report   {page}\nTable    {folder / 'dwells.csv'}\nFolder   {folder}", soft_wrap=True
         )
-    if not found.is_conclusive:
+    if not investigation.is_conclusive:
         raise typer.Exit(EXIT_NOT_FINISHED)

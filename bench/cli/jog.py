@@ -19,7 +19,7 @@ def jog(
     leave: Annotated[
         bool,
         typer.Option(
-            "--leave", help="At the end leave chamber, unit and servos as they are; the table stops."
+            "--leave", help="At the end keep the state of chamber, unit and servos; the table stops."
         ),
     ] = False,
     world: WorldOption = None,
@@ -28,7 +28,7 @@ def jog(
 ) -> None:
     """Manual control of table, chamber and INS, within the limits of the station.
 
-    Commands are typed one a line, come from a pipe, or are given as arguments, each in quotes; `help`
+    Commands are typed one per line, come from a pipe, or are given as arguments, each in quotes; `help`
     lists them. The interlocks of the station are active: a trip brings the bench to its safe state and
     reports the reason. Ctrl-C stops the table. At the end the bench is left in its safe state.
 
@@ -40,6 +40,6 @@ def jog(
     from gyrobench.bench.jog.jog_session import jog_bench
     from gyrobench.bench.station.instruments import Emulation
 
-    all_done = jog_bench(station, commands or [], Emulation.of(station, world, seed, faults), leave)
-    if not all_done:
+    succeeded = jog_bench(station, commands or [], Emulation.of(station, world, seed, faults), leave)
+    if not succeeded:
         raise typer.Exit(EXIT_NOT_FINISHED)

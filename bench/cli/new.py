@@ -59,7 +59,7 @@ def station(
 ) -> None:
     """Write a station file: fill in location, ports, limits, noise, mounting and signals.
 
-    What is `fill_in` has to be replaced before the bench can be used; then run `gyrobench check`.
+    Replace each `fill_in` before the bench is used, then run `gyrobench check`.
 
     Example: gyrobench new station my_bench --chamber watlow_f4
     """
@@ -127,7 +127,7 @@ def _write(
     next_step: str = "Edit it. Next: gyrobench validate",
 ) -> None:
     """Write a new file and print the next step; existing files are not overwritten."""
-    if name.startswith("-"):  # a file so named would be an option to every command
+    if name.startswith("-"):  # such a file name would be an option to every command
         raise DocumentError(
             f"a name begins with a letter, digit or underscore; found '{name}'. "
             "For standard output: NAME --out -"
@@ -141,6 +141,6 @@ def _write(
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
     except OSError as error:
-        why = "exists already; choose another --out" if path.exists() else str(error.strerror)
-        raise DocumentError(f"{path}: {why}. Nothing was written.") from error
+        reason = "exists already; choose another --out" if path.exists() else str(error.strerror)
+        raise DocumentError(f"{path}: {reason}. Nothing was written.") from error
     typer.echo(f"{path}: written. {next_step} {path}")

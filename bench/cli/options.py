@@ -1,4 +1,4 @@
-"""Options that several commands share, and what the shell completes for them."""
+"""Options that several commands share, and their shell completion."""
 
 from __future__ import annotations
 
@@ -18,50 +18,50 @@ _MAX_RUNS = 200
 _Completion = Callable[[str], list[str]]
 
 
-def _shipped(kind: str) -> _Completion:
+def _complete_shipped(kind: str) -> _Completion:
     def complete(incomplete: str) -> list[str]:
         from gyrobench.bench.foundations.shipped import shipped_names
 
-        return _beginning_with(incomplete, shipped_names(kind))
+        return _matching(incomplete, shipped_names(kind))
 
     return complete
 
 
-complete_procedure = _shipped("procedures")
-complete_station = _shipped("stations")
-complete_world = _shipped("worlds")
-complete_faults = _shipped("faults")
-complete_import_map = _shipped("imports")
+complete_procedure = _complete_shipped("procedures")
+complete_station = _complete_shipped("stations")
+complete_world = _complete_shipped("worlds")
+complete_faults = _complete_shipped("faults")
+complete_import_map = _complete_shipped("imports")
 
 
 def complete_plan(incomplete: str) -> list[str]:
     """Names of shipped procedures and lists of rotations."""
-    return [*complete_procedure(incomplete), *_shipped("rotations")(incomplete)]
+    return [*complete_procedure(incomplete), *_complete_shipped("rotations")(incomplete)]
 
 
 def complete_template(incomplete: str) -> list[str]:
     """Names of templates of a new procedure."""
     from gyrobench.bench.foundations.shipped import TEMPLATES, shipped_names
 
-    return _beginning_with(incomplete, [*TEMPLATES, *shipped_names("procedures")])
+    return _matching(incomplete, [*TEMPLATES, *shipped_names("procedures")])
 
 
 def complete_table(incomplete: str) -> list[str]:
     """Installed dialects of rate tables."""
     from gyrobench.bench.foundations.packages import RATE_TABLES, installed
 
-    return _beginning_with(incomplete, installed(RATE_TABLES))
+    return _matching(incomplete, installed(RATE_TABLES))
 
 
 def complete_chamber(incomplete: str) -> list[str]:
     """Installed dialects of chambers."""
     from gyrobench.bench.foundations.packages import CHAMBERS, installed
 
-    return _beginning_with(incomplete, installed(CHAMBERS))
+    return _matching(incomplete, installed(CHAMBERS))
 
 
 def complete_run(incomplete: str) -> list[str]:
-    """Run folders under ``runs``, or under the folder that is being typed; the newest first."""
+    """Run folders under ``runs``, or under the typed folder, newest first."""
     from gyrobench.bench.runs.folder import RUNS, RunFolder
 
     typed = Path(incomplete)
@@ -69,14 +69,14 @@ def complete_run(incomplete: str) -> list[str]:
     if not incomplete:
         folder = RUNS
     try:
-        found = [path.parent for path in folder.glob(str(RunFolder(Path("*")).journal))]
+        run_folders = [path.parent for path in folder.glob(str(RunFolder(Path("*")).journal))]
     except OSError:
         return []
-    newest_first = sorted(found, key=lambda path: path.stat().st_mtime, reverse=True)
-    return _beginning_with(incomplete, map(str, newest_first[:_MAX_RUNS]))
+    newest_first = sorted(run_folders, key=lambda path: path.stat().st_mtime, reverse=True)
+    return _matching(incomplete, map(str, newest_first[:_MAX_RUNS]))
 
 
-def _beginning_with(incomplete: str, names: Iterable[str]) -> list[str]:
+def _matching(incomplete: str, names: Iterable[str]) -> list[str]:
     return [name for name in names if name.startswith(incomplete)]
 
 
@@ -93,20 +93,20 @@ _SEED_HELP = "Seed of everything random in the emulated world."
 View = Literal["live", "lines"]
 
 
-def _name_operator(context: typer.Context, name: str) -> str:
-    """Keep the name in the environment until the command ends, also for processes that it starts."""
+def _set_operator(context: typer.Context, name: str) -> str:
+    """Set the name in the environment until the command ends, also for its child processes."""
     if name:
-        before = os.environ.get(OPERATOR_VARIABLE)
+        previous = os.environ.get(OPERATOR_VARIABLE)
         os.environ[OPERATOR_VARIABLE] = name
-        context.call_on_close(lambda: _restore_operator(before))
+        context.call_on_close(lambda: _restore_operator(previous))
     return name
 
 
-def _restore_operator(before: str | None) -> None:
-    if before is None:
+def _restore_operator(previous: str | None) -> None:
+    if previous is None:
         os.environ.pop(OPERATOR_VARIABLE, None)
     else:
-        os.environ[OPERATOR_VARIABLE] = before
+        os.environ[OPERATOR_VARIABLE] = previous
 
 
 PROCEDURE_HELP = "Procedure file, or the name of a shipped one."
@@ -153,7 +153,7 @@ OperatorOption = Annotated[
     typer.Option(
         "--operator",
         metavar="NAME",
-        callback=_name_operator,
+        callback=_set_operator,
         help="Name of the operator, for the audit trail; default: GYROBENCH_OPERATOR, else the login name.",
     ),
 ]

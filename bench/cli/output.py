@@ -1,4 +1,4 @@
-"""What commands print: console, JSON, tables of biases, the end of a run, exit codes."""
+"""Output of commands: console, JSON, tables of biases, the end of a run, exit codes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _Row = TypeVar("_Row")
 
 #: The run did not finish, or a check failed.
 EXIT_NOT_FINISHED = 1
-#: A file, table or option is wrong, the run that was named does not exist, or a package is missing.
+#: A file, table or option is wrong, the named run does not exist, or a package is missing.
 EXIT_WRONG_INPUT = 2
 #: An instrument can't be reached.
 EXIT_INSTRUMENT = 3
@@ -53,7 +53,7 @@ def fail(error: GyrobenchError, code: int) -> NoReturn:
 
 
 def console(as_json: bool = False) -> RunConsole:
-    """Make a console for plain text; on standard error if standard output is for JSON."""
+    """Create a console for plain text; on standard error if standard output is for JSON."""
     from gyrobench.bench.monitor.terminal import RunConsole
 
     return RunConsole(stderr=as_json, markup=False, highlight=False)
@@ -139,7 +139,7 @@ def print_tables(console: Console, folder: RunFolder) -> None:
 
 
 def print_unfinished(paths: Iterable[Path], on_stderr: bool = False) -> None:
-    """State which paths are runs that have not finished, and how to resume them; nothing for others."""
+    """Print which of the paths are unfinished runs, and how to resume them."""
     from gyrobench.bench.runs.folder import RunFolder
     from gyrobench.bench.station.locks import holder_of
 
@@ -160,10 +160,10 @@ def print_end(
     as_json: bool = False,
     fail_on: FailOn | None = None,
 ) -> None:
-    """Report the end of a run, with ``as_json`` also as JSON; lets go of its dwells and results.
+    """Report the end of a run, with ``as_json`` also as JSON; frees its dwells and results.
 
-    ``station_name``: how a command names the station file that the run read. Exits with an error if it did
-    not finish, or is what ``fail_on`` says.
+    ``station_name``: name of the run's station file in commands. Exits with an error if the run did not
+    finish, or meets the condition ``fail_on``.
     """
     from gyrobench.bench.foundations.documents import read_document
     from gyrobench.bench.foundations.memory import free_memory
@@ -178,7 +178,7 @@ def print_end(
         flagged = f"failed: dwell {contradicting} contradicts the station file, see its flag above."
         ending = outcome.ending if contradicting is None else flagged
         console.print(f"The run {ending}", soft_wrap=True, style="bold red")
-        if not outcome.is_station_wrong:  # else the text is long, and follows at the end
+        if not outcome.is_station_wrong:  # otherwise the text is long, and follows at the end
             console.print(resume, soft_wrap=True)
         console.print(safe_state, soft_wrap=True)
     record = _end_record(folder, outcome)
@@ -189,7 +189,7 @@ def print_end(
     findings = run_findings(rows, station, outcome.results.noise, plateaus, outcome.reason)
     del rows
     outcome.release()
-    free_memory()  # which the modules that are imported now use again
+    free_memory()  # reused by the modules imported next
 
     from gyrobench.bench.report.journal_sections import durations_section, step_durations
     from gyrobench.bench.report.run_report import write_report
@@ -200,7 +200,7 @@ def print_end(
 
     try:
         report = write_units_report(folder) if outcome.units else write_report(folder)
-    except RunFolderError:  # as of a full disk
+    except RunFolderError:  # for instance a full disk
         if is_finished:
             console.print(
                 f"{safe_state}\nAll steps are finished, and all dwells are kept.\n"
@@ -237,7 +237,7 @@ def print_end(
 
 
 def _resume_text(folder: RunFolder, outcome: RunOutcome) -> str:
-    """How to resume a run that did not finish; after a wrong station file, what to correct first."""
+    """Text on how to resume an unfinished run, and what to correct in a wrong station file before."""
     resume = f"gyrobench resume {folder.path}"
     if not outcome.is_station_wrong:
         return f"Resume   {resume}"

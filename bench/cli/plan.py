@@ -94,21 +94,21 @@ def plan(
     """
     from gyrobench.bench.engine.job import prepare_job
 
-    for option, value, of, is_given in (
+    for option, value, main_option, is_given in (
         ("--target-dph", target_dph, "--separability", separability),
         ("--closure", closure, "--separability", separability),
         ("--reach", reach or None, "--observability", observability),
         ("--whole-turns-arcsec", whole_turns_arcsec, "--observability", observability),
     ):
         if value is not None and not is_given:
-            raise DocumentError(f"{option} has a meaning with {of} only. Add {of}")
+            raise DocumentError(f"{option} has a meaning with {main_option} only. Add {main_option}")
     if observability:
         _show_observability(procedure, station, whole_turns_arcsec, reach, as_json)
         return
     if as_json and separability:
         raise DocumentError("--separability prints text only: it can't be combined with --json")
     job = prepare_job(procedure, station)
-    searched = _searched(closure) if closure else None
+    searched = _read_search(closure) if closure else None
     _show_steps(job, figure, as_json)
     if separability:
         _print_separability(job, target_dph or _DEFAULT_TARGET_DPH, searched)
@@ -150,7 +150,7 @@ def _show_steps(job: Job, figure: Path | None, as_json: bool) -> None:
     heading = ["Soaks that will probably end by at_most_s before the gyros have settled:"] if soaks else []
     lines = [*heading, *(f"  {each}" for each in soaks)]
     if limits:
-        lines.append("Acceptance limits that no unit can pass, by the noise of these dwells alone:")
+        lines.append("Acceptance limits that no unit can pass because of the noise of these dwells:")
     lines += [f"  {each}" for each in limits]
     if is_cycle_unnumbered(plan):
         lines.append(_NO_CYCLE)
@@ -191,23 +191,23 @@ def _show_observability(
     )
     files = []
     if reach:
-        rotations, found = shortest_list(rotations, parse_targets(reach), setup)
+        rotations, uncertainties = shortest_list(rotations, parse_targets(reach), setup)
         files = [Path(f"{rotations.rotation_list}.yaml")]
         write_text(files[0], rotation_list_text(rotations))
     else:
-        found = expected_uncertainties(rotations, setup)
+        uncertainties = expected_uncertainties(rotations, setup)
     record = {
         "rotation_list": rotations.rotation_list,
         "station": station.file.station,
-        "duration_s": found.duration_s,
-        "coefficients": expected_rows(found),
+        "duration_s": uncertainties.duration_s,
+        "coefficients": expected_rows(uncertainties),
         "file": files[0] if files else None,
     }
-    summary = expected_summary(rotations, found, noise, site_sigmas)
+    summary = expected_summary(rotations, uncertainties, noise, site_sigmas)
     print_result(record, as_json, summary, *(f"Written  {path}" for path in files))
 
 
-def _searched(folder: Path) -> Closure:
+def _read_search(folder: Path) -> Closure:
     from gyrobench.bench.closure.loop import repeat_search
 
     try:
@@ -235,24 +235,24 @@ def _print_separability(job: Job, target_dph: float, closure: Closure | None) ->
         typer.echo(str(error))
         return
     effects = [each.effect for each in closure.evidence] if closure else all_effects(job.document.path)
-    now = separability(searched_dwells(campaign), effects, closure.effects if closure else ())
+    result = separability(searched_dwells(campaign), effects, closure.effects if closure else ())
     planner = job.station.plan_document
     if closure:
         advice = advise_ties(job.document, job.plan, planner, unit, closure)
     else:
-        advice = advise(job.document, job.plan, planner, unit, now, target_dph)
-    console().print(separability_summary(now, len(campaign), unit, target_dph, [] if closure else advice))
+        advice = advise(job.document, job.plan, planner, unit, result, target_dph)
+    console().print(separability_summary(result, len(campaign), unit, target_dph, [] if closure else advice))
     if closure:
         console().print(
-            closure_forecast(closure, unit, now.expected_dph, tie_forecasts(closure, campaign), advice)
+            closure_forecast(closure, unit, result.expected_dph, tie_forecasts(closure, campaign), advice)
         )
     path = Path(f"separability_{name}.png")
-    save_figure(separability_figure(now, target_dph, name), path)
+    save_figure(separability_figure(result, target_dph, name), path)
     typer.echo(f"Figure   {path}")
 
 
 def declared_properties(station: Station) -> UnitProperties:
-    """The unit on a station: its sensors, and its noise where that is declared."""
+    """Properties of the unit on a station: its sensors, and its noise if it is declared."""
     from gyrobench.bench.closure.planned_campaign import UnitProperties
 
     signals, noise = station.file.ins.signals, station.file.ins.noise

@@ -69,10 +69,10 @@ def _run(context: typer.Context, words: list[str], station: str) -> int:
     """Run another command in this process, on this station; returns its exit code."""
     words = words[1:] if words[0] == "gyrobench" else words
     root = context.find_root()
-    known = root.command.get_command(root, words[0])  # type: ignore[attr-defined]
-    takes = {parameter.name: parameter for parameter in known.params} if known else {}
-    if "station" in takes and station not in words:
-        is_option = takes["station"].param_type_name == "option"
+    command = root.command.get_command(root, words[0])  # type: ignore[attr-defined]
+    parameters = {parameter.name: parameter for parameter in command.params} if command else {}
+    if "station" in parameters and station not in words:
+        is_option = parameters["station"].param_type_name == "option"
         words = [*words, *(["--station", station] if is_option else [station])]
     code = root.command.main(args=words, prog_name="gyrobench", standalone_mode=False)
     return code if isinstance(code, int) else 0

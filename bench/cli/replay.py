@@ -23,12 +23,12 @@ def replay(
 
     recorded, calls = replay_recording(recording)
     changed = 0
-    for then, now in zip(recorded.header.calls, calls, strict=True):
-        same = then == now
-        changed += not same
-        typer.echo(f"{'same   ' if same else 'CHANGED'}  {now.ask}: {now.outcome()}")
-        if not same:
-            typer.echo(f"         recorded: {then.outcome()}")
+    for recorded_call, call in zip(recorded.header.calls, calls, strict=True):
+        is_same = recorded_call == call
+        changed += not is_same
+        typer.echo(f"{'same   ' if is_same else 'CHANGED'}  {call.ask}: {call.outcome()}")
+        if not is_same:
+            typer.echo(f"         recorded: {recorded_call.outcome()}")
     if not calls:
         typer.echo("The header of the recording lists no calls of the driver (`calls`).")
     if changed or not calls:

@@ -65,8 +65,8 @@ def report(
     from gyrobench.bench.runs.folder import open_run_folder
     from gyrobench.bench.runs.provenance import watermark_of
 
-    is_of_one_unit = before is not None or out is not None or bool(mark_temperature)
-    folder = open_run_folder(run_folder, may_have_units=not is_of_one_unit)
+    is_single_unit = before is not None or out is not None or bool(mark_temperature)
+    folder = open_run_folder(run_folder, may_have_units=not is_single_unit)
     earlier = open_run_folder(before) if before else None
     formats = [each.value for each in vectors or ()]
     terminal = console()

@@ -42,8 +42,8 @@ def resume(
     re-established. If the run ended before its report was written, results and report are written.
 
     Procedure, station and DBC file are the copies in the run folder. If a copy is corrected, all dwells,
-    also the completed ones, are evaluated with it; a sealed run needs gyrobench seal RUN --accept-changes
-    before.
+    including the completed ones, are evaluated with it; a sealed run first needs gyrobench seal RUN
+    --accept-changes.
 
     Exit codes: 0 the run finished, now or before, or with --look can be resumed; 1 not finished, or files are
     damaged.
@@ -79,7 +79,7 @@ def resume(
         resumption = prepare_resumption(run_folder, anyway)
         terminal.print(resumption.describe(), soft_wrap=True)
     job = resumption.job
-    gc.freeze()  # what is loaded stays: no collection needs to search it
+    gc.freeze()  # loaded objects are permanent: no collection needs to search them
     with observe_in_terminal(terminal, job, view == "live") as (progress, answers):
         folder, outcome = resume_run(resumption, progress, answers, other_instruments=other_instruments)
     del resumption, job, progress, answers  # and with them the instruments: the report needs the memory

@@ -64,21 +64,21 @@ def run(
     from gyrobench.bench.station.instruments import Emulation
 
     terminal = console(as_json)
-    loaded = read_compensation_file(compensation) if compensation else None
+    compensation_file = read_compensation_file(compensation) if compensation else None
     job = prepare_job(
         procedure,
         station,
         Emulation.of(station, world, seed, faults),
         calibration,
-        loaded.compensation() if loaded else None,
+        compensation_file.compensation() if compensation_file else None,
         {"customer": customer, "order": order, "item": item},
         acknowledge or (),
     )
-    if loaded:
-        job = replace(job, unit=loaded.serial_number)
+    if compensation_file:
+        job = replace(job, unit=compensation_file.serial_number)
     if missing := [key for key in job.station.not_filled_in if key != "description"]:
         raise DocumentError(f"{job.station.path}: not filled in yet: {listed(missing)}. Fill them in")
-    gc.freeze()  # what is loaded stays: no collection needs to search it
+    gc.freeze()  # loaded objects are permanent: no collection needs to search them
     with observe_in_terminal(terminal, job, view == "live") as (progress, answers):
         folder, outcome = run_job(job, out, progress, answers)
     del job, progress, answers  # and with them the instruments: the report needs the memory

@@ -87,15 +87,16 @@ def open_index(root: str, path: Path | None = None, *, rebuild: bool = False) ->
     from gyrobench.bench.runs.index.run_index import RunIndex
     from gyrobench.bench.runs.index.store import open_store
 
-    opened = RunIndex(open_store(root), path)
+    index = RunIndex(open_store(root), path)
     terminal = console(as_json=True)
     if not terminal.is_terminal:
-        opened.update(rebuild=rebuild)
-        return opened
+        index.update(rebuild=rebuild)
+        return index
     with terminal.status("searching for runs") as status:
-        changes = opened.update(
-            rebuild=rebuild, progress=lambda done, of: status.update(f"{done} of {of} changed runs read")
+        changes = index.update(
+            rebuild=rebuild,
+            progress=lambda done, total: status.update(f"{done} of {total} changed runs read"),
         )
     if changes.text:
         terminal.print(changes.text)
-    return opened
+    return index

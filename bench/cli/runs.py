@@ -59,29 +59,29 @@ def runs(
         raise DocumentError("--figure and --limit-dph are of the trend. Give --trend too")
     from gyrobench.bench.report.terminal.runs import problems_text
 
-    opened = open_index(root, index, rebuild=rebuild)
+    run_index = open_index(root, index, rebuild=rebuild)
     if sql is not None:
-        content, view = _queried(opened, sql)
+        content, view = _query(run_index, sql)
     elif by is not None:
-        content, view = _grouped(opened, by, selection)
+        content, view = _group(run_index, by, selection)
     elif trend:
-        content, view = _trends(opened, selection, figure, limit_dph)
+        content, view = _trends(run_index, selection, figure, limit_dph)
     else:
-        content, view = _listed(opened, selection, most)
-    problems = opened.problems()
+        content, view = _list(run_index, selection, most)
+    problems = run_index.problems()
     views = [view, problems_text(problems)] if problems else [view]
     print_result({**content, "problems": problems}, as_json, *views)
 
 
-def _listed(index: RunIndex, selection: Selection, most: int) -> tuple[dict[str, Any], RenderableType]:
+def _list(index: RunIndex, selection: Selection, most: int) -> tuple[dict[str, Any], RenderableType]:
     from gyrobench.bench.report.terminal.runs import runs_table
     from gyrobench.bench.runs.index.run_index import find_runs
 
-    found = find_runs(index, selection)
-    return {"runs": found}, runs_table(found, most)
+    matches = find_runs(index, selection)
+    return {"runs": matches}, runs_table(matches, most)
 
 
-def _grouped(index: RunIndex, by: Any, selection: Selection) -> tuple[dict[str, Any], RenderableType]:
+def _group(index: RunIndex, by: Any, selection: Selection) -> tuple[dict[str, Any], RenderableType]:
     from gyrobench.bench.report.terminal.runs import groups_table
     from gyrobench.bench.runs.index.run_index import group_runs
 
@@ -97,32 +97,32 @@ def _trends(
     from gyrobench.bench.runs.index.run_biases import mixed_origins, read_run_biases, trends
     from gyrobench.bench.runs.index.run_index import find_runs
 
-    found = find_runs(index, selection)
-    units = sorted({run["unit"] for run in found})
+    matches = find_runs(index, selection)
+    units = sorted({run["unit"] for run in matches})
     if len(units) != 1:
-        shown = f"{', '.join(units[:10])}{' ...' if len(units) > 10 else ''}"
-        what = f"the selected runs are of {len(units)} units ({shown})" if units else "no run is selected"
-        raise DocumentError(f"a trend is of one unit, but {what}. Give --unit")
-    fitted = trends(read_run_biases(index, [run["path"] for run in found]))
+        names = f"{', '.join(units[:10])}{' ...' if len(units) > 10 else ''}"
+        problem = f"the selected runs are of {len(units)} units ({names})" if units else "no run is selected"
+        raise DocumentError(f"a trend is of one unit, but {problem}. Give --unit")
+    fitted = trends(read_run_biases(index, [run["path"] for run in matches]))
     if figure is not None:
         from gyrobench.bench.report.figures.drift import trend_figure
         from gyrobench.bench.report.figures.style import save_figure, stamp
         from gyrobench.bench.runs.index.run_index import watermark
 
-        drawn = trend_figure(units[0], fitted)
-        stamp(drawn, watermark(found))
-        save_figure(drawn, figure)
-    due = None if limit_dph is None else recalibrations(index, selection, fitted, limit_dph)
+        plot = trend_figure(units[0], fitted)
+        stamp(plot, watermark(matches))
+        save_figure(plot, figure)
+    due_dates = None if limit_dph is None else recalibrations(index, selection, fitted, limit_dph)
     content: dict[str, Any] = {"unit": units[0], "trends": [_plain_trend(each) for each in fitted]}
-    if due is not None:
+    if due_dates is not None:
         content["recalibration"] = [
             {**vars(each.quantity), **(vars(until) if until else {})}
-            for each, until in zip(fitted, due, strict=True)
+            for each, until in zip(fitted, due_dates, strict=True)
         ]
-    return content, trend_summary(units[0], fitted, mixed_origins(found), due or [])
+    return content, trend_summary(units[0], fitted, mixed_origins(matches), due_dates or [])
 
 
-def _queried(index: RunIndex, sql: str) -> tuple[dict[str, Any], RenderableType]:
+def _query(index: RunIndex, sql: str) -> tuple[dict[str, Any], RenderableType]:
     from gyrobench.bench.report.terminal.runs import answer_table
 
     answer = index.query(sql)

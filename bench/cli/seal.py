@@ -36,10 +36,10 @@ def seal(
 ) -> None:
     """Seal a run folder, or verify its seals.
 
-    A run is sealed at its end, and again by each command that adds to its folder: the hashes of all files,
-    who, when and by which command. --verify names the first byte that changed in each file: exactly where
-    one byte of a block of 4 KiB changed, else the block or line. The units of a run of several are sealed and
-    verified with it.
+    A run is sealed at its end, and again by each command that adds to its folder. A seal has the hashes of
+    all files, the operator, the time and the command. --verify reports the first changed byte of each file:
+    exactly if one byte of a block of 4 KiB changed, otherwise the block or line. The units of a run with
+    several units are sealed and verified with it.
 
     With --json and --verify: {"folder", "intact", "seals", "changes": [{"path", "text", "start", "end"}],
     "not_sealed"}.
@@ -55,26 +55,26 @@ def seal(
 
     terminal = console(as_json)
     if new_key is not None:
-        public = seals.new_key(new_key)
-        terminal.print(f"Secret key  {new_key}\nPublic key  {public}", soft_wrap=True)
+        public_key = seals.new_key(new_key)
+        terminal.print(f"Secret key  {new_key}\nPublic key  {public_key}", soft_wrap=True)
         return
     if run_folder is None:
         raise DocumentError("no run folder is given. Name one, or make a key with --new-key FILE")
     if not verify:
         folder = open_run_folder(run_folder, may_have_units=True)
         with RunLock(folder.path, WallClock()):
-            made = seals.seal_run(folder, key, accept_changes=accept_changes)
-        text = "Nothing has changed since the last seal." if made is None else made.describe()
+            new_seal = seals.seal_run(folder, key, accept_changes=accept_changes)
+        text = "Nothing has changed since the last seal." if new_seal is None else new_seal.describe()
         terminal.print(text, soft_wrap=True)
         return
     check = seals.verify_seals(run_folder, key)
     if as_json:
-        kept = [{name: getattr(each, name) for name in _SHOWN} for each in check.seals]
+        records = [{name: getattr(each, name) for name in _SEAL_FIELDS} for each in check.seals]
         print_json(
             {
                 "folder": run_folder,
                 "intact": check.is_intact,
-                "seals": kept,
+                "seals": records,
                 "changes": check.findings,
                 "not_sealed": check.not_sealed,
             }
@@ -95,5 +95,16 @@ def seal(
     terminal.print(f"Unchanged: {len(check.files)} files, {size_mb:.1f} MB.")
 
 
-#: Attributes of a seal that --json gives.
-_SHOWN = ("number", "operator", "login", "host", "utc", "command", "program", "changes", "key", "unsigned")
+#: Attributes of a seal in the JSON output.
+_SEAL_FIELDS = (
+    "number",
+    "operator",
+    "login",
+    "host",
+    "utc",
+    "command",
+    "program",
+    "changes",
+    "key",
+    "unsigned",
+)

@@ -117,7 +117,7 @@ def verify(
 
 
 def _search(run: RunFolder) -> Closure:
-    """Repeat the search of a run; its files are written if they are missing, or of another search.
+    """Repeat the search of a run; its files are written if they are missing or belong to another search.
 
     A run of one cycle is not searched.
     """
@@ -157,7 +157,7 @@ def _measure(terminal: RunConsole, verification: VerificationRuns, name: str, vi
 def _report_result(
     terminal: RunConsole, verification: VerificationRuns, run: RunFolder, as_json: bool
 ) -> None:
-    """Evaluate what was measured, write the files, print the result."""
+    """Evaluate the runs, write the files, print the result."""
     from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.report.terminal.tables import section_view
     from gyrobench.bench.report.verification_page import verification_findings, write_verification_page

@@ -1,4 +1,4 @@
-"""How each kind of step is performed.
+"""Performs each kind of step.
 
 An action is a generator that yields once a tick until its step is over; the engine ticks the bench in
 between and enforces the step's time limit.
@@ -55,34 +55,34 @@ Ticks = Iterator[None]
 _T = TypeVar("_T")
 
 _POSITION_TOLERANCE_DEG = 0.002
-#: A servo may overshoot this long after its profile is complete.
+#: A servo may be off position by overshoot for this long after its motion is complete.
 _OVERSHOOT_S = 10.0
-#: A bus on which the INS stays silent for this long after power-on is reopened.
+#: The bus is reopened if the INS stays silent for this long after power-on.
 _REOPEN_AFTER_S = 15.0
 _POWER_CYCLE_S = 5.0
-#: An INS sends for no longer after its supply was switched off, from what its supply has stored.
+#: Longest time for which an INS may send after its supply is switched off, from stored energy.
 _MAX_SENDS_OFF_S = 30.0
-#: Period of the estimates of the dwell in progress.
+#: Period of the bias estimates of the dwell in progress.
 _ESTIMATE_PERIOD_S = 30.0
 #: Pause before a failed exchange is tried again.
 _RETRY_PAUSE_S = 2.0
 
 
 class StepContext:
-    """What actions share."""
+    """State that the actions share."""
 
     def __init__(self, run: RunContext, units: Units) -> None:
         self.run = run
         self.bench = run.bench
         self.units = units
-        self.retries = 0  #: How often a failed exchange is tried again in the step in progress.
-        #: The turns until the next position: the table is positioned so that they stay within its limits.
+        self.retries = 0  #: How often a failed exchange of the step in progress is repeated.
+        #: Turns until the next position: the table goes to angles from which they stay within its limits.
         self.next_turns_deg: Sequence[TurnOrMove] = ()
 
 
 @singledispatch
 def perform(step: Step, context: StepContext) -> Ticks:
-    """Perform a step, as the module describes."""
+    """Perform a step; yields once a tick."""
     raise NotImplementedError(f"no action for {step.name}")
 
 
@@ -90,27 +90,29 @@ def perform(step: Step, context: StepContext) -> Ticks:
 def _power_on(step: PowerOn, context: StepContext) -> Ticks:
     bench = context.bench
     if bench.station.file.unit.power == "operator":
-        yield from _confirmed(context, "Switch the INS off and on, then answer.", ["on", "stop"])
+        yield from _ask(context, "Switch the INS off and on, then answer.", ["on", "stop"])
     if bench.station.file.unit.power == "chamber_event":
-        # An INS that is on already is switched off first: the time since power-on has to be known.
-        yield from _switched_off(context)
+        # An INS that is already on is switched off first: the time since power-on has to be known.
+        yield from _switch_off(context)
     for unit in context.units.running:
         unit.live.forget()
-    yield from _tried(context, lambda: bench.instruments.power_unit(True, context.units.dropped_events))
+    yield from _with_retries(
+        context, lambda: bench.instruments.power_unit(True, context.units.dropped_events)
+    )
     switched_s = bench.clock.now()
     yield
-    yield from context.units.each(lambda unit: _sending(unit, bench))
+    yield from context.units.for_all(lambda unit: _wait_until_sending(unit, bench))
     bench.read_instruments()  # readings from before the INS sent data do not describe it
     bench.state.units_powered(switched_s)
     for unit in context.units.running:
         unit.live.state.powered()
-    yield from _lasting(bench, step.settle_s)
+    yield from _pause(bench, step.settle_s)
     for unit in context.units.running:
         if fault := latitude_fault(unit.live.status().latitude, bench.station.site):
             raise SignalMapError(f"{unit.live.name}: {fault}")
 
 
-def _sending(unit: MeasuredUnit, bench: LiveBench) -> Ticks:
+def _wait_until_sending(unit: MeasuredUnit, bench: LiveBench) -> Ticks:
     """Wait until the INS sends."""
     reopened_s = bench.clock.now()
     while not unit.live.has_started():
@@ -121,19 +123,19 @@ def _sending(unit: MeasuredUnit, bench: LiveBench) -> Ticks:
         yield
 
 
-def _switched_off(context: StepContext) -> Ticks:
-    """Switch the supplies off, and wait until each INS is silent, but that is on always."""
+def _switch_off(context: StepContext) -> Ticks:
+    """Switch the supplies off, and wait until each INS is silent, unless it is always on."""
     bench, power = context.bench, context.bench.station.file.unit.power
     bench.units_switched_off()
-    yield from _tried(context, lambda: bench.instruments.power_unit(False))
+    yield from _with_retries(context, lambda: bench.instruments.power_unit(False))
     if power == "always_on":
         return
     begin_s = bench.clock.now()
-    yield from _lasting(bench, _POWER_CYCLE_S)
-    yield from context.units.each(lambda unit: _silent(unit, bench, begin_s))
+    yield from _pause(bench, _POWER_CYCLE_S)
+    yield from context.units.for_all(lambda unit: _wait_until_silent(unit, bench, begin_s))
 
 
-def _silent(unit: MeasuredUnit, bench: LiveBench, since_s: float) -> Ticks:
+def _wait_until_silent(unit: MeasuredUnit, bench: LiveBench, since_s: float) -> Ticks:
     while unit.live.status().age_s < BUS_SILENCE_S:
         if bench.clock.now() - since_s > _MAX_SENDS_OFF_S:
             raise RefusedError(
@@ -146,20 +148,20 @@ def _silent(unit: MeasuredUnit, bench: LiveBench, since_s: float) -> Ticks:
 @perform.register
 def _power_off(step: PowerOff, context: StepContext) -> Ticks:  # noqa: ARG001
     if context.bench.station.file.unit.power == "operator":
-        yield from _confirmed(context, "Switch the INS off, then answer.", ["off", "stop"])
-    yield from _switched_off(context)
+        yield from _ask(context, "Switch the INS off, then answer.", ["off", "stop"])
+    yield from _switch_off(context)
     yield
 
 
 @perform.register
-def _chamber(step: SetChamber, context: StepContext) -> Ticks:
+def _set_chamber(step: SetChamber, context: StepContext) -> Ticks:
     bench = context.bench
     bench.state.chamber_state_unknown()
-    # Each driver is looked up when it is used: a port that was reopened has a new one.
-    yield from _tried(
+    # The driver is looked up at each use: reopening a port creates a new one.
+    yield from _with_retries(
         context, lambda: bench.instruments.chamber.set_temperature(step.temperature_c, step.ramp_c_per_min)
     )
-    yield from _tried(context, lambda: bench.instruments.chamber.switch(True))
+    yield from _with_retries(context, lambda: bench.instruments.chamber.switch(True))
     bench.state.chamber_commanded(step.temperature_c)
     commanded_s = bench.clock.now()
     yield
@@ -175,7 +177,7 @@ def _chamber(step: SetChamber, context: StepContext) -> Ticks:
 def _chamber_off(step: ChamberOff, context: StepContext) -> Ticks:  # noqa: ARG001
     bench = context.bench
     bench.state.chamber_switching(False)
-    yield from _tried(context, lambda: bench.instruments.chamber.switch(False))
+    yield from _with_retries(context, lambda: bench.instruments.chamber.switch(False))
     bench.state.chamber_switched(False)
     yield
 
@@ -183,7 +185,7 @@ def _chamber_off(step: ChamberOff, context: StepContext) -> Ticks:  # noqa: ARG0
 @perform.register
 def _soak(step: Soak, context: StepContext) -> Ticks:
     if step.for_s is not None:
-        yield from _lasting(context.bench, step.for_s)
+        yield from _pause(context.bench, step.for_s)
     else:
         yield from until_settled(step, context.run, context.units)
     context.bench.check_set_point_reached()
@@ -191,13 +193,13 @@ def _soak(step: Soak, context: StepContext) -> Ticks:
 
 @perform.register
 def _go_to(step: GoTo, context: StepContext) -> Ticks:
-    context.units.end_captures()  # of an alignment without a dwell
+    context.units.end_captures()  # begun by an alignment without a dwell
     table = context.bench.station.table
     C_nb = POSITIONS[step.position].C_nb(np.deg2rad(step.azimuth_deg))
-    yield from _moved(context, table.angles(C_nb, context.next_turns_deg), step.rate_dps)
+    yield from _move_table(context, table.angles(C_nb, context.next_turns_deg), step.rate_dps)
     for unit in context.units.running:
-        unit.live.state.sent_to(step.position, step.azimuth_deg)
-    yield from _lasting(context.bench, step.settle_s)
+        unit.live.state.table_moved_to(step.position, step.azimuth_deg)
+    yield from _pause(context.bench, step.settle_s)
 
 
 @perform.register
@@ -205,49 +207,49 @@ def _align(step: Align, context: StepContext) -> Ticks:
     bench = context.bench
     for unit in context.units.measuring:
         unit.recorder.begin()
-    yield from _commanded(context, lambda unit: _choosing_euler_sequence(step, unit))
-    yield from _commanded(context, lambda unit: unit.live.ins.enter_stepwise(InsMode.ALIGN))
+    yield from _command_all(context, lambda unit: _choose_euler_sequence(step, unit))
+    yield from _command_all(context, lambda unit: unit.live.ins.enter_stepwise(InsMode.ALIGN))
     begin_s = bench.clock.now()
     yield
-    yield from _lasting(bench, (step.duration_s or 0.0) - (bench.clock.now() - begin_s))
+    yield from _pause(bench, (step.duration_s or 0.0) - (bench.clock.now() - begin_s))
     if step.until_fine:
-        yield from context.units.each(_fine)
+        yield from context.units.for_all(_wait_until_fine)
 
 
-def _fine(unit: MeasuredUnit) -> Ticks:
+def _wait_until_fine(unit: MeasuredUnit) -> Ticks:
     while unit.live.status().alignment is not Alignment.FINE:
         yield
 
 
-def _commanded(context: StepContext, command: Callable[[MeasuredUnit], Ticks | None]) -> Ticks:
-    """Command all units at once, those with a command, and wait until each confirms it.
+def _command_all(context: StepContext, command: Callable[[MeasuredUnit], Ticks | None]) -> Ticks:
+    """Command all units at once and wait for their confirmations; ``command`` returns None if none is needed.
 
-    A failed one is tried again as often as the step allows; then its unit is dropped, or the error raised.
+    A failed command is repeated as often as the step allows; then its unit is dropped, or the error raised.
     """
-    found = {unit: command(unit) for unit in context.units.measuring}
-    waiting = {unit: steps for unit, steps in found.items() if steps is not None}
-    for left in range(context.retries, -1, -1):
-        errors = _confirmed_by_all(context, waiting)
+    commands = {unit: command(unit) for unit in context.units.measuring}
+    waiting = {unit: ticks for unit, ticks in commands.items() if ticks is not None}
+    for remaining_tries in range(context.retries, -1, -1):
+        errors = _exchange_all(context, waiting)
         for unit, error in errors.items():
-            if not left or isinstance(error, FaultError):
+            if not remaining_tries or isinstance(error, FaultError):
                 context.units.fail(unit, error)
                 continue
             _prepare_retry(context, error)
             waiting[unit] = command(unit) or iter(())
         if not waiting:
             return
-        yield from _lasting(context.bench, _RETRY_PAUSE_S)
+        yield from _pause(context.bench, _RETRY_PAUSE_S)
 
 
-def _confirmed_by_all(
+def _exchange_all(
     context: StepContext, waiting: dict[MeasuredUnit, Ticks]
 ) -> dict[MeasuredUnit, InstrumentError]:
-    """Exchange until each command has been confirmed or has failed; empties ``waiting``, returns errors."""
+    """Poll until each command is confirmed or has failed; empties ``waiting`` and returns the errors."""
     errors: dict[MeasuredUnit, InstrumentError] = {}
     while waiting:
-        for unit, steps in list(waiting.items()):
+        for unit, ticks in list(waiting.items()):
             try:
-                next(steps)
+                next(ticks)
             except StopIteration:
                 del waiting[unit]
             except InstrumentError as error:
@@ -260,26 +262,26 @@ def _confirmed_by_all(
 
 @perform.register
 def _navigate(step: Navigate, context: StepContext) -> Ticks:
-    yield from _navigation_begun(context)
-    yield from _window_begun(context)
-    yield from _navigating(step, context)
-    yield from _window_ended(context)
+    yield from _begin_navigation(context)
+    yield from _begin_windows(context)
+    yield from _wait_until_navigated(step, context)
+    yield from _end_windows(context)
 
 
-def _window_begun(context: StepContext) -> Ticks:
-    yield from _table_read(context)
+def _begin_windows(context: StepContext) -> Ticks:
+    yield from _read_table(context)
     for unit in context.units.measuring:
         unit.recorder.begin_window()
 
 
-def _window_ended(context: StepContext) -> Ticks:
-    yield from _table_read(context)
+def _end_windows(context: StepContext) -> Ticks:
+    yield from _read_table(context)
     for unit in context.units.measuring:
         unit.recorder.end_window()
 
 
-def _navigation_begun(context: StepContext) -> Ticks:
-    """Let each INS navigate; one that has left navigation since the last window disturbs its dwell."""
+def _begin_navigation(context: StepContext) -> Ticks:
+    """Start navigation of each INS; one that left it since the last window disturbs its dwell."""
     for unit in context.units.measuring:
         status = unit.live.status()
         if status.mode is InsMode.NAVIGATE or (unit.recorder.has_window and not unit.live.ins.reports_mode):
@@ -288,20 +290,22 @@ def _navigation_begun(context: StepContext) -> Ticks:
             unit.recorder.disturb("the INS left navigation in the turn")
         elif status.alignment is Alignment.NONE and status.mode in (InsMode.BOOT, InsMode.STANDBY):
             unit.live.state.restarted()
-            context.units.repeat_for(unit, "the INS left its alignment. Check its supply and the CAN log.")
+            context.units.repeat_or_flag(
+                unit, "the INS left its alignment. Check its supply and the CAN log."
+            )
         elif status.alignment is Alignment.NONE:
-            why = "the INS has not aligned, so it can't navigate. Increase the duration of align."
-            context.units.fail(unit, InvalidDwellError(why))
+            reason = "the INS has not aligned, so it can't navigate. Increase the duration of align."
+            context.units.fail(unit, InvalidDwellError(reason))
 
-    def navigating(unit: MeasuredUnit) -> Ticks | None:
-        is_begun = unit.live.ins.status().mode is InsMode.NAVIGATE or unit.recorder.has_window
-        return None if is_begun else unit.live.ins.enter_stepwise(InsMode.NAVIGATE)
+    def enter_navigation(unit: MeasuredUnit) -> Ticks | None:
+        has_begun = unit.live.ins.status().mode is InsMode.NAVIGATE or unit.recorder.has_window
+        return None if has_begun else unit.live.ins.enter_stepwise(InsMode.NAVIGATE)
 
-    yield from _commanded(context, navigating)
+    yield from _command_all(context, enter_navigation)
 
 
-def _navigating(step: Navigate, context: StepContext) -> Ticks:
-    """Wait until the time is over, or the biases are known well enough."""
+def _wait_until_navigated(step: Navigate, context: StepContext) -> Ticks:
+    """Wait until the time is over, or the bias uncertainties are below the step's limit."""
     clock = context.bench.clock
     begin_s = clock.now()
     next_estimate_s = begin_s + _ESTIMATE_PERIOD_S
@@ -311,8 +315,10 @@ def _navigating(step: Navigate, context: StepContext) -> Ticks:
             estimates = [cache(unit.recorder.estimate_so_far) for unit in context.units.measuring]
             for estimate in estimates[:1]:
                 context.run.observers.estimable(estimate)
-            so_far = [estimate() for estimate in estimates] if step.until else [None]
-            sigma_dph = max((float(each.sigma_dph.max()) if each else np.inf for each in so_far), default=0.0)
+            current = [estimate() for estimate in estimates] if step.until else [None]
+            sigma_dph = max(
+                (float(each.sigma_dph.max()) if each else np.inf for each in current), default=0.0
+            )
             if step.is_satisfied(clock.now() - begin_s, sigma_dph):
                 context.run.note(f"biases known to {sigma_dph:.2g} deg/h after {clock.now() - begin_s:.0f} s")
                 return
@@ -326,88 +332,90 @@ def _navigating(step: Navigate, context: StepContext) -> Ticks:
 
 @perform.register
 def _turn(step: Turn, context: StepContext) -> Ticks:
-    angles_deg = context.bench.state.at.angles_deg
+    angles_deg = context.bench.state.run_position.angles_deg
     if angles_deg is None:
         raise FaultError("rate table", "a turn needs a position first. Put go_to before it.")
-    yield from _turned(context, context.bench.station.table.turn(angles_deg, step.angle_deg), step.rate_dps)
+    yield from _turn_table(
+        context, context.bench.station.table.turn(angles_deg, step.angle_deg), step.rate_dps
+    )
     for unit in context.units.running:
         unit.live.state.turned(step.angle_deg)
-    yield from _lasting(context.bench, step.settle_s)
+    yield from _pause(context.bench, step.settle_s)
 
 
-def _turned(context: StepContext, target: Angles, rate_dps: float) -> Ticks:
+def _turn_table(context: StepContext, target: Angles, rate_dps: float) -> Ticks:
     for unit in context.units.measuring:
         unit.recorder.begin_turn()
-    yield from _moved(context, target, rate_dps)
+    yield from _move_table(context, target, rate_dps)
     for unit in context.units.measuring:
         unit.recorder.end_turn()
 
 
 @perform.register
-def _rotating(step: RotatingStep, context: StepContext) -> Ticks:
-    """Rest, and rest again after each rotation; the encoders are read at the start of each rest.
+def _rotate(step: RotatingStep, context: StepContext) -> Ticks:
+    """Rest before the first and after each rotation; the table's angles are read at the start of each rest.
 
-    An INS that sends its increments on command sends them meanwhile.
+    An INS that sends its increments on command is commanded to send them during the step.
     """
     bench = context.bench
-    yield from _navigation_begun(context)
-    yield from _increments_sent(context, True)
-    yield from _resting(step, context)
+    yield from _begin_navigation(context)
+    yield from _switch_increments(context, True)
+    yield from _rest(step, context)
     for move, rate_dps in step.moves():
-        if bench.state.at.angles_deg is None:
+        if bench.state.run_position.angles_deg is None:
             raise FaultError("rate table", "a rotation needs a position first. Put go_to before it.")
-        outer_deg, inner_deg = bench.state.at.angles_deg
-        yield from _turned(context, (outer_deg + move[0], inner_deg + move[1]), rate_dps)
-        yield from _lasting(bench, step.settle_s)
-        yield from _navigation_begun(context)
-        yield from _resting(step, context)
-    yield from _increments_sent(context, False)
+        outer_deg, inner_deg = bench.state.run_position.angles_deg
+        yield from _turn_table(context, (outer_deg + move[0], inner_deg + move[1]), rate_dps)
+        yield from _pause(bench, step.settle_s)
+        yield from _begin_navigation(context)
+        yield from _rest(step, context)
+    yield from _switch_increments(context, False)
 
 
-def _increments_sent(context: StepContext, on: bool) -> Ticks:
-    def sent(unit: MeasuredUnit) -> Ticks:
+def _switch_increments(context: StepContext, on: bool) -> Ticks:
+    def switch(unit: MeasuredUnit) -> Ticks:
         if unit.live.ins.supports("send_increments"):
-            yield from _tried(context, lambda: unit.live.ins.send_increments(on))
+            yield from _with_retries(context, lambda: unit.live.ins.send_increments(on))
 
-    yield from context.units.each(sent)
+    yield from context.units.for_all(switch)
 
 
-def _resting(step: RotatingStep, context: StepContext) -> Ticks:
-    yield from _window_begun(context)
-    yield from _lasting(context.bench, step.rest_s)
-    yield from _window_ended(context)
+def _rest(step: RotatingStep, context: StepContext) -> Ticks:
+    yield from _begin_windows(context)
+    yield from _pause(context.bench, step.rest_s)
+    yield from _end_windows(context)
 
 
 @perform.register
 def _wait(step: Wait, context: StepContext) -> Ticks:
-    yield from _lasting(context.bench, step.duration_s)
+    yield from _pause(context.bench, step.duration_s)
 
 
 @perform.register
 def _ask_operator(step: AskOperator, context: StepContext) -> Ticks:
-    yield from _confirmed(context, step.question, step.answers)
+    yield from _ask(context, step.question, step.answers)
 
 
-def _lasting(bench: LiveBench, duration_s: float) -> Ticks:
+def _pause(bench: LiveBench, duration_s: float) -> Ticks:
     end_s = bench.clock.now() + duration_s
     while bench.clock.now() < end_s - 1e-6:
         yield
 
 
-def _confirmed(context: StepContext, question: str, answers: list[str]) -> Ticks:
+def _ask(context: StepContext, question: str, answers: list[str]) -> Ticks:
     answer = yield from ask_operator(context.run.operator, question, answers)
     if answer != answers[0]:
         raise RunStoppedError(f"the operator answered '{answer}' to: {question}")
 
 
-def _moved(context: StepContext, angles: Angles, rate_dps: float) -> Ticks:
-    """Move the table; if it stops off position, send it again as often as the step allows."""
+def _move_table(context: StepContext, angles: Angles, rate_dps: float) -> Ticks:
+    """Move the table; if it stops off position, repeat the move as often as the step allows."""
     context.bench.state.table_commanded(angles)
-    for left in range(context.retries, -1, -1):
+    for remaining_tries in range(context.retries, -1, -1):
         try:
-            yield from _sent(context, angles, rate_dps)
+            yield from _move_once(context, angles, rate_dps)
         except _OffPositionError as error:
-            if not left:
+            if not remaining_tries:
                 raise
             context.run.record_retry(error)
         else:
@@ -415,18 +423,20 @@ def _moved(context: StepContext, angles: Angles, rate_dps: float) -> Ticks:
 
 
 class _OffPositionError(FaultError):
-    """The table reports that its motion is complete, but is off position."""
+    """The table reports that its motion is complete, but it is off position."""
 
 
-def _sent(context: StepContext, angles: Angles, rate_dps: float) -> Ticks:
+def _move_once(context: StepContext, angles: Angles, rate_dps: float) -> Ticks:
     station, instruments = context.bench.station, context.bench.instruments
-    yield from _tried(context, lambda: instruments.table.move_to(station.by_axis_number(angles), rate_dps))
+    yield from _with_retries(
+        context, lambda: instruments.table.move_to(station.by_axis_number(angles), rate_dps)
+    )
     yield
-    while not (yield from _tried(context, lambda: instruments.table.in_position())):
+    while not (yield from _with_retries(context, lambda: instruments.table.in_position())):
         yield
     complete_s = context.bench.clock.now()
     while True:
-        reading = yield from _tried(context, lambda: instruments.table.read())
+        reading = yield from _with_retries(context, lambda: instruments.table.read())
         reached = station.table_axes_of(reading.position_deg)
         if np.allclose(reached, angles, rtol=0.0, atol=_POSITION_TOLERANCE_DEG):
             return
@@ -439,21 +449,21 @@ def _sent(context: StepContext, angles: Angles, rate_dps: float) -> Ticks:
         yield
 
 
-def _tried(context: StepContext, exchange: Callable[[], _T]) -> Generator[None, None, _T]:
-    """Exchange something with an instrument; a failed exchange is tried again as often as the step allows.
+def _with_retries(context: StepContext, exchange: Callable[[], _T]) -> Generator[None, None, _T]:
+    """Return the result of an exchange with an instrument, which is repeated as often as the step allows.
 
-    Every command of the drivers may be repeated: it gives the final state, not a change.
+    Every command of the drivers may be repeated: it sets a final state, not a change.
     """
-    for left in range(context.retries, -1, -1):
+    for remaining_tries in range(context.retries, -1, -1):
         try:
             return exchange()
         except FaultError:
             raise
         except InstrumentError as error:
-            if not left:
+            if not remaining_tries:
                 raise
             _prepare_retry(context, error)
-            yield from _lasting(context.bench, _RETRY_PAUSE_S)
+            yield from _pause(context.bench, _RETRY_PAUSE_S)
     raise AssertionError("the last try returns or raises")
 
 
@@ -463,8 +473,8 @@ def _prepare_retry(context: StepContext, error: InstrumentError) -> None:
         context.bench.reopen(error.instrument)
 
 
-def _table_read(context: StepContext) -> Ticks:
-    """Read the table, again at each tick until it answers."""
+def _read_table(context: StepContext) -> Ticks:
+    """Read the table; repeated at each tick until it answers."""
     begin_s = context.bench.clock.now()
     context.bench.read_table()
     while context.bench.readings.table_s < begin_s:
@@ -472,12 +482,12 @@ def _table_read(context: StepContext) -> Ticks:
         context.bench.read_table()
 
 
-def _choosing_euler_sequence(step: Align, unit: MeasuredUnit) -> Ticks | None:
-    """Select the Euler sequence that is regular in this position, where the INS supports that."""
+def _choose_euler_sequence(step: Align, unit: MeasuredUnit) -> Ticks | None:
+    """Select the Euler sequence that is regular in this position, if the INS supports it."""
     if not unit.live.ins.supports("set_euler_sequence"):
         return None
     y_is_vertical = unit.live.state.position in ("y_up", "y_down")
     automatic = EulerSequence.PRY_231 if y_is_vertical else EulerSequence.RPY_321
-    chosen = automatic if step.euler_sequence == "automatic" else EulerSequence(step.euler_sequence)
-    is_chosen = unit.live.status().euler_sequence is chosen
-    return None if is_chosen else unit.live.ins.set_euler_sequence_stepwise(chosen)
+    sequence = automatic if step.euler_sequence == "automatic" else EulerSequence(step.euler_sequence)
+    is_set = unit.live.status().euler_sequence is sequence
+    return None if is_set else unit.live.ins.set_euler_sequence_stepwise(sequence)

@@ -1,4 +1,4 @@
-"""What the bench has been commanded to do, where the run is, and what the instruments reported last."""
+"""State of the bench: last commands, position in the plan, and newest readings of the instruments."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from gyrobench.drivers.rate_table import TableReading
 
 @dataclass(frozen=True)
 class Readings:
-    """Newest answer of each instrument, and when it came."""
+    """Newest reading of each instrument, and its time."""
 
     table: TableReading
-    table_s: float  #: when, on the run's clock; the INS status has its own age
+    table_s: float  #: time of the reading on the run's clock; the INS status has its own age
     chamber: ChamberReading
-    chamber_s: float  #: on the run's clock
+    chamber_s: float  #: time of the reading on the run's clock
     ins: InsStatus  #: of the first unit that is measured
-    asked_s: float  #: when they were last asked, whether they answered or not
+    polled_s: float  #: time of the last poll, answered or not
 
 
 @dataclass(frozen=True)
 class ExpectedState:
-    """What the instruments have been commanded to do; the interlocks compare readings with it."""
+    """Commanded state of the instruments; the interlocks compare the readings with it."""
 
-    chamber_set_c: float | None = None  #: set point; None where none was commanded
-    chamber_on: bool | None = None  #: switched on or off; None where neither was commanded
+    chamber_set_c: float | None = None  #: set point; None if none was commanded
+    chamber_on: bool | None = None  #: switched on or off; None if neither was commanded
     chamber_reached: bool = False  #: the air has reached the set point, so it should stay there
     ins_on: bool = False  #: the INS is on and has sent data, so silence is a fault
     table_prepared: bool = False  #: the table is ready to move, so open servos and faults count
@@ -40,19 +40,19 @@ class ExpectedState:
 
 @dataclass(frozen=True)
 class RunPosition:
-    """Where a run is."""
+    """Position of a run in its plan."""
 
     step: int = 0  #: number in the plan; 0 outside
     dwell: int = 0  #: number in the plan; 0 outside
     cycle: int = 1  #: temperature cycle
     purpose: DwellPurpose = DwellPurpose.CALIBRATION  #: of the dwell
     power_ons: int = 0  #: how often the units were switched on
-    powered_s: float = 0.0  #: when they were switched on last, on the run's clock
+    powered_s: float = 0.0  #: time when they were last switched on, on the run's clock
     angles_deg: Angles | None = None  #: outer and inner angle last commanded; None before the first motion
 
 
 class UnitState:
-    """The state of one unit on the bench, as :class:`BenchState`."""
+    """State of one unit on the bench; updated like :class:`BenchState`."""
 
     def __init__(self, station: Station) -> None:
         self._station = station
@@ -62,8 +62,8 @@ class UnitState:
         self.azimuth_deg = 0.0
         self.has_restarted = False  #: restarted without a command since it was switched on
 
-    def sent_to(self, position: str, azimuth_deg: float) -> None:
-        """The table has brought the first unit into a position; this one's depends on its mounting."""
+    def table_moved_to(self, position: str, azimuth_deg: float) -> None:
+        """The table has moved the first unit to a position; that of this unit depends on its mounting."""
         self.position, self.azimuth_deg = self._station.position_of_unit(position, azimuth_deg)
 
     def turned(self, angle_deg: float) -> None:
@@ -75,10 +75,10 @@ class UnitState:
         self._expect_on(self._station.file.unit.power == "always_on")
 
     def state_unknown(self) -> None:
-        """The INS may be off, regardless of what it reports; it is switched off and on before it is used."""
+        """The INS may be off, regardless of its reports; it is power-cycled before it is used."""
         self._expect_on(False)
 
-    def seen_on(self) -> None:
+    def detected_on(self) -> None:
         """The INS sends data, without a known power-on."""
         self._expect_on(True)
 
@@ -92,7 +92,7 @@ class UnitState:
         self.has_restarted = self.has_restarted or self.expected.ins_on
 
     def made_safe(self, actions: Iterable[SafeAction]) -> None:
-        """Safe values were commanded."""
+        """The safe values were commanded."""
         if any(action.part is SafePart.UNIT for action in actions):
             self._expect_on(self.expected.ins_on and self._station.file.safe_state.unit == "keep")
 
@@ -101,22 +101,22 @@ class UnitState:
 
 
 class BenchState:
-    """The state of one bench. Its methods say what happened; nothing else changes it."""
+    """State of one bench. It changes only by calls of its methods, each of which reports an event."""
 
     def __init__(self, station: Station) -> None:
         self._station = station
         self._expected = ExpectedState()
-        self._at = RunPosition()
+        self._run_position = RunPosition()
 
     @property
     def expected(self) -> ExpectedState:
-        """What the instruments should be doing."""
+        """Commanded state of the instruments."""
         return self._expected
 
     @property
-    def at(self) -> RunPosition:
-        """Where the run is."""
-        return self._at
+    def run_position(self) -> RunPosition:
+        """Position of the run in its plan."""
+        return self._run_position
 
     @property
     def commanded_c(self) -> float | None:
@@ -126,17 +126,19 @@ class BenchState:
     # run
 
     def run_resumed(self, power_ons: int) -> None:
-        """Take over the number of power-ons of the run so far."""
-        self._at = replace(self._at, power_ons=power_ons)
+        """Continue with the number of power-ons of the run so far."""
+        self._run_position = replace(self._run_position, power_ons=power_ons)
 
     def units_powered(self, switched_s: float) -> None:
         """The units were switched on at a time."""
-        self._at = replace(self._at, power_ons=self._at.power_ons + 1, powered_s=switched_s)
+        self._run_position = replace(
+            self._run_position, power_ons=self._run_position.power_ons + 1, powered_s=switched_s
+        )
 
     def step_started(self, planned: PlannedStep) -> None:
         """A step of the plan begins."""
-        self._at = replace(
-            self._at,
+        self._run_position = replace(
+            self._run_position,
             step=planned.number,
             dwell=planned.dwell or 0,
             cycle=planned.cycle,
@@ -155,9 +157,9 @@ class BenchState:
         self._expect(chamber_on=on, chamber_reached=False)
 
     def chamber_switching(self, on: bool) -> None:
-        """The chamber gets a command to switch that it has not acknowledged yet.
+        """The chamber gets a switching command that it has not acknowledged yet.
 
-        Off ends a ramp of its set point, so that it may hold any value of it.
+        Switching off ends a ramp, so that the chamber may hold any set point of the ramp.
         """
         self._expect(chamber_set_c=self._expected.chamber_set_c if on else None, chamber_on=None)
 
@@ -166,7 +168,7 @@ class BenchState:
         self._expect(chamber_reached=True)
 
     def chamber_state_unknown(self) -> None:
-        """The chamber was changed at its panel, or gets a command that it has not acknowledged yet."""
+        """The chamber was operated at its panel, or gets a command that it has not acknowledged yet."""
         self._expect(chamber_set_c=None, chamber_on=None, chamber_reached=False)
 
     # rate table
@@ -180,13 +182,13 @@ class BenchState:
         self._expect(table_prepared=False)
 
     def table_commanded(self, angles_deg: Angles) -> None:
-        """The table was sent to outer and inner angles."""
-        self._at = replace(self._at, angles_deg=angles_deg)
+        """The table was commanded to outer and inner angles, deg."""
+        self._run_position = replace(self._run_position, angles_deg=angles_deg)
 
     # all
 
     def made_safe(self, actions: Iterable[SafeAction]) -> None:
-        """Safe values were commanded; what was not acknowledged is unknown."""
+        """The safe values were commanded; outputs that did not acknowledge are in an unknown state."""
         safe = self._station.file.safe_state
         for action in actions:
             match action.part:

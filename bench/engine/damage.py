@@ -1,4 +1,4 @@
-"""Damaged files of an interrupted run: found before it resumes, and given up where the operator chooses to.
+"""Damaged files of an interrupted run: found before it resumes, and given up if the operator chooses so.
 
 Telemetry, parts of the CAN log, lines of the journal and provenance.json can be given up: a dwell whose data
 they held is measured again. The damaged files stay in the run folder under other names.
@@ -30,9 +30,9 @@ _SUFFIX = ".damaged"
 
 @dataclass(frozen=True)
 class Damage:
-    """What a run folder has lost."""
+    """Damage of a run folder."""
 
-    #: Damaged files, and what is lost with each.
+    #: Damaged files, with a description of the lost data.
     files: Mapping[Path, str] = field(default_factory=dict)
     lines: int = 0  #: damaged lines of the journal
     is_provenance_lost: bool = False  #: whether provenance.json is damaged or missing
@@ -42,7 +42,7 @@ class Damage:
     def of_all(cls, damages: Sequence[Damage]) -> Damage:
         """Join the damages of a run and of its units."""
         return cls(
-            {path: lost for each in damages for path, lost in each.files.items()},
+            {path: description for each in damages for path, description in each.files.items()},
             sum(each.lines for each in damages),
             any(each.is_provenance_lost for each in damages),
             tuple(sorted({dwell for each in damages for dwell in each.dwells})),
@@ -52,7 +52,7 @@ class Damage:
         return bool(self.files or self.dwells)
 
     def describe(self) -> list[str]:
-        """One line for each damaged file, and how to resume without them; empty without damage."""
+        """Describe each damaged file in a line, and how to resume without them; empty without damage."""
         if not self:
             return []
         again = f"; dwell {listed(list(map(str, self.dwells)))} is measured again" if self.dwells else ""
@@ -62,20 +62,20 @@ class Damage:
         ]
 
     def give_up(self, folder: RunFolder, clock: Callable[[], Clock]) -> None:
-        """Rename the damaged files and record what was given up; provenance is written again.
+        """Rename the damaged files and record the loss; a lost provenance is written again.
 
-        The journal keeps its intact lines, and names those whose link to the line before is lost. Each damage
-        is found again until it is recorded. ``clock`` gives the run's clock, which is read from its intact
+        The journal keeps its intact lines, and lists those whose link to the line before is broken. Damage
+        is found again until it is recorded. ``clock`` creates the run's clock, which is read from the intact
         files. Raises RunFolderError if a file can't be written.
         """
         lines, _ = intact_lines(_content(folder))
         for path in self.files:
-            aside = _free_name(path)
+            backup = _free_name(path)
             try:
                 if path == folder.journal:
-                    write_whole(aside, path.read_bytes())
+                    write_whole(backup, path.read_bytes())
                 elif path.exists():
-                    path.replace(aside)
+                    path.replace(backup)
             except OSError as error:
                 raise write_error(path, error) from error
         if self.is_provenance_lost:
@@ -85,12 +85,12 @@ class Damage:
         if folder.journal not in self.files:
             self._record(folder.journal, clock())
             return
-        whole = folder.journal.with_name(folder.journal.name + ".whole")
-        kept = [line + b"\n" for line in lines if _is_sound(line)]
-        write_whole(whole, b"".join(kept))
-        self._record(whole, clock(), broken_links(kept))
+        repaired = folder.journal.with_name(folder.journal.name + ".whole")
+        intact = [line + b"\n" for line in lines if _is_complete(line)]
+        write_whole(repaired, b"".join(intact))
+        self._record(repaired, clock(), broken_links(intact))
         try:
-            whole.replace(folder.journal)
+            repaired.replace(folder.journal)
             sync_folder(folder.path)
         except OSError as error:
             raise write_error(folder.journal, error) from error
@@ -113,14 +113,14 @@ class Damage:
 def find_damage(folder: RunFolder, is_log_read: bool = True) -> tuple[Damage, list[dict[str, Any]]]:
     """Check all files that resuming a run needs; returns the damage, and the journal's intact entries.
 
-    ``is_log_read``: whether the frames of all finished dwells are checked too. Raises RunFolderError if a
+    ``is_log_read``: whether to check the frames of all finished dwells too. Raises RunFolderError if a
     folder or the journal can't be read.
     """
     files: dict[Path, str] = {}
     lines, damaged_lines = intact_lines(_content(folder))
-    sound = [line for line in lines if _is_sound(line)]
-    damaged_lines += len(lines) - len(sound)
-    entries = [json.loads(line) for line in sound]
+    intact = [line for line in lines if _is_complete(line)]
+    damaged_lines += len(lines) - len(intact)
+    entries = [json.loads(line) for line in intact]
     if damaged_lines:
         files[folder.journal] = f"{counted(damaged_lines, 'line')} can't be read"
     is_provenance_lost = False
@@ -135,7 +135,7 @@ def find_damage(folder: RunFolder, is_log_read: bool = True) -> tuple[Damage, li
         files |= dict.fromkeys(damaged_telemetry(folder.telemetry), "readings that no dwell needs")
         for marks in marks_in(entries, folder):
             try:
-                read_frames(folder, marks)  # raises where frames are missing
+                read_frames(folder, marks)  # raises if frames are missing
             except RunFolderError:
                 lost.append(marks.dwell)
                 path = log_path(folder.can, marks.log_part)
@@ -148,16 +148,16 @@ def _content(folder: RunFolder) -> bytes:
 
 
 def _free_name(path: Path) -> Path:
-    """Name for a copy of a damaged file, which no earlier copy has."""
-    aside, number = path.with_name(path.name + _SUFFIX), 1
-    while aside.exists():
+    """Unused name for a copy of a damaged file."""
+    backup, number = path.with_name(path.name + _SUFFIX), 1
+    while backup.exists():
         number += 1
-        aside = path.with_name(f"{path.name}{_SUFFIX}-{number}")
-    return aside
+        backup = path.with_name(f"{path.name}{_SUFFIX}-{number}")
+    return backup
 
 
-def _is_sound(line: bytes) -> bool:
-    """Whether a line of the journal has what finished dwells and dwells that were given up need."""
+def _is_complete(line: bytes) -> bool:
+    """Whether a line of the journal has the fields that its event requires to resume the run."""
     entry = json.loads(line)
     if entry.get("event") == "data_given_up":
         return isinstance(entry.get("dwells"), list) and isinstance(entry.get("lines"), int)

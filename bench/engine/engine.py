@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 
 from gyrobench.bench.engine.actions import StepContext, perform
-from gyrobench.bench.engine.holding import Heartbeat, Holding
+from gyrobench.bench.engine.holding import Holding, Ticker
 from gyrobench.bench.engine.interlocks.checks import InterlockFinding
 from gyrobench.bench.engine.interlocks.watch import Trip, TrippedError, text_of_trips, trip_of_error
-from gyrobench.bench.engine.operator import CommandReceivedError, GivenCommand, RunCommand
+from gyrobench.bench.engine.operator import CommandReceivedError, ReceivedCommand, RunCommand
 from gyrobench.bench.engine.run_context import RunContext
 from gyrobench.bench.engine.units import Units
 from gyrobench.bench.foundations.clock import Deadline
@@ -23,25 +23,25 @@ from gyrobench.bench.foundations.errors import (
     StepTimeoutError,
 )
 from gyrobench.bench.foundations.operator_name import describe_source
-from gyrobench.bench.procedure.approach import RetainedState, approach, end_of_dwell, restart_of
+from gyrobench.bench.procedure.approach import RetainedState, approach, index_after_dwell, restart_index
 from gyrobench.bench.procedure.plan import PlannedStep, turns_after
 from gyrobench.bench.procedure.steps import Align, GoTo, PowerOn
 from gyrobench.bench.station.interlocks import PassingRule
 from gyrobench.bench.station.safe_state import RAMP_PERIOD_S, SafeAction, SafePart, finish_ramp
 
-#: A dwell that was repeated this number of times is tried with the INS switched off and on.
+#: After this number of repeats of a dwell, the INS is switched off and on before the next.
 _REPEATS_UNTIL_POWER_CYCLE = 2
 #: After these trips the INS may have been off, regardless of what it reports.
 _INS_TRIPS = {"ins_silence", "ins_fault"}
-_RAMP_NOTE = "The chamber's set point is moved to its safe value; abort ends that."
+_RAMP_NOTE = "The chamber's set point is being ramped to its safe value; abort ends the ramp."
 
 
 class Engine:
-    """Executes one run.
+    """Executes the plan of one run.
 
-    What interrupts a step - a trip, a failed instrument, a command - leads to a hold, in the safe state
-    where necessary, and back into the plan by :mod:`gyrobench.bench.procedure.approach`. An interrupted dwell
-    is discarded and repeated.
+    An interruption of a step (a trip, a failed instrument, a command) leads to a hold, in the safe state if
+    necessary, and then back to the plan by :mod:`gyrobench.bench.procedure.approach`. An interrupted dwell is
+    discarded and repeated.
     """
 
     def __init__(self, run: RunContext) -> None:
@@ -50,17 +50,17 @@ class Engine:
         self._state = run.bench.state
         self._plan = run.plan
         self._units = Units(run)
-        self._heartbeat = Heartbeat(run, self._units)
-        self._holding = Holding(run, self._heartbeat)
+        self._ticker = Ticker(run, self._units)
+        self._holding = Holding(run, self._ticker)
         self._step_context = StepContext(run, self._units)
         self._is_hold_commanded = False
         self._unseen_faults: tuple[str, ...] = ()
         self._current: PlannedStep | None = None
-        self._dwell: int | None = None  # that which the run is in, or returns to
+        self._dwell: int | None = None  # the dwell in progress, or the one that the run returns to
         self._state.run_resumed(run.state.power_ons)
 
     def run(self) -> None:
-        """Execute what is left of the plan, then go to the safe state in any case.
+        """Execute the remaining steps of the plan, then go to the safe state in any case.
 
         The outcome describes an expected failure; any other exception is raised once the bench is safe.
         """
@@ -87,17 +87,17 @@ class Engine:
         self._make_safe(release_table=False)
 
     def _execute_plan(self) -> None:
-        """Execute the steps that are left; an interrupted one is approached and started again."""
+        """Execute the remaining steps; an interrupted one is re-approached and started again."""
         index = self._run.state.resume_index(self._plan)
         # A new run begins with the bench as it is.
-        retained = self._retained(is_ins_on=False, is_at_temperature=False) if index else None
+        retained = self._retained_state(is_ins_on=False, is_at_temperature=False) if index else None
         while index < len(self._plan.steps):
             try:
                 self._dwell = self._plan.steps[index].dwell
                 self._check_interlocks_before_motion()
                 self._bench.prepare_table()
                 if retained is not None:
-                    index = restart_of(self._plan, index)
+                    index = restart_index(self._plan, index)
                     self._dwell = self._plan.steps[index].dwell
                     self._approach(index, retained)
                     retained = None
@@ -118,50 +118,51 @@ class Engine:
             except InstrumentError as error:
                 retained = self._recover(index, [trip_of_error(error, self._bench.station)])
             except CommandReceivedError as error:
-                index, retained = self._execute_command(index, error.given, retained)
+                index, retained = self._execute_command(index, error.received, retained)
 
     def _check_interlocks_before_motion(self) -> None:
-        """Stop while anything is tripped, or for faults from before run or hold, not to be cleared unseen.
+        """Raise TrippedError if an interlock is tripped or a safe action has failed.
 
-        Raises TrippedError if an interlock is tripped, a safe action has failed, or the table reports faults
-        that the operator has not seen.
+        Also raises it for faults that the table reported before the run or hold: enabling the servos would
+        clear them before the operator has seen them.
         """
         self._units.drop_tripped()
         trips = self._bench.trips()
         failed = self._bench.failed_safe_actions.values()
         if failed:
             problems = "; ".join(f"{action.what}: {action.problem}" for action in failed)
-            found = InterlockFinding("safe_state", f"the bench is not in its safe state: {problems}", "")
-            trips = [*trips, Trip("safe_state", (found,), PassingRule())]
+            finding = InterlockFinding("safe_state", f"the bench is not in its safe state: {problems}", "")
+            trips = [*trips, Trip("safe_state", (finding,), PassingRule())]
         faults, self._unseen_faults = self._unseen_faults, ()
         if faults:
             rule = self._bench.station.file.interlocks.table_fault
             problem = f"the rate table reported {', '.join(faults)} before its servos were switched on"
-            found = InterlockFinding("table_fault", problem, "Find the cause.")
-            trips = [*trips, Trip("table_fault", (found,), rule)]
+            finding = InterlockFinding("table_fault", problem, "Find the cause.")
+            trips = [*trips, Trip("table_fault", (finding,), rule)]
         if trips:
             raise TrippedError(trips)
 
-    def _retained(self, is_ins_on: bool, is_at_temperature: bool) -> RetainedState:
+    def _retained_state(self, is_ins_on: bool, is_at_temperature: bool) -> RetainedState:
         chamber_c = self._bench.readings.chamber.temperature_c
         return RetainedState(is_ins_on and not self._units.have_restarted, is_at_temperature, chamber_c)
 
     def _retained_for_repeat(self, dwell: int) -> RetainedState:
-        """The INS may cause the invalid data: after some repeats it is switched off and on if possible.
+        """State retained for a repeat; after some repeats the INS is switched off and on, if possible.
 
-        Several are not while the data of one are good: switching on changes its biases.
+        The INS may cause the invalid data. With several units, none is switched while the data of one are
+        good: switching on changes its biases.
         """
         can_switch = self._bench.station.file.unit.power == "chamber_event"
         is_ins_on = self._units.repeats(dwell) < _REPEATS_UNTIL_POWER_CYCLE or not can_switch
-        return self._retained(is_ins_on, is_at_temperature=True)
+        return self._retained_state(is_ins_on, is_at_temperature=True)
 
     # steps
 
     def _approach(self, index: int, retained: RetainedState) -> None:
         steps = approach(self._plan, index, retained)
         if steps:
-            way = "; ".join(each.step.describe() for each in steps)
-            self._run.note(f"returning to step {self._plan.steps[index].number}: {way}")
+            description = "; ".join(each.step.describe() for each in steps)
+            self._run.note(f"returning to step {self._plan.steps[index].number}: {description}")
         for planned in steps:
             self._perform(planned, is_approach=True)
 
@@ -170,8 +171,8 @@ class Engine:
         begin_s = self._bench.clock.now()
         self._start_step(planned, "approach" if is_approach else "step")
         self._tick_through(planned, begin_s)
-        took_s = self._bench.clock.now() - begin_s
-        self._finish_step(planned, took_s, is_approach)
+        elapsed_s = self._bench.clock.now() - begin_s
+        self._finish_step(planned, elapsed_s, is_approach)
 
     def _start_step(self, planned: PlannedStep, event: str) -> None:
         run, step = self._run, planned.step
@@ -190,30 +191,30 @@ class Engine:
 
     def _tick_through(self, planned: PlannedStep, begin_s: float) -> None:
         clock, observers = self._bench.clock, self._run.observers
-        end_s = begin_s + self._plan.duration_s - planned.start_s
+        plan_end_s = begin_s + self._plan.duration_s - planned.start_s
         timeout_s = clock.now() + planned.timeout_s
         for _ in perform(planned.step, self._step_context):
             self._tick()
             now_s = clock.now()
-            observers.ticked(self._bench, end_s - now_s)
+            observers.ticked(self._bench, plan_end_s - now_s)
             if now_s >= timeout_s:
                 self._after_timeout(planned)
 
     def _after_timeout(self, planned: PlannedStep) -> None:
-        """Drop the units that are late; raises StepTimeoutError if none can be dropped."""
-        late = f"did not end within {planned.timeout_s:.0f} s"
-        if not self._units.drop_late(f"step {planned.number}: {planned.step.describe()} {late}"):
+        """Drop the units that are not done with the step; raises StepTimeoutError if none may be dropped."""
+        problem = f"did not end within {planned.timeout_s:.0f} s"
+        if not self._units.drop_late(f"step {planned.number}: {planned.step.describe()} {problem}"):
             place = self._run.job.document.place(planned.location)
-            what = ": ".join(filter(None, (planned.label, planned.step.describe())))
+            description = ": ".join(filter(None, (planned.label, planned.step.describe())))
             raise StepTimeoutError(
-                f"{place}: step {planned.number} ({what}) {late}. Check the instrument that it waits for, "
-                "or increase the step's timeout_s"
+                f"{place}: step {planned.number} ({description}) {problem}. Check the instrument that it "
+                "waits for, or increase the step's timeout_s"
             )
 
-    def _finish_step(self, planned: PlannedStep, took_s: float, is_approach: bool) -> None:
+    def _finish_step(self, planned: PlannedStep, elapsed_s: float, is_approach: bool) -> None:
         run, kind = self._run, planned.step.name
         if isinstance(planned.step, PowerOn):
-            run.journal.record("powered_on", run=self._state.at.power_ons)
+            run.journal.record("powered_on", run=self._state.run_position.power_ons)
             self._units.identify(again=True)
             self._settle_compensation(after_power_on=True)
         run.journal.record(
@@ -221,35 +222,35 @@ class Engine:
             step=planned.number,
             kind=kind,
             planned_s=round(planned.duration_s, 3),
-            took_s=round(took_s, 3),
+            took_s=round(elapsed_s, 3),
         )
         run.observers.ticked(self._bench, self._plan.duration_s - planned.end_s)
 
     def _tick(self) -> None:
-        """Let a tick pass.
+        """Wait for the next tick.
 
         Raises TrippedError if an interlock is tripped. Raises CommandReceivedError or RunStoppedError if a
         command interrupts the step.
         """
-        self._heartbeat.beat()
+        self._ticker.tick()
         trips = self._bench.trips()
         if trips:
             raise TrippedError(trips)
-        given = self._heartbeat.command()
-        if given is None:
+        received = self._ticker.command()
+        if received is None:
             return
-        match given.command:
+        match received.command:
             case RunCommand.HOLD:
                 self._is_hold_commanded = True
-                self._run.note("holds at the end of the present step, or of the dwell that it belongs to")
+                self._run.note("holds at the end of the present step or dwell")
             case RunCommand.CONTINUE:
                 if self._is_hold_commanded:
-                    self._run.note("does not hold at the end of the dwell in progress")
+                    self._run.note("the commanded hold is cancelled")
                 self._is_hold_commanded = False
             case RunCommand.SKIP if not self._dwell:
                 self._run.note("no dwell is in progress: nothing is skipped")
             case _:
-                raise CommandReceivedError(given)
+                raise CommandReceivedError(received)
 
     def _settle_compensation(self, after_power_on: bool) -> None:
         max_hold_s = self._bench.station.file.interlocks.max_hold_s
@@ -284,65 +285,65 @@ class Engine:
         return index, self._retained_for_repeat(planned.dwell)
 
     def _after_dwell(self, dwell: int, retained: RetainedState | None) -> tuple[int, RetainedState | None]:
-        """Where to continue after a dwell; from one whose data were lost, back to where the run stopped."""
+        """Index and retained state to continue with; after a lost dwell, those where the run had stopped."""
         state = self._run.state
         if dwell not in state.lost:
-            return end_of_dwell(self._plan, dwell), retained
+            return index_after_dwell(self._plan, dwell), retained
         state.lost.discard(dwell)
-        kept = retained or self._retained(is_ins_on=True, is_at_temperature=False)
-        return state.resume_index(self._plan), replace(kept, is_at_temperature=False)
+        retained_state = retained or self._retained_state(is_ins_on=True, is_at_temperature=False)
+        return state.resume_index(self._plan), replace(retained_state, is_at_temperature=False)
 
     def _recover(self, index: int, trips: Sequence[Trip]) -> RetainedState:
         """Make the bench safe and hold until the run may continue."""
-        why = text_of_trips(trips)
+        reason = text_of_trips(trips)
         names = [trip.name for trip in trips]
-        # Before a slow disk can delay it.
-        actions = self._bench.make_safe(meanwhile=self._heartbeat.signal_guard)
-        self._run.journal.record("tripped", interlocks=names, why=why)
-        self._units.discard(self._plan.steps[index].dwell, why, counts=False)
+        # Before the journal entry, which a slow disk can delay.
+        actions = self._bench.make_safe(meanwhile=self._ticker.signal_guard)
+        self._run.journal.record("tripped", interlocks=names, why=reason)
+        self._units.discard(self._plan.steps[index].dwell, reason, counts=False)
         self._report_safe(actions)
         if _INS_TRIPS & set(names):
             for unit in self._units.running:
                 unit.live.state.state_unknown()
         try:
-            self._holding.hold(why, trips)
-        except TrippedError as error:  # everything has to be good, and safe values may be lost
+            self._holding.hold(reason, trips)
+        except TrippedError as error:  # the hold starts again: safe values may be lost
             return self._recover(index, [*trips, *error.trips])
         if "table_fault" not in names:
             self._unseen_faults = self._bench.readings.table.faults
-        return self._retained(self._units.are_on, is_at_temperature=False)
+        return self._retained_state(self._units.are_on, is_at_temperature=False)
 
     def _execute_command(
-        self, index: int, given: GivenCommand, approached: RetainedState | None
+        self, index: int, received: ReceivedCommand, retained: RetainedState | None
     ) -> tuple[int, RetainedState | None]:
-        """Pause or skip; returns where to continue. An interrupted approach starts again."""
+        """Pause or skip; returns index and retained state to continue with. An approach starts again."""
         dwell = self._plan.steps[index].dwell
-        is_ins_on = approached is None or approached.is_ins_on
-        is_at_temperature = approached is None or approached.is_at_temperature
-        if given.command is RunCommand.SKIP and dwell:
+        is_ins_on = retained is None or retained.is_ins_on
+        is_at_temperature = retained is None or retained.is_at_temperature
+        if received.command is RunCommand.SKIP and dwell:
             self._units.skip(dwell)
-            return self._after_dwell(dwell, self._retained(is_ins_on, is_at_temperature))
-        why = f"paused by {describe_source(given.by)}"
-        self._units.discard(dwell, why, counts=False)
+            return self._after_dwell(dwell, self._retained_state(is_ins_on, is_at_temperature))
+        reason = f"paused by {describe_source(received.source)}"
+        self._units.discard(dwell, reason, counts=False)
         is_safe = self._bench.station.file.safe_state.on_pause == "safe"
         if is_safe:
             self._make_safe()
         try:
-            self._holding.hold(why, command=RunCommand.PAUSE)
+            self._holding.hold(reason, command=RunCommand.PAUSE)
         except TrippedError as error:
             return index, self._recover(index, error.trips)
         is_ins_on = is_ins_on and self._units.are_on
-        return index, self._retained(is_ins_on, is_at_temperature and not is_safe)
+        return index, self._retained_state(is_ins_on, is_at_temperature and not is_safe)
 
     def _handle_pending_events(self, planned: PlannedStep) -> None:
-        """Outside of dwells: hold if commanded, switch a restarted INS off and on."""
+        """Between dwells: hold if commanded, and switch a restarted INS off and on."""
         if planned.dwell and not isinstance(planned.step, Align):
             return
         if self._is_hold_commanded:
             self._is_hold_commanded = False
             self._holding.hold("hold at this temperature commanded", command=RunCommand.HOLD)
         if restarted := [unit for unit in self._units.running if unit.live.state.has_restarted]:
-            retained = self._retained(is_ins_on=False, is_at_temperature=True)
+            retained = self._retained_state(is_ins_on=False, is_at_temperature=True)
             for unit in restarted:
                 unit.note("the INS has restarted without a command")
                 unit.live.state.has_restarted = False
@@ -351,7 +352,7 @@ class Engine:
     # safe state
 
     def _make_safe(self, release_table: bool = True) -> None:
-        self._report_safe(self._bench.make_safe(release_table, self._heartbeat.signal_guard))
+        self._report_safe(self._bench.make_safe(release_table, self._ticker.signal_guard))
 
     def _report_safe(self, actions: list[SafeAction]) -> None:
         self._run.journal.record("made_safe", actions=[asdict(action) for action in actions])
@@ -377,40 +378,40 @@ class Engine:
             outcome.fail(str(error))
         self._run.observers.ended(outcome)
 
-    def _leave_safe(self, known: set[str]) -> None:
-        """Make the bench safe, again for each trip that is not ``known``; ticks continue in a ramp."""
-        bench, outcome, beat = self._bench, self._run.outcome, self._heartbeat.signal_guard
-        outcome.safe_state = bench.make_safe(meanwhile=beat)
-        ramp = finish_ramp(bench.station, bench.instruments, outcome.safe_state, beat)
-        for first, actions in enumerate(ramp):
-            if not first:
+    def _leave_safe(self, reported: set[str]) -> None:
+        """Make the bench safe, and again for each trip not in ``reported``; ticks continue during a ramp."""
+        bench, outcome, signal_guard = self._bench, self._run.outcome, self._ticker.signal_guard
+        outcome.safe_state = bench.make_safe(meanwhile=signal_guard)
+        ramp = finish_ramp(bench.station, bench.instruments, outcome.safe_state, signal_guard)
+        for index, actions in enumerate(ramp):
+            if not index:
                 self._report_safe(outcome.safe_state)
                 self._run.observers.noted(_RAMP_NOTE)
                 for unit in bench.units:
                     unit.capture = None
-            taken = {action.what: action for action in (*outcome.safe_state, *actions)}
-            outcome.safe_state = list(taken.values())
+            latest = {action.what: action for action in (*outcome.safe_state, *actions)}
+            outcome.safe_state = list(latest.values())
             bench.state.made_safe(each for each in actions if each.part is not SafePart.CHAMBER)
-            if by := self._tick_in_ramp():
-                self._run.observers.noted(by)
+            if reason := self._tick_in_ramp():
+                self._run.observers.noted(reason)
                 return
-            new = [trip for trip in bench.trips() if trip.name not in known]
-            if new:
-                names, why = [trip.name for trip in new], text_of_trips(new)
-                self._run.journal.record("tripped", interlocks=names, why=why)
-                self._run.observers.noted(why)
-                self._leave_safe({*known, *names})
+            new_trips = [trip for trip in bench.trips() if trip.name not in reported]
+            if new_trips:
+                names, reason = [trip.name for trip in new_trips], text_of_trips(new_trips)
+                self._run.journal.record("tripped", interlocks=names, why=reason)
+                self._run.observers.noted(reason)
+                self._leave_safe({*reported, *names})
                 return
 
     def _tick_in_ramp(self) -> str:
-        """Let a tick pass, and return who ends the ramp; nothing that fails in the tick does."""
+        """Let a tick pass; returns the reason to end the ramp, empty to continue. Failures do not end it."""
         try:
-            self._heartbeat.beat()
-            self._heartbeat.command()
+            self._ticker.tick()
+            self._ticker.command()
         except RunStoppedError as error:
             return str(error)
-        except Exception as error:  # noqa: BLE001 - as a full disk
+        except Exception as error:  # noqa: BLE001 - such as a full disk
             self._run.outcome.fail(f"in the safe state's ramp: {error}")
-            self._heartbeat.signal_guard()
+            self._ticker.signal_guard()
             self._bench.clock.sleep(RAMP_PERIOD_S)
         return ""

@@ -1,4 +1,4 @@
-"""Ticks and holds: what happens at every tick, and how a run waits until it may continue."""
+"""Ticks and holds: actions at every tick, and waiting until a held run may continue."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 
 from gyrobench.bench.engine.interlocks.watch import Trip, TrippedError, text_of_trips
-from gyrobench.bench.engine.operator import GivenCommand, RunCommand, take_sender
+from gyrobench.bench.engine.operator import ReceivedCommand, RunCommand, take_sender
 from gyrobench.bench.engine.resume import ITSELF
 from gyrobench.bench.engine.run_context import RunContext
 from gyrobench.bench.engine.units import Units
@@ -15,14 +15,14 @@ from gyrobench.bench.foundations.errors import InstrumentError, RunStoppedError
 from gyrobench.bench.foundations.operator_name import TERMINAL, describe_source, operator_name
 from gyrobench.bench.foundations.text import listed
 
-#: A calendar that differs by this much more than before, s, was set, or corrected over a long time.
+#: A change of the calendar's offset above this, s, means that it was set, or corrected over a long time.
 _CALENDAR_STEP_S = 1.0
-#: The operator who continued before everything was good is asked again after this time.
+#: An operator who continued while an interlock was tripped is asked again after this time.
 _ASK_AGAIN_S = 60.0
 
 
-class Heartbeat:
-    """Lets ticks pass: polls the bench, sends a sign of life to the guard, reads commands."""
+class Ticker:
+    """Performs the ticks of a run: polls the bench, sends a heartbeat to the guard, reads commands."""
 
     def __init__(self, run: RunContext, units: Units) -> None:
         self._run = run
@@ -31,8 +31,8 @@ class Heartbeat:
         clock = run.bench.clock
         self._calendar_offset_s = 0.0 if clock.speed == 1.0 else clock.calendar_offset_s()
 
-    def beat(self) -> None:
-        """Let one tick pass."""
+    def tick(self) -> None:
+        """Wait for the next tick and perform it."""
         run = self._run
         run.bench.tick()
         self._units.drop_tripped()
@@ -41,34 +41,34 @@ class Heartbeat:
         self._check_calendar()
 
     def signal_guard(self) -> None:
-        """Send a sign of life to the guard."""
+        """Send a heartbeat to the guard."""
         note = self._run.guard.beat()
         if note:
             self._run.note(note)
 
-    def command(self) -> GivenCommand | None:
-        """Return the next command; it is in the journal when this returns.
+    def command(self) -> ReceivedCommand | None:
+        """Return the next command, after recording it in the journal.
 
         Raises RunStoppedError if the command is to abort.
         """
         run = self._run
-        typed = run.operator.command()
-        if typed:
-            run.commands.give(typed, TERMINAL)
-        given = run.commands.take()
-        if given is None:
+        typed_command = run.operator.command()
+        if typed_command:
+            run.commands.add(typed_command, TERMINAL)
+        received = run.commands.take()
+        if received is None:
             return None
-        if given.by == TERMINAL:
+        if received.source == TERMINAL:
             name = operator_name()
-        elif name := take_sender(run.folder.path, given.command):
-            given = replace(given, by=f"{name} ({given.by})")
-        run.journal.record("ordered", order=given.command, by=given.by, operator=name)
-        if given.command is RunCommand.ABORT:
-            raise RunStoppedError(f"stopped by {describe_source(given.by)}")
-        return given
+        elif name := take_sender(run.folder.path, received.command):
+            received = replace(received, source=f"{name} ({received.source})")
+        run.journal.record("ordered", order=received.command, by=received.source, operator=name)
+        if received.command is RunCommand.ABORT:
+            raise RunStoppedError(f"stopped by {describe_source(received.source)}")
+        return received
 
     def _check_calendar(self) -> None:
-        """Note a calendar that was set: it does not affect the run's time, but other logs of this machine."""
+        """Note that the calendar was set: it affects other logs of this machine, not the run's time."""
         offset_s = self._run.bench.clock.calendar_offset_s()
         if abs(offset_s - self._calendar_offset_s) > _CALENDAR_STEP_S:
             self._calendar_offset_s = offset_s
@@ -81,102 +81,104 @@ class Heartbeat:
 class Holding:
     """Holds a run until the operator continues it, or the rules of the tripped interlocks allow it."""
 
-    def __init__(self, run: RunContext, heartbeat: Heartbeat) -> None:
+    def __init__(self, run: RunContext, ticker: Ticker) -> None:
         self._run = run
         self._bench = run.bench
-        self._heartbeat = heartbeat
-        self._noted = ""
+        self._ticker = ticker
+        self._noted_problems = ""
 
-    def hold(self, why: str, trips: Sequence[Trip] = (), command: RunCommand | None = None) -> None:
-        """Wait because of trips, or of a command; ticks and interlocks continue.
+    def hold(self, reason: str, trips: Sequence[Trip] = (), command: RunCommand | None = None) -> None:
+        """Hold because of trips or a command; ticks and interlocks continue.
 
-        Without trips, or where a rule requires it, the operator has to continue the run. Raises TrippedError
+        Without trips, or if a rule requires it, the operator has to continue the run. Raises TrippedError
         if another interlock trips meanwhile. Raises RunStoppedError if the operator aborts, or the hold lasts
         longer than the station allows.
         """
-        run, names = self._run, [trip.name for trip in trips]
+        run, trip_names = self._run, [trip.name for trip in trips]
         after_s = self._continues_after_s(trips)
         waits_for = "the operator" if after_s is None else f"{after_s:g} s without a trip"
-        run.journal.record("held", why=why, after=names, waits_for=waits_for)
-        run.observers.held(why, after_s is None, command)
-        run.observers.noted(f"Holding, waiting for {waits_for}: {why}")
+        run.journal.record("held", why=reason, after=trip_names, waits_for=waits_for)
+        run.observers.held(reason, after_s is None, command)
+        run.observers.noted(f"Holding, waiting for {waits_for}: {reason}")
         begin_s = self._bench.clock.now()
         try:
-            by = self._wait(why, trips, after_s)
+            source = self._wait(reason, trips, after_s)
         finally:
             run.operator.withdraw()
             run.observers.continued()
-        if by == ITSELF:
-            run.state.resumes.update(names)
+        if source == ITSELF:
+            run.state.resumes.update(trip_names)
         held_s = self._bench.clock.now() - begin_s
-        who = {} if by == ITSELF else {"operator": operator_name()}
-        run.journal.record("continued", by=by, after=names, held_s=round(held_s, 3), **who)
-        run.observers.noted(f"Continued by {by}")
+        operator_entry = {} if source == ITSELF else {"operator": operator_name()}
+        run.journal.record(
+            "continued", by=source, after=trip_names, held_s=round(held_s, 3), **operator_entry
+        )
+        run.observers.noted(f"Continued by {source}")
 
-    def _wait(self, why: str, trips: Sequence[Trip], after_s: float | None) -> str:
-        """Wait, and return who continued the run."""
+    def _wait(self, reason: str, trips: Sequence[Trip], after_s: float | None) -> str:
+        """Wait until the run may continue; returns the source of the continuation."""
         clock, begin_s = self._bench.clock, self._bench.clock.now()
         max_hold_s = self._bench.station.file.interlocks.max_hold_s
-        for by in self._continuations(why, needs_operator=after_s is None):
+        for source in self._continuations(reason, needs_operator=after_s is None):
             held_s = clock.now() - begin_s
             self._raise_other_trips(trips)
-            if by and self._is_clear(trips):
-                return by
-            if after_s is not None and self._good_for_s(trips, held_s) >= after_s:
+            if source and self._is_clear(trips):
+                return source
+            if after_s is not None and self._untripped_for_s(trips, held_s) >= after_s:
                 return ITSELF
             if held_s > max_hold_s:
                 break
-        raise RunStoppedError(f"held for longer than {max_hold_s / 3600.0:g} h: {why}")
+        raise RunStoppedError(f"held for longer than {max_hold_s / 3600.0:g} h: {reason}")
 
     def _raise_other_trips(self, trips: Sequence[Trip]) -> None:
-        known = {trip.name for trip in trips}
-        others = [trip for trip in self._bench.trips() if trip.name not in known]
+        held_for = {trip.name for trip in trips}
+        others = [trip for trip in self._bench.trips() if trip.name not in held_for]
         if others:
             raise TrippedError(others)
 
-    def _good_for_s(self, trips: Sequence[Trip], held_s: float) -> float:
-        """For how long nothing that led to the hold has been wrong; zero while anything is."""
+    def _untripped_for_s(self, trips: Sequence[Trip], held_s: float) -> float:
+        """Time since the causes of the hold have cleared, s; zero while anything is tripped or unsafe."""
         return (
             0.0
             if self._bench.failed_safe_actions or self._bench.trips()
-            else min(self._bench.good_for_s(trips), held_s)
+            else min(self._bench.untripped_for_s(trips), held_s)
         )
 
-    def _continuations(self, why: str, needs_operator: bool) -> Iterator[str]:
-        """Let ticks pass, and yield at each who continues the run; an empty text for no one."""
+    def _continuations(self, reason: str, needs_operator: bool) -> Iterator[str]:
+        """Perform ticks, and yield at each the source of a continuation; empty if there is none."""
         clock, operator = self._bench.clock, self._run.operator
         ask_s = clock.now() if needs_operator else math.inf
         while True:
             if clock.now() >= ask_s:
-                operator.ask(f"The run holds: {why}", [RunCommand.CONTINUE, RunCommand.ABORT])
+                operator.ask(f"The run holds: {reason}", [RunCommand.CONTINUE, RunCommand.ABORT])
                 ask_s = math.inf
-            self._heartbeat.beat()
+            self._ticker.tick()
             self._repeat_safe_actions()
-            by = self._answer(why, needs_operator)
-            if by and needs_operator:
+            source = self._answer(reason, needs_operator)
+            if source and needs_operator:
                 ask_s = clock.now() + _ASK_AGAIN_S  # in case something is still tripped
-            yield by
+            yield source
 
     def _repeat_safe_actions(self) -> None:
-        """Repeat safe actions that failed until they are done; each that is done is in the journal."""
-        actions = self._bench.repeat_safe_actions(self._heartbeat.signal_guard)
+        """Repeat safe actions that failed until they succeed; each success is recorded in the journal."""
+        actions = self._bench.repeat_safe_actions(self._ticker.signal_guard)
         if any(not action.problem for action in actions):
             self._run.journal.record("made_safe", actions=[asdict(action) for action in actions])
             done = [action.what for action in actions if not action.problem]
             self._run.observers.noted(f"Safe state, repeated: {listed(done)}")
 
-    def _answer(self, why: str, needs_operator: bool) -> str:
-        given = self._heartbeat.command()
+    def _answer(self, reason: str, needs_operator: bool) -> str:
+        received = self._ticker.command()
         answer = self._run.operator.answer() if needs_operator else None
         if answer == RunCommand.ABORT:
-            raise RunStoppedError(f"the operator answered '{answer}' to: {why}")
-        if given and given.command is not RunCommand.CONTINUE:
-            self._run.note(f"the run holds: it accepts continue or abort, not {given.command}")
+            raise RunStoppedError(f"the operator answered '{answer}' to: {reason}")
+        if received and received.command is not RunCommand.CONTINUE:
+            self._run.note(f"the run holds: it accepts continue or abort, not {received.command}")
             return ""
-        return describe_source(given.by) if given else "the operator" if answer else ""
+        return describe_source(received.source) if received else "the operator" if answer else ""
 
     def _is_clear(self, trips: Sequence[Trip]) -> bool:
-        """Clear latched alarms, and return whether nothing is tripped; notes what still is."""
+        """Clear latched alarms, and return whether nothing is tripped; notes remaining trips."""
         if any(trip.name == "chamber_alarm" for trip in trips):
             try:
                 self._bench.instruments.chamber.clear_alarms()
@@ -186,16 +188,16 @@ class Holding:
             self._bench.state.chamber_state_unknown()
         self._bench.read_instruments()
         unsafe = [action.text for action in self._bench.failed_safe_actions.values()]
-        still = " ".join([*unsafe, text_of_trips(self._bench.trips())]).strip()
-        if still and still != self._noted:
-            self._run.note(f"can't continue yet: {still}")
-        self._noted = still
-        return not still
+        remaining = " ".join([*unsafe, text_of_trips(self._bench.trips())]).strip()
+        if remaining and remaining != self._noted_problems:
+            self._run.note(f"can't continue yet: {remaining}")
+        self._noted_problems = remaining
+        return not remaining
 
     def _continues_after_s(self, trips: Sequence[Trip]) -> float | None:
-        """Time without a trip after which the run continues without an operator; None where it does not."""
-        unattended = all(
+        """Time without a trip after which the run continues without an operator, s; None if it does not."""
+        is_automatic = all(
             trip.rule.resume == "automatic" and self._run.state.resumes[trip.name] < trip.rule.max_resumes
             for trip in trips
         )
-        return max(trip.rule.resume_after_s for trip in trips) if trips and unattended else None
+        return max(trip.rule.resume_after_s for trip in trips) if trips and is_automatic else None

@@ -1,9 +1,9 @@
-"""The runs of an investigation on a bench: its campaign and its blocks, on one clock.
+"""Runs of an investigation on a bench: its campaign and its blocks, on one clock.
 
-Each run ends in the station's safe state, and each block begins from there, on a real as on an emulated
-bench: the chamber returns to the temperature of the last dwell, and the unit is switched off and on, so that
-its time since power-on is known. An emulated bench lives as long as the clock, so that it continues with its
-temperatures.
+Each run ends in the station's safe state, and each block begins from there, on a real or an emulated bench:
+the chamber returns to the temperature of the last dwell, and the unit is switched off and on, so that its
+time since power-on is known. An emulated bench exists as long as its clock, so that its temperatures
+continue.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from gyrobench.bench.closure.loadable_model import model_with_effects
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.plausibility import implausible
 from gyrobench.bench.closure.temperature_record import TemperatureRecord
-from gyrobench.bench.engine.job import Job, emulation_of, job_in, prepare_job
+from gyrobench.bench.engine.job import Job, emulation_of, prepare_job, read_job
 from gyrobench.bench.engine.observers import RunObserver
 from gyrobench.bench.engine.operator import Operator
-from gyrobench.bench.engine.run import EarlierRuns, is_whole, run_or_resume
+from gyrobench.bench.engine.run import EarlierRuns, is_complete, run_or_resume
 from gyrobench.bench.engine.run_outcome import RunOutcome
 from gyrobench.bench.engine.verification_runs import VerificationRuns, is_run_of
 from gyrobench.bench.foundations.arrays import FloatArray
@@ -59,7 +59,7 @@ Observe = Callable[[Job], AbstractContextManager[tuple[RunObserver, Operator]]]
 
 
 def measure_campaign(job: Job, folder: RunFolder, observe: Observe) -> Clock | None:
-    """Run the first campaign of an investigation, or finish the run of it that is there.
+    """Run the first campaign of an investigation, or finish its run in the folder.
 
     Returns the clock of a new run, on which blocks can follow. Raises RunFolderError if the folder holds
     another run, and GyrobenchError if the run does not finish; a later call resumes it.
@@ -76,12 +76,12 @@ def measure_campaign(job: Job, folder: RunFolder, observe: Observe) -> Clock | N
 
 @dataclass(frozen=True)
 class InvestigationStart:
-    """What an investigation on a station begins with."""
+    """Start conditions of an investigation on a station."""
 
     job: Job
-    folder: Path  #: Of the investigation.
+    folder: Path  #: Folder of the investigation.
     runs: Sequence[Path]  #: Run folders of the first table.
-    profile: Profile | None = None  #: Of an adaptive campaign, which measures the first dwells for it.
+    profile: Profile | None = None  #: Profile of an adaptive campaign, which measures its first dwells.
 
     @property
     def is_measured_first(self) -> bool:
@@ -92,26 +92,31 @@ class InvestigationStart:
 def start_with_runs(
     runs: Sequence[Path], station: str | None, world: str | None, seed: int | None, out: Path | None
 ) -> InvestigationStart:
-    """Begin with runs of one unit; what is None is that of the first, the folder ``investigation`` in it.
+    """Begin with runs of one unit.
 
-    Another station that has a shipped world of its name gets that one. Raises DocumentError or RunFolderError
-    if a file of the first run, or the station, can't be used.
+    Arguments that are None are those of the first run; ``out`` is by default the folder ``investigation`` in
+    it. Another station gets the shipped world of its name, if there is one. Raises DocumentError or
+    RunFolderError if a file of the first run, or the station, can't be used.
     """
     first = RunFolder(runs[0])
-    known = emulation_of(first)
-    job = job_in(first) if station is None else prepare_job(str(first.procedure), station)
+    emulation_of_first = emulation_of(first)
+    job = read_job(first) if station is None else prepare_job(str(first.procedure), station)
     if station is not None:
-        own, name = read_document(first.station).data, job.station.file.station
-        if not isinstance(own, dict) or own.get("station") != name:
-            world = world_for(name, world, known.world)
-    emulation = Emulation(world or known.world, known.seed if seed is None else seed, known.faults)
+        first_station, name = read_document(first.station).data, job.station.file.station
+        if not isinstance(first_station, dict) or first_station.get("station") != name:
+            world = world_for(name, world, emulation_of_first.world)
+    emulation = Emulation(
+        world or emulation_of_first.world,
+        emulation_of_first.seed if seed is None else seed,
+        emulation_of_first.faults,
+    )
     return InvestigationStart(replace(job, emulation=emulation), out or first.path / "investigation", runs)
 
 
 def start_with_procedure(
     procedure: str, station: str, emulation: Emulation, out: Path | None, *, adaptive: bool
 ) -> InvestigationStart:
-    """Begin with a campaign that is measured: the procedure, or its first dwells if it is ``adaptive``.
+    """Begin with a campaign to be measured: the procedure, or only its first dwells if ``adaptive``.
 
     ``out``: folder of the investigation, by default under ``runs/``. Raises DocumentError if procedure or
     station are wrong, and RunFolderError if the folder can't be written.
@@ -130,7 +135,7 @@ def start_with_procedure(
 def verification_runs(
     campaign: RunFolder, closure: Closure, procedure: str, job: Job, folder: Path
 ) -> VerificationRuns:
-    """Runs that compare the compensation for a cause with the declared model, or that with none.
+    """Runs that compare the compensation for effects with the declared model, or the latter with none.
 
     Raises DocumentError as :class:`gyrobench.bench.engine.verification_runs.VerificationRuns` does.
     """
@@ -140,7 +145,7 @@ def verification_runs(
 
 
 def measure_verification(runs: VerificationRuns, observe: Observe) -> VerificationResult:
-    """Measure what is missing and compare. Raises GyrobenchError if a run does not finish."""
+    """Measure the missing runs and compare all. Raises GyrobenchError if a run does not finish."""
     for name in runs.selected:
         if not runs.is_finished(name):
             with observe(runs.jobs[name]) as (observer, operator):
@@ -149,11 +154,11 @@ def measure_verification(runs: VerificationRuns, observe: Observe) -> Verificati
     return runs.result()
 
 
-def _measure(job: Job, folder: RunFolder, observe: Observe, after: EarlierRuns | None) -> None:
-    if is_whole(folder):
+def _measure(job: Job, folder: RunFolder, observe: Observe, earlier: EarlierRuns | None) -> None:
+    if is_complete(folder):
         return
     with observe(job) as (observer, operator):
-        _, outcome = run_or_resume(job, folder, observer, operator, after)
+        _, outcome = run_or_resume(job, folder, observer, operator, earlier)
     _require_finished(folder, outcome)
 
 
@@ -165,8 +170,8 @@ def _require_finished(folder: RunFolder, outcome: RunOutcome) -> None:
 class StationBench:
     """The bench of a station, on which an investigation measures its blocks.
 
-    Each block has a run, in the folder ``run`` in that of the block. ``clock`` is that of a campaign which
-    this process has just measured.
+    Each block has a run, in the folder ``run`` in the folder of the block. ``clock`` is that of a campaign
+    just measured by this process.
 
     Raises DocumentError if the campaign has no dwells that blocks could repeat.
     """
@@ -178,13 +183,14 @@ class StationBench:
         self._station = job.station
         self._campaign = read_campaign(*campaign)
         self._runs = [RunFolder(Path(table.name)) for table in self._campaign.tables]
-        self._pattern = DwellPattern.of(job_in(self._runs[0]).plan)
+        self._pattern = DwellPattern.of(read_job(self._runs[0]).plan)
         self.rows = joined_rows(self._campaign)  #: Dwells of the campaign.
         last_dwells = read_dwells(self._runs[-1].dwells)
         hours = (self.rows[-1].end_s - self.rows[0].start_s) / 3600.0
         self._times = BlockTimes.on_bench(self._station.file.unit.thermal.time_constant_s, hours)
         self._shift_s = self.rows[-1].start_s - max(row.start_s for row in last_dwells)
-        self.campaign_h = sum(job_in(run).plan.duration_s for run in self._runs) / 3600.0  #: With cool-downs.
+        #: Planned duration of the campaign with cool-downs, h.
+        self.campaign_h = sum(read_job(run).plan.duration_s for run in self._runs) / 3600.0
 
     def campaign(self, rows: Sequence[DwellRow]) -> Campaign:
         """Dwells of the campaign and of blocks, with the temperatures between them."""
@@ -195,20 +201,21 @@ class StationBench:
         return replace(campaign_of(rows, record), tables=self._campaign.tables)
 
     def start(self, rows: Sequence[DwellRow]) -> BlockStart:
-        """Begin of a block after these dwells: the safe state, some time after the last run."""
+        """Start of a block after these dwells: the safe state, some time after the last run."""
         run = [*self._runs, *self._blocks(rows[-1].end_s)][-1]
         last_s, power_ons = self._end(rows[-1].end_s)
         now_s, safe = self._clock_after(last_s).now(), self._station.file.safe_state
         readings, powered = read_telemetry(run.telemetry), safe.unit == "keep"
-        ended = replace(
+        end_state = replace(
             self._station.bench_at_rest(),
             chamber_c=_last(readings["chamber_c"]),
-            powered=powered and job_in(run).plan.steps[-1].after.powered,
+            powered=powered and read_job(run).plan.steps[-1].after.powered,
             set_point_c=safe.chamber_c,
             ramp_c_per_s=self._station.file.chamber.limits.ramp_c_per_min / 60.0,
         )
         x, y, z = (
-            replace(ended, gyro_c=_last(readings[f"gyro_{axis}_c"])).passed(now_s - last_s) for axis in AXES
+            replace(end_state, gyro_c=_last(readings[f"gyro_{axis}_c"])).passed(now_s - last_s)
+            for axis in AXES
         )
         state = StartState(
             chamber_c=x.chamber_c,
@@ -222,7 +229,7 @@ class StationBench:
         return BlockStart(now_s, state, power_ons, self._times)
 
     def timed(self, block: Block) -> Block | None:
-        """The block with the times of the planner; None if the station can't run it."""
+        """The block with the times of its plan on this station; None if the station can't run it."""
         off_s = [
             step.end_s - step.start_s
             for step in block.plan.steps
@@ -241,11 +248,11 @@ class StationBench:
             rest,
             chamber_c=rest.chamber_c if state.chamber_c is None else state.chamber_c,
             gyro_c=float(np.mean([state.gyro_x_c, state.gyro_y_c, state.gyro_z_c])),
-        )  # with the INS off: a power-on switches one that is on off first
+        )  # with the INS off: a power-on first switches off an INS that is on
         return self._station.plan(document, checked_procedure(document), bench)
 
     def measure(self, plan: BlockPlan, folder: Path) -> list[DwellRow]:
-        """Run a block, or finish the run that is in its folder; which a later call resumes."""
+        """Run a block, or finish the run in its folder; a later call resumes an interrupted run."""
         run, path = RunFolder(folder / "run"), folder / "procedure.yaml"
         write_whole(path, block_procedure(plan, self._pattern).text.encode())
         job = prepare_job(
@@ -254,23 +261,23 @@ class StationBench:
         last_s, power_ons = self._end(plan.start_s)
         clock = self._clock_after(max(last_s, _last_s(run)))
         _measure(job, run, self._observe, EarlierRuns(clock, plan.unit, power_ons))
-        added = plan.next_dwell - 1
-        rows = [replace(row, dwell=row.dwell + added) for row in read_dwells(run.dwells)]
+        earlier_dwells = plan.next_dwell - 1
+        rows = [replace(row, dwell=row.dwell + earlier_dwells) for row in read_dwells(run.dwells)]
         if problems := implausible([*self.rows, *rows]):
             raise DocumentError("\n".join(f"{run.dwells}: {each}" for each in problems))
         return sorted(rows, key=lambda row: row.start_s)
 
     def _blocks(self, before_s: float) -> list[RunFolder]:
         """Runs of the blocks that began before a time, in order."""
-        found = []
+        blocks = []
         for path in self._folder.glob("block-*/run"):
             plan = BlockPlan.model_validate_json((path.parent / "plan.json").read_text(encoding="utf-8"))
             if plan.start_s < before_s and RunFolder(path).journal.exists():
-                found.append((plan.start_s, path))
-        return [RunFolder(path) for _, path in sorted(found)]
+                blocks.append((plan.start_s, path))
+        return [RunFolder(path) for _, path in sorted(blocks)]
 
     def _end(self, before_s: float) -> tuple[float, int]:
-        """Time of the last record of the runs that began before a time, and the power-ons until then."""
+        """Last record's time of the runs that began before ``before_s``, and the power-ons until then."""
         blocks = self._blocks(before_s)
         power_ons = sum(map(_power_ons, self._runs))
         last_s = _last_s(self._runs[-1]) + self._shift_s
@@ -300,5 +307,5 @@ def _power_ons(run: RunFolder) -> int:
 
 
 def _last(readings: FloatArray) -> float:
-    known = readings[np.isfinite(readings)]
-    return float(known[-1]) if len(known) else math.nan
+    valid = readings[np.isfinite(readings)]
+    return float(valid[-1]) if len(valid) else math.nan

@@ -1,4 +1,4 @@
-"""What is to be run, checked before anything moves."""
+"""A procedure on a station, read and checked before anything moves."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from gyrobench.drivers.ins.compensation import Compensation
 
 @dataclass(frozen=True)
 class Job:
-    """A checked procedure on a station, with what it is compared with and what the INS is given."""
+    """A checked procedure on a station, with the calibration to check and the compensation to load."""
 
     document: Document
     plan: Plan
@@ -34,13 +34,13 @@ class Job:
     emulation: Emulation
     calibration: tuple[DwellRow, ...]
     compensation: Compensation | None
-    #: Customer, order and item of the certificate, as far as they are given.
+    #: Customer, order and item of the certificate; only those that are given.
     certificate_order: Mapping[str, str]
     acknowledged: tuple[str, ...]  #: Instruments past due whose use the operator acknowledges.
-    unit: str = ""  #: Serial number of the only INS that it is for; empty for any.
+    unit: str = ""  #: Serial number of the only INS that it may run on; empty for any.
 
     def plan_of(self, unit: Station) -> Plan:
-        """The plan with the positions of one unit of the station, whose mounting may differ."""
+        """The plan with the positions of one unit of the station; units may be mounted differently."""
         if unit.file.rate_table.reference_mounting is None:
             return self.plan
         return unit.plan(self.document, self.plan.procedure)
@@ -50,7 +50,7 @@ class Job:
         return [row for row in self.calibration if not number or row.unit == number]
 
     def emulated_world(self) -> dict[str, str | int]:
-        """Options of the emulated instruments; empty where none is emulated."""
+        """Options of the emulated instruments; empty if none is emulated."""
         if not self.station.file.is_emulated():
             return {}
         faults = {"faults": self.emulation.faults} if self.emulation.faults else {}
@@ -63,32 +63,35 @@ class Job:
 
     @property
     def is_virtual(self) -> bool:
-        """Whether it runs on virtual time, where no operator can answer."""
+        """Whether the job runs on virtual time, on which no operator can answer."""
         return self.station.is_virtual
 
     @property
     def options(self) -> dict[str, str | int]:
-        """How it is run, as provenance and journal keep it; :func:`emulation_of` reads it."""
+        """Options of the run as stored in provenance and journal; :func:`emulation_of` reads them."""
         unit = {"unit": self.unit} if self.unit else {}
         return {"clock": self.station.file.clock, **unit, **self.emulated_world(), **self.certificate_order}
 
     def past_due(self) -> dict[str, str]:
-        """Instruments whose calibration is past due today, and since when."""
+        """Description of each instrument whose calibration is past due today, by name."""
         return self.station.file.traceability.past_due(WallClock().utc().date())
 
     def check_calibrations(self) -> None:
         """Raises DocumentError if an instrument is past due and not acknowledged."""
-        if left := {name: text for name, text in self.past_due().items() if name not in self.acknowledged}:
-            options = " ".join(f"--acknowledge {name}" for name in left)
+        if unacknowledged := {
+            name: text for name, text in self.past_due().items() if name not in self.acknowledged
+        }:
+            options = " ".join(f"--acknowledge {name}" for name in unacknowledged)
             raise DocumentError(
-                f"{self.station.path}: {'; '.join(left.values())}. Have it calibrated, or run with {options}"
+                f"{self.station.path}: {'; '.join(unacknowledged.values())}. Have it calibrated, or run with "
+                f"{options}"
             )
 
 
 def emulation_of(folder: RunFolder, options: Mapping[str, Any] | None = None) -> Emulation:
-    """World, seed and faults behind the emulated instruments of a run; the default without any.
+    """World, seed and faults of the emulated instruments of a run; defaults for options that it lacks.
 
-    ``options``: those of the run, by default from its provenance.
+    ``options``: options of the run, by default from its provenance.
     """
     options = run_options(folder) if options is None else options
     return Emulation(
@@ -107,41 +110,41 @@ def prepare_job(
     certificate_order: Mapping[str, str] | None = None,
     acknowledged: Sequence[str] = (),
 ) -> Job:
-    """Read procedure and station and check the one against the other.
+    """Read procedure and station and check the procedure against the station.
 
     Calibration checks are compared with ``calibration``, a run folder or dwell table. ``compensation`` is
     loaded into the INS after each power-on. ``certificate_order``: customer, order and item;
-    ``acknowledged``: instruments that may be past due. Raises DocumentError with everything wrong with
-    them and its places, or if the INS does not accept the compensation.
+    ``acknowledged``: instruments that may be past due. Raises DocumentError with all problems and their
+    places in the files, or if the INS does not accept the compensation.
     """
     bench = Station(find_document("stations", station))
     bench.check_dbc()
     document, model = load_procedure(find_document("procedures", procedure))
-    plan = _planned(bench, document, model)
+    plan = _plan_on_station(bench, document, model)
     if calibration and not any(each.purpose is DwellPurpose.CALIBRATION_CHECK for each in plan.steps):
         raise DocumentError(
             f"{document.path}: checks no calibration, so {calibration} is not used. Leave --calibration out, "
             "or choose a procedure with `purpose: calibration_check`"
         )
     rows = tuple(read_calibration(calibration)) if calibration else ()
-    known = {row.unit for row in rows}
-    lacking = [unit.number for unit in bench.units if unit.number and unit.number not in known]
-    if rows and lacking:
+    calibrated = {row.unit for row in rows}
+    uncalibrated = [unit.number for unit in bench.units if unit.number and unit.number not in calibrated]
+    if rows and uncalibrated:
         raise DocumentError(
-            f"{calibration}: has no dwell of unit {', '.join(lacking)}. Give a calibration of all units"
+            f"{calibration}: has no dwell of unit {', '.join(uncalibrated)}. Give a calibration of all units"
         )
     if compensation is not None:
         _check_compensation(bench, compensation)
-    given = {name: text for name, text in (certificate_order or {}).items() if text}
+    order = {name: text for name, text in (certificate_order or {}).items() if text}
     emulation = emulation or Emulation.of(station)
-    job = Job(document, plan, bench, emulation, rows, compensation, given, tuple(acknowledged))
+    job = Job(document, plan, bench, emulation, rows, compensation, order, tuple(acknowledged))
     if compensation is not None:
         require_one_unit(job)
     return job
 
 
-def _planned(bench: Station, document: Document, procedure: Procedure) -> Plan:
-    """The plan on this bench; an error for the limits of its station alone names that station."""
+def _plan_on_station(bench: Station, document: Document, procedure: Procedure) -> Plan:
+    """Plan the procedure; if only limits of the station forbid it, the error names the station."""
     try:
         return bench.plan(document, procedure)
     except DocumentError as error:
@@ -153,8 +156,8 @@ def _planned(bench: Station, document: Document, procedure: Procedure) -> Plan:
         ) from error
 
 
-def job_in(folder: RunFolder, options: Mapping[str, Any] | None = None) -> Job:
-    """The job of a run as its folder holds it; ``options`` as in :func:`emulation_of`."""
+def read_job(folder: RunFolder, options: Mapping[str, Any] | None = None) -> Job:
+    """Read the job of a run from its folder; ``options`` as in :func:`emulation_of`."""
     compensation = read_compensation(folder.compensation) if folder.compensation.exists() else None
     calibration = folder.calibration if folder.calibration.exists() else None
     options = run_options(folder) if options is None else options
@@ -165,7 +168,7 @@ def job_in(folder: RunFolder, options: Mapping[str, Any] | None = None) -> Job:
 
 
 def require_one_unit(job: Job) -> None:
-    """Raise DocumentError if a job measures several units at once, where that is not possible."""
+    """Raise DocumentError if the job measures several units at once."""
     if numbers := [unit.number for unit in job.station.units if unit.number]:
         raise DocumentError(
             f"{job.station.path}: has the units {', '.join(numbers)}, and only one can be measured here. Use "
@@ -174,7 +177,7 @@ def require_one_unit(job: Job) -> None:
 
 
 def _check_compensation(station: Station, compensation: Compensation) -> None:
-    """Refuse what the INS does not accept, before anything moves."""
+    """Raise DocumentError if the INS does not accept the compensation."""
     commands = station.file.ins.commands
     load = commands.load_compensation
     if load is None or commands.apply_compensation is None:
@@ -182,9 +185,9 @@ def _check_compensation(station: Station, compensation: Compensation) -> None:
             f"{station.path}: ins.commands lacks load_compensation or apply_compensation, so no compensation "
             "can be loaded into the INS. Map both commands, or run without --compensation"
         )
-    refused = load.unsupported(compensation)
-    if refused:
+    unsupported = load.unsupported(compensation)
+    if unsupported:
         raise DocumentError(
-            f"{station.path}: ins.commands.load_compensation does not accept {', '.join(refused)}. "
+            f"{station.path}: ins.commands.load_compensation does not accept {', '.join(unsupported)}. "
             "Map the indices of these terms, or remove the terms from the compensation"
         )

@@ -30,16 +30,17 @@ if TYPE_CHECKING:
 
 #: How often an instrument that does not answer at the start is asked again, and the pause between.
 _FIRST_TRIES, _FIRST_PAUSE_S = 5, 2.0
-#: Least time between reports of frames that were lost or invalid.
+#: Minimum time between reports of frames that were lost or invalid.
 _LOSS_PERIOD_S = 10.0
-#: Pauses between attempts to reopen a lost port: the first after some calm; each is twice the one before, up
-#: to the longest. An adapter is often back within seconds, before the silence of its instrument trips.
-_FIRST_REOPEN_PAUSE_S, _MAX_REOPEN_PAUSE_S, _REOPEN_CALM_S = 0.5, 5.0, 30.0
+#: Pauses between attempts to reopen a lost port: each is twice the one before, up to the maximum, and the
+#: first again after some time without attempts. An adapter is often back within seconds, before the silence
+#: of its instrument trips.
+_FIRST_REOPEN_PAUSE_S, _MAX_REOPEN_PAUSE_S, _REOPEN_RESET_S = 0.5, 5.0, 30.0
 #: Period at which a safe action that failed is repeated.
 _REPEAT_PERIOD_S = 5.0
-#: The chamber's air has reached its set point within this.
+#: The chamber's air counts as at its set point within this difference.
 _REACHED_C = 2.0
-#: Bins of lateness are evenly wide in the logarithm; below the first edge a tick counts as on time.
+#: Bins of lateness are of equal width in its logarithm; below the first edge a tick counts as on time.
 _LOWEST_S, _DECADES, _PER_DECADE = 1e-5, 8, 50
 
 _T = TypeVar("_T")
@@ -57,10 +58,10 @@ class TickLateness:
 
     def add(self, due_s: float, now_s: float, period_s: float) -> None:
         """Count the tick that was due at ``due_s`` and came at ``now_s``."""
-        late_s, place = now_s - due_s, 0
+        late_s, bin_index = now_s - due_s, 0
         if late_s > _LOWEST_S:
-            place = min(math.ceil(_PER_DECADE * math.log10(late_s / _LOWEST_S)), len(self._counts) - 1)
-        self._counts[place] += 1
+            bin_index = min(math.ceil(_PER_DECADE * math.log10(late_s / _LOWEST_S)), len(self._counts) - 1)
+        self._counts[bin_index] += 1
         if late_s > self._max_s:
             self._max_s = late_s
         if self._last_s is not None and due_s - self._last_s > 1.5 * period_s:
@@ -68,7 +69,7 @@ class TickLateness:
         self._last_s = due_s
 
     def summary(self) -> dict[str, float | int]:
-        """Return the number of ticks, of ticks missed because one took too long, and the lateness in s."""
+        """Return the numbers of ticks and of ticks missed because one took too long, and the lateness, s."""
         return {
             "count": sum(self._counts),
             "missed": self._missed,
@@ -78,21 +79,21 @@ class TickLateness:
         }
 
     def _late_s(self, share: float) -> float:
-        """Lateness that this share of the ticks does not exceed."""
+        """Lateness that ``share`` of the ticks do not exceed, s."""
         total = sum(self._counts)
-        place = int(np.searchsorted(np.cumsum(self._counts), share * total)) if total else 0
-        late_s = _LOWEST_S * 10.0 ** (place / _PER_DECADE) if place else 0.0
+        bin_index = int(np.searchsorted(np.cumsum(self._counts), share * total)) if total else 0
+        late_s = _LOWEST_S * 10.0 ** (bin_index / _PER_DECADE) if bin_index else 0.0
         return round(min(late_s, self._max_s), 6)
 
 
 class LiveBench:
     """The opened instruments of a bench, polled at every tick.
 
-    An instrument that does not answer a poll is asked again at the next tick; its last answer gets older
+    An instrument that does not answer a poll is polled again at the next tick; its last answer ages
     meanwhile, until its interlock trips. ``recordings`` are the CAN log and telemetry of each unit, in the
-    order of ``instruments``, and ``telemetry`` is that of a bench with several; none for a bench that is not
-    recorded. ``report_failure`` gets the instrument's name and the error of a failed exchange, or None when
-    it answers again.
+    order of ``instruments``; ``telemetry`` is that of the whole bench if it has several units. Both are empty
+    for a bench that is not recorded. ``report_failure`` is called with the instrument's name and the error of
+    a failed exchange, or None when the instrument answers again.
     """
 
     def __init__(
@@ -122,42 +123,42 @@ class LiveBench:
         self._next_safe_s = 0.0
         #: The units that are measured, in the order of the station file.
         self.units = [
-            LiveUnit(self, each, instruments.units[each.instrument], instruments.absent, *recorded)
-            for each, recorded in zip(
+            LiveUnit(self, each, instruments.units[each.instrument], instruments.absent, *recording)
+            for each, recording in zip(
                 (each for each in station.units if each.instrument in instruments.units),
                 recordings or [(None, None)] * len(instruments.units),
                 strict=True,
             )
         ]
-        self._placed = tuple(self.units)  # also those that are left out
+        self._all_units = tuple(self.units)  # including dropped ones
 
     def start(self) -> None:
-        """Ask all instruments for the first time.
+        """Read all instruments for the first time.
 
-        Raises InstrumentError if one does not answer, although it was asked several times.
+        Raises InstrumentError if one does not answer after several attempts.
         """
-        table = self._first(self.instruments.table.read)
-        chamber = self._first(self.instruments.chamber.read)
-        found, now_s = [unit.status() for unit in self.units], self.clock.now()
-        self.readings = Readings(table, now_s, chamber, now_s, found[0], now_s)
+        table = self._query_at_start(self.instruments.table.read)
+        chamber = self._query_at_start(self.instruments.chamber.read)
+        statuses, now_s = [unit.status() for unit in self.units], self.clock.now()
+        self.readings = Readings(table, now_s, chamber, now_s, statuses[0], now_s)
         self._next_reading_s = now_s + self.station.file.instruments_period_s
         self._watch.observe(self.readings)
-        for unit, ins in zip(self.units, found, strict=True):
+        for unit, ins in zip(self.units, statuses, strict=True):
             unit.begin(replace(self.readings, ins=ins))
 
-    def _first(self, ask: Callable[[], _T]) -> _T:
+    def _query_at_start(self, ask: Callable[[], _T]) -> _T:
         for _ in range(_FIRST_TRIES - 1):
             try:
                 return ask()
             except FaultError:
                 raise
             except InstrumentError as error:
-                self.failed(error)
+                self.handle_failure(error)
                 self.clock.sleep(_FIRST_PAUSE_S)
         return ask()
 
     def tick(self) -> None:
-        """Wait for the next tick, then poll what is due."""
+        """Wait for the next tick, then poll the instruments that are due."""
         tick_s, clock = self.station.file.tick_s, self.clock
         next_tick_s = tick_s * (math.floor(clock.now() / tick_s + 1e-9) + 1)
         for unit in self.units:
@@ -171,15 +172,15 @@ class LiveBench:
         for unit in self.units:
             unit.write_waiting(now_s)
         if self.instruments.is_ramping and CHAMBER not in self._failing:
-            self.asked(CHAMBER, self.instruments.advance_ramp)
+            self.query(CHAMBER, self.instruments.advance_ramp)
         self.lateness.add(next_tick_s, now_s, tick_s)
         if self._failing:
             self._reopen()
         if clock.now() >= self._next_reading_s - 1e-6:
             self.read_instruments()
         elif self._failing:
-            aside = {each.name for each in self.units if each.is_set_aside}
-            if not aside.issuperset(self._failing):
+            set_aside = {each.name for each in self.units if each.is_set_aside}
+            if not set_aside.issuperset(self._failing):
                 self.read_instruments()
 
     def trips(self) -> list[Trip]:
@@ -189,10 +190,10 @@ class LiveBench:
             trips += [] if unit.is_set_aside else unit.trips()
         return trips
 
-    def good_for_s(self, trips: Iterable[Trip]) -> float:
-        """Return for how long none of these interlocks has been tripped; zero while one is."""
+    def untripped_for_s(self, trips: Iterable[Trip]) -> float:
+        """Time for which none of these interlocks has been tripped, s; zero while one is."""
         watches: list[InterlockWatch | LiveUnit] = [self._watch, *self.units]
-        since_s = [each.good_since_s(trip.name) for trip in trips for each in watches]
+        since_s = [each.untripped_since_s(trip.name) for trip in trips for each in watches]
         now_s = self.clock.now()
         return min((0.0 if each_s is None else now_s - each_s for each_s in since_s), default=math.inf)
 
@@ -202,46 +203,46 @@ class LiveBench:
             unit.poll()
 
     def leave_out(self, unit: LiveUnit) -> None:
-        """Stop measuring a unit, and close its bus."""
+        """Stop measuring a dropped unit, and close its bus."""
         unit.end_capture()
         unit.ins.close()
         self.units = [each for each in self.units if each is not unit]
         self._failing = [name for name in self._failing if name != unit.name]
 
     def units_switched_off(self) -> None:
-        """The supplies of all units were switched off, also of those that are left out."""
-        for unit in self._placed:
+        """Record that the supplies of all units, including dropped ones, were switched off."""
+        for unit in self._all_units:
             unit.state.switched_off()
 
     def neighbours_on(self, unit: LiveUnit) -> int | None:
         """Number of other units that are on, as far as is known; None on a bench with one unit."""
         if len(self.station.units) == 1:
             return None
-        return sum(other.is_on for other in self._placed if other is not unit)
+        return sum(other.is_on for other in self._all_units if other is not unit)
 
     def reopen(self, instrument: str) -> None:
         """Reopen the port of an instrument; a failure is reported."""
-        self.asked(instrument, lambda: self.instruments.reopen(instrument))
+        self.query(instrument, lambda: self.instruments.reopen(instrument))
 
-    def asked(self, instrument: str, ask: Callable[[], _T]) -> _T | None:
-        """Return an instrument's answer; None where it fails, which is reported."""
+    def query(self, instrument: str, ask: Callable[[], _T]) -> _T | None:
+        """Return an instrument's answer, or None after a failure, which is reported."""
         try:
             answer = ask()
         except FaultError:
-            return None  # it answers; the interlocks evaluate what it reports
+            return None  # it answers; the interlocks evaluate its reported fault
         except InstrumentError as error:
-            self.failed(error)
+            self.handle_failure(error)
             return None
         if instrument in self._failing:
             self._failing.remove(instrument)
             self._report_failure(instrument, None)
         return answer
 
-    def failed(self, error: InstrumentError) -> None:
+    def handle_failure(self, error: InstrumentError) -> None:
         """Report a failed exchange; the instrument is reopened until it answers."""
         ins = self.instruments.units.get(error.instrument)
         if isinstance(error, ReplyError) and ins is not None and ins.status().age_s <= BUS_SILENCE_S:
-            self._report_loss(error)  # to reopen a bus that gives frames would lose more of them
+            self._report_loss(error)  # reopening a bus that receives frames would lose more of them
             return
         if error.instrument not in self._failing:
             self._failing.append(error.instrument)
@@ -254,11 +255,11 @@ class LiveBench:
             self._report_failure(error.instrument, None)
 
     def _reopen(self) -> None:
-        """Reopen an instrument that does not answer: an adapter that was unplugged needs it."""
+        """Reopen an instrument that does not answer, as an unplugged adapter requires."""
         late_s = self.clock.now() - self._next_reopen_s
         if late_s < 0.0:
             return
-        is_first = late_s > _REOPEN_CALM_S
+        is_first = late_s > _REOPEN_RESET_S
         pause_s = _FIRST_REOPEN_PAUSE_S if is_first else min(2.0 * self._reopen_pause_s, _MAX_REOPEN_PAUSE_S)
         self._next_reopen_s, self._reopen_pause_s = self.clock.now() + pause_s, pause_s
         instrument = self._failing[0]
@@ -267,17 +268,17 @@ class LiveBench:
             self.instruments.reopen(instrument)
 
     def read_instruments(self) -> None:
-        """Read table, chamber and INS, and keep the readings in the telemetry."""
+        """Read table, chamber and INS, and record the readings in the telemetry."""
         self._next_reading_s = self.clock.now() + self.station.file.instruments_period_s
         statuses = [unit.status() for unit in self.units]
-        changes: dict[str, Any] = {"ins": statuses[0], "asked_s": (asked_s := self.clock.now())}
-        if (of_table := self._asked_twice(RATE_TABLE, self._table_reading)) is not None:
-            changes["table"], changes["table_s"] = of_table
-        if (of_chamber := self._asked_twice(CHAMBER, self._chamber_reading)) is not None:
-            changes["chamber"], changes["chamber_s"] = of_chamber
+        changes: dict[str, Any] = {"ins": statuses[0], "polled_s": (polled_s := self.clock.now())}
+        if (table := self._query_plausible(RATE_TABLE, self._table_reading)) is not None:
+            changes["table"], changes["table_s"] = table
+        if (chamber := self._query_plausible(CHAMBER, self._chamber_reading)) is not None:
+            changes["chamber"], changes["chamber_s"] = chamber
         self.readings = readings = replace(self.readings, **changes)
         self._watch.observe(readings)
-        row = self._telemetry_row(readings, asked_s)
+        row = self._telemetry_row(readings, polled_s)
         if self._telemetry:
             self._telemetry.add(telemetry_row(row, None))
         for unit, ins in zip(self.units, statuses, strict=True):
@@ -287,36 +288,38 @@ class LiveBench:
         return self.instruments.table.read(), self.clock.now()
 
     def _chamber_reading(self) -> tuple[ChamberReading, float]:
-        """Return a reading and its time; where the sensor is faulty, the last one with this alarm."""
+        """Return a reading and its time; if the sensor is faulty, the last one with this alarm."""
         try:
             return self.instruments.chamber.read(), self.clock.now()
         except FaultError as error:
             return replace(self.readings.chamber, alarms=(error.message,)), self.readings.chamber_s
 
-    def _asked_twice(
+    def _query_plausible(
         self, instrument: str, ask: Callable[[], tuple[_ReadingT, float]]
     ) -> tuple[_ReadingT, float] | None:
-        """Return a reading, but a second one where the first is doubtful; None where that fails.
+        """Return a reading, read again if it is implausible; None after a failure.
 
-        Lines of text have no checksum: a damaged byte is a fault or a wrong number, and a trip may need the
-        operator.
+        Lines of text have no checksum: a damaged byte looks like a fault or another value, and the trip that
+        it causes may need the operator.
         """
-        answer = self.asked(instrument, ask)
-        return self.asked(instrument, ask) if answer is not None and self._is_doubtful(answer[0]) else answer
+        answer = self.query(instrument, ask)
+        return (
+            self.query(instrument, ask) if answer is not None and self._is_implausible(answer[0]) else answer
+        )
 
-    def _is_doubtful(self, reading: TableReading | ChamberReading) -> bool:
-        # A damaged one would not come twice.
+    def _is_implausible(self, reading: TableReading | ChamberReading) -> bool:
+        # A reading received twice is not damaged.
         is_new = reading not in (self.readings.table, self.readings.chamber)
-        return is_new and self._watch.is_doubtful(reading, self.state.expected)
+        return is_new and self._watch.is_implausible(reading, self.state.expected)
 
     def read_table(self) -> None:
-        """Read the table alone, between the regular readings."""
-        of_table = self.asked(RATE_TABLE, lambda: self.instruments.table.read())
-        if of_table is not None:
-            self.readings = replace(self.readings, table=of_table, table_s=self.clock.now())
+        """Read only the table, between the regular readings."""
+        reading = self.query(RATE_TABLE, lambda: self.instruments.table.read())
+        if reading is not None:
+            self.readings = replace(self.readings, table=reading, table_s=self.clock.now())
 
     def table_angles(self) -> Angles:
-        """Return outer and inner angle as last read, deg."""
+        """Return the outer and inner angles as last read, deg."""
         return self.station.table_axes_of(self.readings.table.position_deg)
 
     @property
@@ -327,16 +330,16 @@ class LiveBench:
     def make_safe(
         self, release_table: bool = True, meanwhile: Callable[[], object] = lambda: None
     ) -> list[SafeAction]:
-        """Bring all outputs to their safe values; ``meanwhile`` is called during the waits. None raises.
+        """Bring all outputs to their safe values, calling ``meanwhile`` during the waits; never raises.
 
-        A chamber that an interlock shows not to control its air is switched off too.
+        A chamber that does not control its air, according to an interlock, is switched off too.
         """
         chamber_off = any(trip.name in CHAMBER_OUT_OF_CONTROL for trip in self.trips())
         actions = make_safe(
             self.station, self.instruments, release_table, meanwhile=meanwhile, chamber_off=chamber_off
         )
         self.failed_safe_actions = {}
-        self._made_safe(actions)
+        self._record_safe_actions(actions)
         return actions
 
     def repeat_safe_actions(self, meanwhile: Callable[[], object]) -> list[SafeAction]:
@@ -349,10 +352,10 @@ class LiveBench:
         if not due:
             return []
         actions = repeat(self.station, self.instruments, due, meanwhile)
-        self._made_safe(actions)
+        self._record_safe_actions(actions)
         return actions
 
-    def _made_safe(self, actions: list[SafeAction]) -> None:
+    def _record_safe_actions(self, actions: list[SafeAction]) -> None:
         self._next_safe_s = self.clock.now() + _REPEAT_PERIOD_S
         self.state.made_safe(actions)
         for unit in self.units:
@@ -363,13 +366,13 @@ class LiveBench:
                 self.failed_safe_actions[action.what] = action
 
     def check_set_point_reached(self) -> None:
-        """Expect the chamber's air to stay at the set point once it has reached it."""
+        """Record that the chamber's air has reached the set point, so that it is expected to stay there."""
         set_c, air_c = self.state.commanded_c, self.readings.chamber.temperature_c
         if set_c is not None and abs(air_c - set_c) <= _REACHED_C:
             self.state.chamber_set_point_reached()
 
     def prepare_table(self) -> None:
-        """Set the limits of motion, clear latched faults and close the servos, unless that is done.
+        """Set the motion limits, clear latched faults and close the servos, unless that is done already.
 
         Raises InstrumentError if the table does not answer, or a servo does not close.
         """
@@ -380,15 +383,15 @@ class LiveBench:
         table.prepare()
         self.state.table_prepared()
 
-    def _telemetry_row(self, readings: Readings, asked_s: float) -> tuple[float, ...]:
+    def _telemetry_row(self, readings: Readings, polled_s: float) -> tuple[float, ...]:
         """Values of the bench at this moment; NaN for an instrument that did not answer."""
         angles = (*self.table_angles(), *self.station.table_axes_of(readings.table.rate_dps))
         set_c = self.state.commanded_c
         return (
-            asked_s,
+            polled_s,
             math.nan if set_c is None else set_c,
-            readings.chamber.temperature_c if readings.chamber_s >= asked_s else math.nan,
-            *(angles if readings.table_s >= asked_s else (math.nan,) * len(angles)),
-            float(self.state.at.step),
-            float(self.state.at.dwell),
+            readings.chamber.temperature_c if readings.chamber_s >= polled_s else math.nan,
+            *(angles if readings.table_s >= polled_s else (math.nan,) * len(angles)),
+            float(self.state.run_position.step),
+            float(self.state.run_position.dwell),
         )

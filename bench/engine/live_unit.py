@@ -23,14 +23,16 @@ if TYPE_CHECKING:
     from gyrobench.bench.runs.can_log import CanLog
     from gyrobench.bench.runs.telemetry import Telemetry
 
-#: An INS whose count of epochs is off by more than this has restarted, or lost its count.
+#: If the epoch count of an INS is off by more than this, it has restarted or lost its count.
 _EPOCH_COUNT_TOLERANCE_S = 3.0
-#: Two counts are at the same other rate if they differ by less than this share, and the period is at most
-#: this multiple of the declared one. A match over this multiple of the tolerance shows the declared rate.
-_SAME_PERIOD, _MAX_PERIOD_RATIO, _CLEAR = 0.03, 20.0, 4.0
-#: A CAN bus that is silent for this long may have been disconnected without an error.
+#: Two mismatching periods are equal if they differ by less than this relative amount; a period is plausible
+#: within this factor of the declared one.
+_SAME_PERIOD, _MAX_PERIOD_RATIO = 0.03, 20.0
+#: A match over a time of this multiple of the tolerance confirms the declared period.
+_CONFIRMED_RATIO = 4.0
+#: A CAN bus that is silent for this long may be disconnected without an error.
 BUS_SILENCE_S = 4.0
-#: Frames of an INS that has started are not older than this.
+#: Maximum age of the last frame of an INS that has started.
 _FRESH_S = 2.0
 
 _T = TypeVar("_T")
@@ -57,23 +59,23 @@ class Capture:
         return self._count
 
     def frames(self, first: int = 0) -> FrameBlock:
-        """Return the data frames so far, from a number on."""
-        begin, start = len(self._blocks), self._count
-        while start > first:
-            begin -= 1
-            start -= len(self._blocks[begin])
-        return concatenate(self._blocks[begin:]).take(slice(first - start, None))
+        """Return the data frames so far, from index ``first`` on."""
+        block, block_start = len(self._blocks), self._count
+        while block_start > first:
+            block -= 1
+            block_start -= len(self._blocks[block])
+        return concatenate(self._blocks[block:]).take(slice(first - block_start, None))
 
 
-class Polled(Protocol):
-    """The bench that polls a unit."""
+class PollingBench(Protocol):
+    """Interface of the bench that polls a unit."""
 
     clock: Clock
 
-    def asked(self, instrument: str, ask: Callable[[], _T]) -> _T | None:
-        """Return an instrument's answer; None where it fails, which is reported."""
+    def query(self, instrument: str, ask: Callable[[], _T]) -> _T | None:
+        """Return an instrument's answer, or None after a failure, which is reported."""
 
-    def failed(self, error: InstrumentError) -> None:
+    def handle_failure(self, error: InstrumentError) -> None:
         """Report a failed exchange; the instrument is reopened until it answers."""
 
     def neighbours_on(self, unit: LiveUnit) -> int | None:
@@ -83,14 +85,13 @@ class Polled(Protocol):
 class LiveUnit:
     """One unit on a bench that is polled.
 
-    ``station`` is the bench with this unit alone, ``absent`` what the bench was opened without.
-    ``can_log`` and ``telemetry`` keep everything received and read; they are None for a unit that is not
-    recorded.
+    ``station`` is the station with this unit alone, ``absent`` names the instruments that were not opened.
+    ``can_log`` and ``telemetry`` record everything received and read; None for a unit that is not recorded.
     """
 
     def __init__(
         self,
-        bench: Polled,
+        bench: PollingBench,
         station: Station,
         ins: CanIns,
         absent: Collection[str],
@@ -103,24 +104,25 @@ class LiveUnit:
         self.name = ins.name  #: in messages
         self.state = UnitState(station)
         self.capture: Capture | None = None  #: frames of the dwell in progress
-        self.is_set_aside = False  #: not measured for the moment; its trips concern no other unit
+        self.is_set_aside = False  #: temporarily not measured; its trips affect no other unit
         self.readings: Readings  #: newest answers; set by :meth:`observe`
         self._can_log = can_log
         self._telemetry = telemetry
         self._watch = InterlockWatch(station, bench.clock, {RATE_TABLE, CHAMBER, *absent})
         self._mode = InsMode.UNKNOWN
-        self._epochs: tuple[float, int, float] | None = None  #: When read, count, and age of the last frame.
-        self._other_period_s = math.nan  #: by the last count that did not match
-        ins.on_frames = self._received
+        #: Time of reading, s, epoch count, and age of the last frame, s.
+        self._epochs: tuple[float, int, float] | None = None
+        self._other_period_s = math.nan  #: epoch period by the last count that did not match
+        ins.on_frames = self._store_frames
 
     @property
-    def is_read(self) -> bool:
+    def has_readings(self) -> bool:
         """Whether there are readings."""
         return hasattr(self, "readings")
 
     def poll(self) -> None:
         """Receive the frames that have arrived."""
-        self._bench.asked(self.name, self.ins.poll)
+        self._bench.query(self.name, self.ins.poll)
 
     def status(self) -> InsStatus:
         """State of the INS with the frames that have arrived by now."""
@@ -128,7 +130,7 @@ class LiveUnit:
         return self.ins.status()
 
     def forget(self) -> None:
-        """Drop what the INS sent before its supply was switched on: it does not describe it any more."""
+        """Discard what the INS sent before its supply was switched on."""
         self.poll()
         self.ins.forget()
         self._mode, self._epochs = InsMode.UNKNOWN, None
@@ -139,13 +141,13 @@ class LiveUnit:
         return status.age_s < _FRESH_S and status.mode is not InsMode.BOOT
 
     def check_identifiers(self) -> None:
-        """Raise SignalMapError where the INS sends identifiers of the DBC with another number of bits."""
+        """Raise SignalMapError if the INS sends identifiers of the DBC in the other format, 11 or 29 bits."""
         if self.ins.has_other_format:
-            found = self.ins.describe_foreign_frames()
-            raise SignalMapError(f"{self.name}: {found}. Correct the DBC file, or the INS's output")
+            other_frames = self.ins.describe_foreign_frames()
+            raise SignalMapError(f"{self.name}: {other_frames}. Correct the DBC file, or the INS's output")
 
     def write_waiting(self, now_s: float) -> None:
-        """Write frames to the log that no others have followed for some seconds."""
+        """Write the buffered frames to the log if no others have followed for some seconds."""
         if self._can_log:
             self._can_log.write_waiting(now_s)
 
@@ -155,22 +157,22 @@ class LiveUnit:
         self._watch.observe(readings)
 
     def observe(self, readings: Readings, row: tuple[float, ...]) -> None:
-        """Take the readings of the bench with those of this unit's INS, and the bench's row of telemetry."""
+        """Process the bench's readings with this unit's INS status, and the bench's telemetry ``row``."""
         self.begin(readings)
         self._notice_restart(readings)
         self._notice_silent_bus(readings)
         if self._telemetry:
             self._telemetry.add(telemetry_row(row, readings.ins))
-        if self.capture and readings.chamber_s >= readings.asked_s:
+        if self.capture and readings.chamber_s >= readings.polled_s:
             self.capture.chamber_c.append(readings.chamber.temperature_c)
-        if self.capture and readings.table_s >= readings.asked_s:
+        if self.capture and readings.table_s >= readings.polled_s:
             self.capture.table_deg.append(self.station.table_axes_of(readings.table.position_deg))
         if self.capture and (neighbours_on := self._bench.neighbours_on(self)) is not None:
             self.capture.neighbours_on.append(neighbours_on)
 
     @property
     def is_on(self) -> bool:
-        """Whether its INS is on and sends; of a unit that is left out, whether it was when that happened."""
+        """Whether the INS is on and sends; for a dropped unit, whether it did when it was dropped."""
         return self.state.expected.ins_on and self.readings.ins.age_s <= BUS_SILENCE_S
 
     def trips(self) -> list[Trip]:
@@ -178,58 +180,60 @@ class LiveUnit:
         trips = self._watch.trips(self._bench.clock.now(), self.state.expected)
         return [replace(trip, unit=self.station.number) for trip in trips] if trips else trips
 
-    def good_since_s(self, name: str) -> float | None:
-        """Time since which an interlock is good for this unit; None while it is tripped."""
-        return self._watch.good_since_s(name)
+    def untripped_since_s(self, name: str) -> float | None:
+        """Time since which an interlock has not been tripped for this unit; None while it is tripped."""
+        return self._watch.untripped_since_s(name)
 
     def _notice_restart(self, readings: Readings) -> None:
         """Detect an INS that restarted: it left its mode without a command, or its count of epochs jumped."""
         mode, epochs = readings.ins.mode, readings.ins.epochs
-        worked = self._mode in (InsMode.ALIGN, InsMode.NAVIGATE)
-        has_left = worked and mode in (InsMode.BOOT, InsMode.STANDBY)
-        if has_left or self._has_count_jumped(readings):
+        was_working = self._mode in (InsMode.ALIGN, InsMode.NAVIGATE)
+        has_left_mode = was_working and mode in (InsMode.BOOT, InsMode.STANDBY)
+        if has_left_mode or self._has_count_jumped(readings):
             self.state.restarted()
         if mode is not InsMode.UNKNOWN:
             self._mode = mode
         if epochs is not None:
-            self._epochs = (readings.asked_s, epochs, readings.ins.age_s)
+            self._epochs = (readings.polled_s, epochs, readings.ins.age_s)
 
     def _has_count_jumped(self, readings: Readings) -> bool:
-        """Whether the count of epochs does not match the time since the last reading.
+        """Whether the count of epochs contradicts the time since the last reading.
 
-        Raises SignalMapError if it ran twice at the same other rate, as after no restart.
+        Raises SignalMapError if it gives the same wrong period twice, which no restart does.
         """
-        ins, before = readings.ins, self._epochs
-        if ins.epochs is None or before is None:
+        ins, previous = readings.ins, self._epochs
+        if ins.epochs is None or previous is None:
             return False
-        passed_s = readings.asked_s - before[0]
-        epochs = (ins.epochs - before[1]) % ins.epoch_modulus
+        elapsed_s = readings.polled_s - previous[0]
+        epochs = (ins.epochs - previous[1]) % ins.epoch_modulus
         wrap_s = ins.epoch_modulus * ins.epoch_period_s
-        off_s = (epochs * ins.epoch_period_s - passed_s + wrap_s / 2.0) % wrap_s - wrap_s / 2.0
-        tolerance_s = _EPOCH_COUNT_TOLERANCE_S + ins.age_s + before[2]
-        if abs(off_s) <= tolerance_s:
-            self._other_period_s = self._other_period_s if passed_s < _CLEAR * tolerance_s else math.nan
+        error_s = (epochs * ins.epoch_period_s - elapsed_s + wrap_s / 2.0) % wrap_s - wrap_s / 2.0
+        tolerance_s = _EPOCH_COUNT_TOLERANCE_S + ins.age_s + previous[2]
+        if abs(error_s) <= tolerance_s:
+            self._other_period_s = (
+                self._other_period_s if elapsed_s < _CONFIRMED_RATIO * tolerance_s else math.nan
+            )
             return False
-        period_s = passed_s / max(epochs, 1)
+        period_s = elapsed_s / max(epochs, 1)
         if abs(period_s / self._other_period_s - 1.0) < _SAME_PERIOD:
             is_emulated = self.station.file.ins.interface == "emulator"
-            other = "choose the --world that belongs to it" if is_emulated else "the output rate of the INS"
+            remedy = "choose the --world that belongs to it" if is_emulated else "the output rate of the INS"
             if self.station.file.speed > 1.0:
-                other += "; or this computer is too slow for `gyrobench emulate --speed`"
+                remedy += "; or this computer is too slow for `gyrobench emulate --speed`"
             raise SignalMapError(
                 f"{self.name}: counts an epoch in {period_s:.3g} s, not in {ins.epoch_period_s:g} s. Correct "
-                f"epoch_period_s of the signal map in the station file, or {other}"
+                f"epoch_period_s of the signal map in the station file, or {remedy}"
             )
-        is_rate = 1.0 / _MAX_PERIOD_RATIO < period_s / ins.epoch_period_s < _MAX_PERIOD_RATIO
-        self._other_period_s = period_s if is_rate else math.nan
+        is_plausible = 1.0 / _MAX_PERIOD_RATIO < period_s / ins.epoch_period_s < _MAX_PERIOD_RATIO
+        self._other_period_s = period_s if is_plausible else math.nan
         return True
 
     def _notice_silent_bus(self, readings: Readings) -> None:
-        """Treat a bus on which the INS has fallen silent as one that may have to be reopened."""
+        """Report an INS that has fallen silent as a failed exchange, so that its bus is reopened."""
         if self.state.expected.ins_on and readings.ins.age_s > BUS_SILENCE_S:
-            others = f"; {found}" if (found := self.ins.describe_foreign_frames()) else ""
-            silence = f"has sent nothing for {readings.ins.age_s:.0f} s{others}"
-            self._bench.failed(NoReplyError(self.name, silence))
+            other_frames = f"; {frames}" if (frames := self.ins.describe_foreign_frames()) else ""
+            silence = f"has sent nothing for {readings.ins.age_s:.0f} s{other_frames}"
+            self._bench.handle_failure(NoReplyError(self.name, silence))
 
     def begin_capture(self) -> None:
         """Start to keep the frames of a dwell; the raw log starts a new part."""
@@ -239,7 +243,7 @@ class LiveUnit:
         self.capture = Capture(self._can_log.next_part if self._can_log else 0)
 
     def begin_window(self, is_first: bool) -> None:
-        """Forget readings of the dwell from before its window; others before the first."""
+        """Discard the dwell's table readings before this window; before the first one, all its readings."""
         if self.capture:
             self.capture.table_deg.clear()
             if is_first:
@@ -261,7 +265,7 @@ class LiveUnit:
         self.poll()
         return self.capture.count() if self.capture else 0
 
-    def _received(self, block: FrameBlock) -> None:
+    def _store_frames(self, block: FrameBlock) -> None:
         if self._can_log:
             self._can_log.write(block)
         if self.capture:
@@ -269,8 +273,8 @@ class LiveUnit:
 
 
 def telemetry_row(bench_row: tuple[float, ...], ins: InsStatus | None) -> tuple[float, ...]:
-    """Values of a moment: those of the bench, and of an INS between them; NaN without an INS."""
-    known = (
+    """Telemetry values at one time: of the bench and, among them, of an INS (NaN without one)."""
+    ins_values = (
         (math.nan,) * 8 if ins is None else (*ins.optics_c, *ins.electronics_c, ins.case_c, float(ins.mode))
     )
-    return (*bench_row[:-2], *known, *bench_row[-2:])
+    return (*bench_row[:-2], *ins_values, *bench_row[-2:])

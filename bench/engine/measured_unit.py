@@ -1,4 +1,4 @@
-"""A unit that is measured: its dwell in progress, its dwells at their end, and which of them are repeated."""
+"""A unit that is measured: its dwell in progress, and what happens to a dwell at its end."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from gyrobench.drivers.frames import FrameBlock, concatenate
 class MeasuredUnit:
     """A unit that is on the bench and takes part in the run.
 
-    ``live`` is its INS, ``run`` its own part of the run, ``recorder`` the dwell in progress.
+    ``live`` is its INS, ``run`` its part of the run, ``recorder`` the dwell in progress.
     """
 
     def __init__(self, context: RunContext, live: LiveUnit) -> None:
@@ -37,26 +37,26 @@ class MeasuredUnit:
         self.journal = context.unit_journals[live.station.number]
         self.recorder = DwellRecorder(context.bench, live, self.run.setup)
         self.is_identified = False
-        self.tripped_s: float | None = None  #: since when its interlock is tripped
+        self.tripped_s: float | None = None  #: time at which its interlock tripped; None if it is not tripped
         self._contradicted = False
         live.state.number = self.run.state.unit or self.run.number or context.job.unit
 
     def note(self, text: str) -> None:
-        """Record something that the operator should know of this unit; notify the observers."""
+        """Record a note about this unit for the operator; notify the observers."""
         self.journal.record("note", text=text)
-        self._noted(text)
+        self._notify(text)
 
     def finish_dwell(self) -> bool:
-        """Measure the dwell that is over; returns False where it has to be repeated.
+        """Measure the dwell that is over; returns False if it has to be repeated.
 
-        Raises SignalMapError if it contradicts the station file, and the dwell before did too or none of the
-        run agreed, or if all dwells together do: each further dwell would be invalid too. One alone after
-        dwells that agreed is a disturbance.
+        Raises SignalMapError if the dwell contradicts the station file and so did the one before it, or none
+        of the run agrees with it, or if all dwells together contradict it: further dwells would be invalid
+        too. A single contradiction after dwells that agree counts as a disturbance.
         """
         marks, outcome, state = self.recorder.marks(), self.run.outcome, self.run.state
         frames = self.live.end_capture()
         if not marks.purpose.gives_bias:
-            return self._finish_recorded(marks, frames)
+            return self._finish_raw_dwell(marks, frames)
         measure = measure_check_dwell if marks.purpose is DwellPurpose.CALIBRATION_CHECK else measure_dwell
         measured = measure(marks, frames, self.run.setup)
         flags = flag_text(measured.flags)
@@ -84,12 +84,12 @@ class MeasuredUnit:
         else:
             outcome.check_dwells.append(measured)
             text = flags or "measured for the calibration check"
-            self._noted(f"{self._named(marks)} at {marks.azimuth_deg:g} deg: {text}")
+            self._notify(f"{self._dwell_label(marks)} at {marks.azimuth_deg:g} deg: {text}")
         if is_map_wrong:
             raise SignalMapError(measured.setup_fault)
         return True
 
-    def _finish_recorded(self, marks: DwellMarks, frames: FrameBlock) -> bool:
+    def _finish_raw_dwell(self, marks: DwellMarks, frames: FrameBlock) -> bool:
         flags = flag_text(marks.disturbances)
         if flags and self.may_repeat(marks.dwell):
             self.repeat_dwell(marks.dwell, flags)
@@ -99,14 +99,14 @@ class MeasuredUnit:
         is_rotated = marks.purpose is DwellPurpose.ROTATIONS
         if is_rotated and not marks.disturbances:
             for finding in self.run.outcome.rotations.add(marks, frames, self.run.setup):
-                self._noted(finding)
+                self._notify(finding)
         steps = [each.step for each in self.run.plan.steps if each.dwell == marks.dwell]
-        what = counted_moves(steps) if is_rotated else "noise"
-        self._noted(f"{self._named(marks)}: {what} {f'flagged: {flags}' if flags else 'recorded'}")
+        content = counted_moves(steps) if is_rotated else "noise"
+        self._notify(f"{self._dwell_label(marks)}: {content} {f'flagged: {flags}' if flags else 'recorded'}")
         return True
 
-    def _named(self, marks: DwellMarks) -> str:
-        """A dwell that has no row in the terminal, by its number and position."""
+    def _dwell_label(self, marks: DwellMarks) -> str:
+        """Number and position of a dwell, for messages."""
         return f"dwell {marks.dwell}/{self.run.plan.dwell_count}, {marks.position}"
 
     def _has_agreed(self) -> bool:
@@ -117,7 +117,7 @@ class MeasuredUnit:
         )
 
     def may_repeat(self, dwell: int) -> bool:
-        """Whether the procedure allows that a dwell with invalid data is repeated."""
+        """Whether the procedure allows another repeat of a dwell with invalid data."""
         procedure, repeats = self._context.plan.procedure, self.run.state.repeats
         return (
             procedure.disturbed_dwell == "repeat"
@@ -125,26 +125,26 @@ class MeasuredUnit:
             and repeats.total() < procedure.max_repeats_total
         )
 
-    def repeat_dwell(self, dwell: int, why: str) -> None:
-        """Discard a dwell, which is repeated; it counts against the procedure's limit."""
+    def repeat_dwell(self, dwell: int, reason: str) -> None:
+        """Discard a dwell and have it repeated; the repeat counts against the procedure's limit."""
         self.run.state.repeats[dwell] += 1
-        self.journal.record("dwell_given_up", dwell=dwell, why=why, counts=True)
-        self._noted(f"dwell {dwell} is repeated: {why}")
+        self.journal.record("dwell_given_up", dwell=dwell, why=reason, counts=True)
+        self._notify(f"dwell {dwell} is repeated: {reason}")
 
-    def _noted(self, text: str) -> None:
-        self._context.observers.noted(self.run.named(text))
+    def _notify(self, text: str) -> None:
+        self._context.observers.noted(self.run.with_number(text))
 
 
-#: A single reading of the table may differ by this much from the one at the window's begin, deg.
-_STILL_DEG = 0.001
-#: A creep of this size from the first third of a window's readings to the last biases the result by sigmas.
-_CREEP_DEG = 1e-4
+#: Maximum difference of a table reading from the one at the start of the window, deg.
+_MAX_MOTION_DEG = 0.001
+#: Maximum creep from the first to the last third of a window's readings, deg; more causes a bias error.
+_MAX_CREEP_DEG = 1e-4
 #: A creep also has to exceed the scatter of the readings by this number of standard deviations.
 _CREEP_SIGMAS = 5.0
 
 
 class DwellRecorder:
-    """Marks of the dwell in progress of one unit."""
+    """Records the marks of one unit's dwell in progress."""
 
     def __init__(self, bench: LiveBench, unit: LiveUnit, setup: MeasurementSetup) -> None:
         self._bench = bench
@@ -180,11 +180,14 @@ class DwellRecorder:
 
     def end_window(self) -> None:
         """End the window; a table that moved disturbs the dwell."""
-        read_deg = [*(self._unit.capture.table_deg if self._unit.capture else ()), self._bench.table_angles()]
-        moved_deg = float(np.abs(np.subtract(read_deg, self._angles)).max())
-        if moved_deg > _STILL_DEG:
+        readings_deg = [
+            *(self._unit.capture.table_deg if self._unit.capture else ()),
+            self._bench.table_angles(),
+        ]
+        moved_deg = float(np.abs(np.subtract(readings_deg, self._angles)).max())
+        if moved_deg > _MAX_MOTION_DEG:
             self.disturb(f"the table moved by {moved_deg:.4f} deg while the INS navigated")
-        elif (creep_deg := _creep_deg(np.array(read_deg))) > _CREEP_DEG:
+        elif (creep_deg := _creep_deg(np.array(readings_deg))) > _MAX_CREEP_DEG:
             self.disturb(f"the table crept by {creep_deg:.5f} deg while the INS navigated")
         self._windows.append(self._window())
         self._turn = (None, None)
@@ -204,7 +207,7 @@ class DwellRecorder:
         return bool(self._windows)
 
     def estimate_so_far(self) -> StateSpaceEstimate | None:
-        """Estimate the biases during a window; None as long as they are not observable."""
+        """Estimate the biases during a window; None while they are not observable."""
         if self._live is None or self._unit.capture is None:
             return None
         return self._live.update([*self._windows, self._window()])
@@ -217,43 +220,43 @@ class DwellRecorder:
         return capture.frames(first) if capture else concatenate([])
 
     def disturb(self, text: str) -> None:
-        """Note a disturbance of the dwell in progress, which keeps it out of the bins."""
+        """Record a disturbance of the dwell in progress, which excludes it from the bins."""
         if text not in self._disturbances:
             self._disturbances.append(text)
 
     def marks(self) -> DwellMarks:
         """Return the marks of the dwell that is over."""
-        at = self._bench.state.at
+        position = self._bench.state.run_position
         capture = self._unit.capture
         chamber_c = capture.chamber_c if capture else []
         neighbours_on = capture.neighbours_on if capture else []
         return DwellMarks(
             unit=self._unit.state.number,
-            run=f"{self._bench.clock.epoch:%Y%m%dT%H%M%S}-{at.power_ons}",
-            dwell=at.dwell,
-            cycle=at.cycle,
+            run=f"{self._bench.clock.epoch:%Y%m%dT%H%M%S}-{position.power_ons}",
+            dwell=position.dwell,
+            cycle=position.cycle,
             position=self._unit.state.position,
             azimuth_deg=self._start_azimuth_deg,
             log_part=capture.log_part if capture else 0,
             windows=tuple(self._windows),
             start_s=round(self._start_s, 6),
             end_s=round(self._bench.clock.now(), 6),
-            since_power_on_s=round(self._start_s - at.powered_s, 6),
+            since_power_on_s=round(self._start_s - position.powered_s, 6),
             chamber_set_c=self._bench.state.commanded_c,
             chamber_c=float(np.mean(chamber_c)) if chamber_c else None,
-            purpose=at.purpose,
+            purpose=position.purpose,
             neighbours_on=float(np.mean(neighbours_on)) if neighbours_on else None,
             align_s=round(self._start_s - self._align_begin_s, 6),
             disturbances=tuple(self._disturbances),
         )
 
 
-def _creep_deg(read_deg: FloatArray) -> float:
-    """Creep of readings in time order, shape (n, 2), beyond their scatter, deg; else zero."""
-    count = len(read_deg) // 3
+def _creep_deg(readings_deg: FloatArray) -> float:
+    """Creep of readings in time order, shape (n, 2), deg; zero if it is within their scatter."""
+    count = len(readings_deg) // 3
     if count == 0:
         return 0.0
-    first, last = read_deg[:count], read_deg[-count:]
+    first, last = readings_deg[:count], readings_deg[-count:]
     creep_deg = np.abs(last.mean(axis=0) - first.mean(axis=0))
     scatter_deg = np.sqrt((first.var(axis=0) + last.var(axis=0)) / count)
     return float(np.where(creep_deg > _CREEP_SIGMAS * scatter_deg, creep_deg, 0.0).max())

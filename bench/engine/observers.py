@@ -1,4 +1,4 @@
-"""Observers of a run: what they are notified of."""
+"""Interface of the observers of a run."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ class RunObserver:
         """
 
     def noted(self, text: str) -> None:
-        """Something that the operator should know."""
+        """A note for the operator."""
 
     def identified(self, unit: str) -> None:
         """The serial number of the INS is known."""
 
-    def dropped(self, unit: str, why: str) -> None:
+    def dropped(self, unit: str, reason: str) -> None:
         """A unit, one of several, is left out of the rest of the run."""
 
     def step_started(self, planned: PlannedStep, bench: LiveBench) -> None:
@@ -45,18 +45,17 @@ class RunObserver:
         """A tick has passed in a step; ``left_s`` remain by the plan."""
 
     def estimable(self, estimate: Callable[[], StateSpaceEstimate | None]) -> None:
-        """The biases of the dwell in progress can be estimated again, until its step is over.
+        """The biases of the dwell in progress can be estimated, until its step is over.
 
-        ``estimate`` does so at its first call, and returns None as long as they are not observable. It takes
-        milliseconds, and on virtual time a dwell takes a fraction of a second: an observer calls it only for
-        what it shows.
+        ``estimate`` computes the estimate at its first call, and returns None while the biases are not
+        observable. It takes milliseconds, which is long on virtual time: call it only to show the result.
         """
 
     def dwell_measured(self, row: DwellRow) -> None:
-        """A dwell is over and its biases are known."""
+        """A dwell is over and its biases are estimated."""
 
-    def held(self, why: str, needs_person: bool, command: RunCommand | None) -> None:
-        """The run holds: by a command, or (None) because of an interlock."""
+    def held(self, reason: str, needs_person: bool, command: RunCommand | None) -> None:
+        """The run holds; ``command`` is None if an interlock is the cause."""
 
     def continued(self) -> None:
         """A hold is over."""
@@ -71,27 +70,27 @@ class RunObserver:
         """The bench is safe and the run is over."""
 
 
-_EVENTS = [name for name in vars(RunObserver) if not name.startswith("_")]
+_EVENT_NAMES = [name for name in vars(RunObserver) if not name.startswith("_")]
 
 
 class ObserverGroup(RunObserver):
     """Notifies each of its members that needs an event, in their order."""
 
     def __init__(self, *members: RunObserver) -> None:
-        for name in _EVENTS:
-            ignores = getattr(RunObserver, name)
-            needed: list[Callable[..., None]] = []
+        for name in _EVENT_NAMES:
+            base_method = getattr(RunObserver, name)
+            handlers: list[Callable[..., None]] = []
             for method in (getattr(member, name) for member in members):
-                if isinstance(method, partial):  # of a group
-                    needed += method.args[0]
-                elif getattr(method, "__func__", None) is not ignores:
-                    needed.append(method)
-            setattr(self, name, needed[0] if len(needed) == 1 else partial(_notify, needed))
+                if isinstance(method, partial):  # of a nested group
+                    handlers += method.args[0]
+                elif getattr(method, "__func__", None) is not base_method:
+                    handlers.append(method)
+            setattr(self, name, handlers[0] if len(handlers) == 1 else partial(_notify, handlers))
 
 
-def _notify(methods: Sequence[Callable[..., None]], *details: object) -> None:
+def _notify(methods: Sequence[Callable[..., None]], *arguments: object) -> None:
     for method in methods:
-        method(*details)
+        method(*arguments)
 
 
 class ObservedOperator:

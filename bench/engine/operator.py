@@ -42,7 +42,7 @@ COMMAND_MEANINGS: Mapping[RunCommand, str] = MappingProxyType(
     }
 )
 
-#: Signals that give a command, the preferred one first. Ctrl-Z pauses: a stopped process would leave the
+#: Signals and their commands, the preferred signal first. Ctrl-Z pauses: a stopped process would leave the
 #: bench without control.
 _COMMAND_SIGNALS: Mapping[signal.Signals, RunCommand] = MappingProxyType(
     {
@@ -61,15 +61,15 @@ _TERMINAL_SIGNALS = (signal.SIGTTIN, signal.SIGTTOU)
 
 
 @dataclass(frozen=True)
-class GivenCommand:
-    """A command and its source (a signal's name, the terminal), for the journal."""
+class ReceivedCommand:
+    """A command and its source (the name of a signal, or the terminal), for the journal."""
 
     command: RunCommand
-    by: str
+    source: str
 
 
 def send_command(run_folder: Path, command: RunCommand, pid: int, sender: str) -> None:
-    """Signal a command to the process of a run, with its sender's name for the journal.
+    """Send a command to the process of a run by a signal, with its sender's name for the journal.
 
     Raises OSError if the process can't be signalled, and RunFolderError if the name can't be written.
     """
@@ -79,12 +79,12 @@ def send_command(run_folder: Path, command: RunCommand, pid: int, sender: str) -
 
 
 def take_sender(run_folder: Path, command: RunCommand) -> str:
-    """Name of who sent a command to this process by `gyrobench control`; empty for other signals."""
+    """Name of the operator who sent a command by `gyrobench control`; empty for other signals."""
     path = _sender_file(run_folder, command)
     try:
-        sent = parse_json(read_limited(path, _MAX_SENDER_BYTES, RunFolderError))
+        entry = parse_json(read_limited(path, _MAX_SENDER_BYTES, RunFolderError))
         path.unlink()
-        return str(sent["operator"]) if sent["pid"] == os.getpid() else ""
+        return str(entry["operator"]) if entry["pid"] == os.getpid() else ""
     except (RunFolderError, OSError, ValueError, KeyError, TypeError):
         return ""
 
@@ -96,28 +96,30 @@ def _sender_file(run_folder: Path, command: RunCommand) -> Path:
 class CommandReceivedError(GyrobenchError):
     """The operator commanded a pause, or skipped the dwell in progress."""
 
-    def __init__(self, given: GivenCommand) -> None:
-        super().__init__(f"{given.command} by {given.by}")
-        self.given = given
+    def __init__(self, received: ReceivedCommand) -> None:
+        super().__init__(f"{received.command} by {received.source}")
+        self.received = received
 
 
 class CommandQueue:
-    """Commands that wait to be executed; the run reads the queue at every tick.
+    """Queue of commands to a run, which reads it at every tick.
 
-    As a context manager it catches the signals, so that no signal ends the process in the middle of an
+    As a context manager it handles the signals, so that no signal ends the process in the middle of an
     exchange with an instrument.
     """
 
     def __init__(self) -> None:
-        self._given: deque[GivenCommand] = deque()
+        self._commands: deque[ReceivedCommand] = deque()
 
     def __enter__(self) -> CommandQueue:
         self._previous = {}
         if threading.current_thread() is threading.main_thread():
-            # A signal that is ignored, as SIGHUP under nohup, stays ignored.
-            caught = [number for number in _COMMAND_SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
-            self._previous = {number: signal.signal(number, self._caught) for number in caught}
-            # The terminal must not stop a run in the background that reads from it or writes to it.
+            # An ignored signal stays ignored, such as SIGHUP under nohup.
+            handled = [
+                number for number in _COMMAND_SIGNALS if signal.getsignal(number) is not signal.SIG_IGN
+            ]
+            self._previous = {number: signal.signal(number, self._handle_signal) for number in handled}
+            # The terminal must not stop a background run that reads from it or writes to it.
             for number in _TERMINAL_SIGNALS:
                 self._previous[number] = signal.signal(number, signal.SIG_IGN)
         return self
@@ -126,33 +128,33 @@ class CommandQueue:
         for number, handler in self._previous.items():
             signal.signal(number, handler)
 
-    def _caught(self, number: int, frame: FrameType | None) -> None:  # noqa: ARG002
+    def _handle_signal(self, number: int, frame: FrameType | None) -> None:  # noqa: ARG002
         name = signal.Signals(number)
-        self.give(_COMMAND_SIGNALS[name], name.name)
+        self.add(_COMMAND_SIGNALS[name], name.name)
 
-    def give(self, command: RunCommand, by: str) -> None:
-        """Add a command; ``by`` is its source, for the journal."""
-        self._given.append(GivenCommand(command, by))
+    def add(self, command: RunCommand, source: str) -> None:
+        """Add a command with its source, for the journal."""
+        self._commands.append(ReceivedCommand(command, source))
 
-    def take(self) -> GivenCommand | None:
+    def take(self) -> ReceivedCommand | None:
         """Remove and return the oldest command; an abort comes before all others."""
-        if not self._given:
+        if not self._commands:
             return None
-        abort = next((given for given in self._given if given.command is RunCommand.ABORT), None)
+        abort = next((each for each in self._commands if each.command is RunCommand.ABORT), None)
         if abort is not None:
-            self._given.clear()
+            self._commands.clear()
             return abort
-        return self._given.popleft()
+        return self._commands.popleft()
 
 
 class Operator(Protocol):
-    """Answers questions; the run continues to tick until the answer is there."""
+    """Answers questions; the run continues to tick until it has the answer."""
 
     def ask(self, question: str, answers: Sequence[str]) -> None:
         """Ask a question without waiting for the answer."""
 
     def answer(self) -> str | None:
-        """Return the answer, or None while there is none."""
+        """Return the answer, or None before it is given."""
 
     def withdraw(self) -> None:
         """Withdraw the open question."""
@@ -164,30 +166,30 @@ class Operator(Protocol):
 class ConsentingOperator:
     """Gives the first answer at once, for emulated benches without an operator.
 
-    After ``patience`` first answers to one question in a row it gives the last answer instead: a fault of an
-    emulated bench passes by itself or never.
+    After ``patience`` successive first answers to one question it gives the last answer: a fault of an
+    emulated bench clears by itself or never.
     """
 
     def __init__(self, patience: int = 30) -> None:
         self._patience = patience
-        self._asked: tuple[str, int] = ("", 0)
+        self._last_question: tuple[str, int] = ("", 0)
         self._answer = ""
 
     def ask(self, question: str, answers: Sequence[str]) -> None:
         """Choose an answer."""
-        before, times = self._asked
-        self._asked = (question, times + 1 if question == before else 1)
-        self._answer = answers[0] if self._asked[1] <= self._patience else answers[-1]
+        previous, times = self._last_question
+        self._last_question = (question, times + 1 if question == previous else 1)
+        self._answer = answers[0] if self._last_question[1] <= self._patience else answers[-1]
 
     def answer(self) -> str | None:
         """Return the chosen answer."""
         return self._answer
 
     def withdraw(self) -> None:
-        """Do nothing."""
+        """Do nothing: no question stays open."""
 
     def command(self) -> RunCommand | None:
-        """Return None always."""
+        """Return None."""
         return None
 
 
@@ -198,5 +200,5 @@ def ask_operator(operator: Operator, question: str, answers: Sequence[str]) -> G
         while (answer := operator.answer()) is None:
             yield
     finally:
-        operator.withdraw()  # also where something else ends the waiting
+        operator.withdraw()  # also if an exception ends the wait
     return answer

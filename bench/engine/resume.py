@@ -1,4 +1,4 @@
-"""Resuming an interrupted run: what its journal says is finished, and what is left to do."""
+"""Resuming an interrupted run: the finished steps according to its journal, and the remaining ones."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gyrobench.bench.engine.damage import Damage, find_damage
-from gyrobench.bench.engine.job import Job, job_in
+from gyrobench.bench.engine.job import Job, read_job
 from gyrobench.bench.foundations.clock import RESUME_STEP_S, Clock, VirtualClock, WallClock
 from gyrobench.bench.foundations.errors import (
     GyrobenchError,
@@ -18,7 +18,7 @@ from gyrobench.bench.foundations.errors import (
     RunFolderError,
 )
 from gyrobench.bench.foundations.text import hours_minutes, listed, run_ending
-from gyrobench.bench.procedure.approach import end_of_dwell
+from gyrobench.bench.procedure.approach import index_after_dwell
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.runs.folder import UNITS_FOLDER, RunFolder, open_run_folder
 from gyrobench.bench.runs.journal import MAX_RUN_S
@@ -30,24 +30,24 @@ from gyrobench.bench.station.locks import BenchLock, RunLock
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.chamber import running_profile
 
-#: After this number of resumes in a row without a finished step the cause has to be found first.
+#: After this number of successive resumes without a finished step, the cause has to be found first.
 MAX_RESUMES_WITHOUT_PROGRESS = 5
-#: In the journal, the source of a continuation without an operator.
+#: Source of a continuation without an operator, in the journal.
 ITSELF = "itself"
-#: How a run ended whose journal has no end.
+#: Description of the end of a run whose journal has no end.
 NO_END_RECORDED = "stopped without recording its end, as after a power cut or a kill"
-#: Of a run whose engine and guard both ended without making the bench safe.
+#: Unsafe outputs of a run whose engine and guard both ended without making the bench safe.
 _NO_SAFE_STATE = {"safe state": "neither the run nor its guard recorded one"}
-#: In place of the checksum of a compensation in the INS; older journals have "a compensation".
+#: Stands for the checksum of a compensation in the INS; older journals have "a compensation".
 UNKNOWN_CHECKSUM = "checksum unknown"
 
-#: No run reaches it; a higher number is a damaged journal.
+#: Larger than in any run; a higher number means a damaged journal.
 _MAX_POWER_ONS = 1_000_000
 
 
 @dataclass
 class ResumeState:
-    """How far a run is: empty for a new one, from the journal for one that resumes; kept up to date."""
+    """Progress of a run: empty for a new run, read from the journal for a resumed one; kept up to date."""
 
     next_index: int = 0  #: first step of the plan that is not finished
     finished: set[int] = field(default_factory=set)  #: dwells that are over
@@ -60,13 +60,13 @@ class ResumeState:
     power_ons: int = 0  #: how often the INS was switched on
     unit: str = ""  #: serial number of the INS; empty before it is known
     last_s: float = 0.0  #: time of the last entry, on the run's clock
-    ended: str = ""  #: how the run ended; empty where the journal has no end
+    ended: str = ""  #: how the run ended; empty if the journal has no end
     reason: str = ""  #: why it did not finish
-    #: Safe actions that were not done at the end of the run, and why; empty for a bench that was made safe.
+    #: Safe actions that failed at the end of the run, and why; empty if the bench was made safe.
     unsafe: dict[str, str] = field(default_factory=dict)
-    in_progress: str = ""  #: the step in progress at the last entry; empty where there was none
+    in_progress: str = ""  #: the step in progress at the last entry; empty if there was none
     resumes_without_progress: int = 0  #: resumes since a step was finished
-    dropped: dict[str, str] = field(default_factory=dict)  #: units that are left out, and why
+    dropped: dict[str, str] = field(default_factory=dict)  #: dropped units, and why
     #: The operator's decision on each compensation found in the INS.
     stored_compensation_answers: dict[str, str] = field(default_factory=dict)
 
@@ -75,13 +75,13 @@ class ResumeState:
         return self.resume_index(plan) >= len(plan.steps)
 
     def resume_index(self, plan: Plan) -> int:
-        """Index of the step to resume with: of a lost dwell, or the first that is not finished."""
+        """Index of the step to resume with: the start of a lost dwell, or the first step not finished."""
         if not self.lost:
             return self.next_index
         return next(i for i, planned in enumerate(plan.steps) if planned.dwell in self.lost)
 
-    def lose(self, dwells: Collection[int]) -> None:
-        """Take finished dwells for lost."""
+    def mark_lost(self, dwells: Collection[int]) -> None:
+        """Mark finished dwells as lost."""
         self.finished.difference_update(dwells)
         self.lost.update(dwells)
 
@@ -102,25 +102,25 @@ class ResumeState:
                 self.finished.add(dwell)
                 self.lost.discard(dwell)
                 self.unit = self.unit or str(entry["marks"].get("unit", ""))
-                self.finish_up_to(end_of_dwell(plan, dwell))
+                self.finish_up_to(index_after_dwell(plan, dwell))
             case "dwell_skipped":
                 dwell = _number(entry["dwell"], plan.dwell_count)
                 self.skipped.add(dwell)
                 self.lost.discard(dwell)
-                self.finish_up_to(end_of_dwell(plan, dwell))
+                self.finish_up_to(index_after_dwell(plan, dwell))
             case "dwell_given_up" if entry["counts"]:
                 self.repeats[_number(entry["dwell"], plan.dwell_count)] += 1
             case "continued" if entry.get("by") == ITSELF:
                 self.resumes.update(map(str, entry["after"]))
             case "data_given_up":
-                self.lose([_number(dwell, plan.dwell_count) for dwell in entry["dwells"]])
+                self.mark_lost([_number(dwell, plan.dwell_count) for dwell in entry["dwells"]])
                 # A lost line may have held a power-on, whose number must not come twice.
                 self.power_ons += _number(entry["lines"] + 1, _MAX_POWER_ONS) - 1
             case "compensation_decided":
-                which = str(entry["which"]).replace("a compensation", UNKNOWN_CHECKSUM)
-                self.stored_compensation_answers[which] = str(entry["answer"])
-            case "dwell_over":  # in each journal of a run with several units
-                self.finish_up_to(end_of_dwell(plan, _number(entry["dwell"], plan.dwell_count)))
+                checksum = str(entry["which"]).replace("a compensation", UNKNOWN_CHECKSUM)
+                self.stored_compensation_answers[checksum] = str(entry["answer"])
+            case "dwell_over":  # in all journals of a run with several units
+                self.finish_up_to(index_after_dwell(plan, _number(entry["dwell"], plan.dwell_count)))
             case "unit_dropped":
                 self.dropped[str(entry["unit"])] = str(entry["why"])
             case "powered_on":
@@ -129,35 +129,35 @@ class ResumeState:
                 self.unit = str(entry["unit"])
             case "run_started":
                 self.unsafe = dict(_NO_SAFE_STATE)
-                if "power_ons" in entry:  # of the runs that it continues
+                if "power_ons" in entry:  # those of the runs that it continues
                     self.unit = str(entry["unit"])
                     self.power_ons = _number(entry["power_ons"], _MAX_POWER_ONS)
             case "guard_acted":
-                self._made_safe(entry)
+                self._update_unsafe(entry)
             case "run_resumed":
                 self.unsafe = dict(_NO_SAFE_STATE)
                 self.ended = self.reason = ""
                 self.resumes_without_progress += 1
             case "run_ended":
                 self.ended, self.reason = str(entry["ended"]), str(entry["reason"])
-                self._made_safe(entry)
+                self._update_unsafe(entry)
 
-    def _made_safe(self, entry: Mapping[str, Any]) -> None:
+    def _update_unsafe(self, entry: Mapping[str, Any]) -> None:
         problems = {str(action["what"]): str(action["problem"]) for action in entry.get("safe_state", ())}
-        before = {} if self.unsafe == _NO_SAFE_STATE else self.unsafe
-        self.unsafe = {what: problem for what, problem in {**before, **problems}.items() if problem}
+        earlier_problems = {} if self.unsafe == _NO_SAFE_STATE else self.unsafe
+        self.unsafe = {what: problem for what, problem in {**earlier_problems, **problems}.items() if problem}
 
     def finish_up_to(self, next_index: int) -> None:
-        """Take over that the steps before one, by its index in the plan, are finished."""
+        """Record that the steps before ``next_index`` are finished."""
         if next_index > self.next_index:
             self.next_index = next_index
             self.resumes_without_progress = 0
 
 
 def resume_state_of(entries: Iterable[Mapping[str, Any]], plan: Plan) -> ResumeState:
-    """Read from the journal of a run what is finished of its plan.
+    """Read the progress of a run from its journal.
 
-    A dwell without an end, although later steps are finished, is lost. Raises RunFolderError if the journal
+    A dwell without an end although later steps are finished is lost. Raises RunFolderError if the journal
     does not belong to this plan.
     """
     state = ResumeState()
@@ -169,8 +169,8 @@ def resume_state_of(entries: Iterable[Mapping[str, Any]], plan: Plan) -> ResumeS
                 f"the entry {entry.get('event')!r} at {entry.get('time_s')!r} s does not belong to "
                 f"this procedure: {error}"
             ) from error
-    done = {planned.dwell for planned in plan.steps[: state.next_index] if planned.dwell}
-    state.lost |= done - state.finished - state.skipped
+    passed_dwells = {planned.dwell for planned in plan.steps[: state.next_index] if planned.dwell}
+    state.lost |= passed_dwells - state.finished - state.skipped
     return state
 
 
@@ -181,32 +181,32 @@ def _time_s(entry: Mapping[str, Any]) -> float:
     return time_s
 
 
-def _number(value: Any, highest: int) -> int:
-    if not isinstance(value, int) or not 1 <= value <= highest:
-        raise ValueError(f"{value!r} is not an integer from 1 to {highest}")
+def _number(value: Any, max_value: int) -> int:
+    if not isinstance(value, int) or not 1 <= value <= max_value:
+        raise ValueError(f"{value!r} is not an integer from 1 to {max_value}")
     return value
 
 
 @dataclass(frozen=True)
 class InterruptedRun:
-    """An interrupted run, or that of one of its units, as its folder holds it."""
+    """An interrupted run, or the run of one of its units, read from its folder."""
 
     folder: RunFolder
     plan: Plan
     state: ResumeState
-    number: str  #: serial number of the unit, of several
-    damage: Damage = field(default_factory=Damage)  #: to be given up before the run resumes
+    number: str  #: serial number of the unit; empty for the run as a whole
+    damage: Damage = field(default_factory=Damage)  #: discarded before the run resumes
 
 
 @dataclass(frozen=True)
 class Resumption:
-    """An interrupted run and its state."""
+    """An interrupted run, its units and their states."""
 
     job: Job
     run: InterruptedRun
-    #: Of each unit in the order of the station file, also of dropped ones; ``run`` for a single unit.
+    #: Each unit in the order of the station file, including dropped ones; ``run`` for a single unit.
     units: tuple[InterruptedRun, ...]
-    is_measured: bool = False  #: whether only results and report are left to be written
+    is_measured: bool = False  #: whether only results and report remain to be written
 
     @property
     def folder(self) -> RunFolder:
@@ -220,30 +220,30 @@ class Resumption:
 
     @property
     def parts(self) -> tuple[InterruptedRun, ...]:
-        """The run and its units, each once."""
+        """The run and its units, without duplicates."""
         return self.units if self.run in self.units else (self.run, *self.units)
 
     @property
     def damage(self) -> Damage:
-        """All that is damaged."""
+        """Damage of the run and of all units."""
         return Damage.of_all([part.damage for part in self.parts])
 
     def clock(self) -> Clock:
-        """Make the run's clock, after its last record."""
+        """Create the run's clock, continuing after its last record."""
         last_s = max(self.state.last_s, last_reading_s(self.folder.telemetry))
         if self.job.is_virtual:
             return VirtualClock(last_s + RESUME_STEP_S)
         return WallClock.resumed(started_utc(self.folder), last_s, self.job.station.file.speed)
 
     def check_unchanged(self) -> None:
-        """Refuse where another process has resumed the run before this one locked it.
+        """Raise RunFolderError if the journal has changed.
 
-        Raises RunFolderError if the journal has changed.
+        Another process may have resumed the run before this one locked it.
         """
-        now = _read(self.folder, self.job, {part.number: part.damage for part in self.parts})
+        current = _read(self.folder, self.job, {part.number: part.damage for part in self.parts})
         if any(
             replace(new.state, last_s=old.state.last_s) != old.state
-            for new, old in zip((now.run, *now.units), (self.run, *self.units), strict=True)
+            for new, old in zip((current.run, *current.units), (self.run, *self.units), strict=True)
         ):
             raise RunFolderError(
                 f"{self.folder.path}: another process has resumed this run in the meantime. Resume it again"
@@ -260,11 +260,11 @@ class Resumption:
         try:
             with (
                 BenchLock(station, self.folder.path, clock),
-                Outputs(station, clock, known=identities_in(self.folder)) as outputs,
+                Outputs(station, clock, identities=identities_in(self.folder)) as outputs,
             ):
-                for read in (_table_now, _chamber_now):
+                for describe_now in (_table_now, _chamber_now):
                     try:
-                        lines.append(read(station, outputs))
+                        lines.append(describe_now(station, outputs))
                     except InstrumentError as error:
                         lines.append(str(error))
         except GyrobenchError as error:
@@ -272,34 +272,40 @@ class Resumption:
         return "\n".join(lines)
 
     def describe(self) -> str:
-        """Describe what the run folder holds and what resuming it will do."""
+        """Describe the contents of the run folder and what resuming the run will do."""
         state, plan = self.state, self.job.plan
-        known = [part.state.unit or part.number for part in self.units]
-        units = f", {'unit' if len(known) == 1 else 'units'} {listed(known)}" if all(known) else ""
-        how = run_ending(state.ended, state.reason) if state.ended else NO_END_RECORDED
+        unit_names = [part.state.unit or part.number for part in self.units]
+        units = (
+            f", {'unit' if len(unit_names) == 1 else 'units'} {listed(unit_names)}" if all(unit_names) else ""
+        )
+        ending = run_ending(state.ended, state.reason) if state.ended else NO_END_RECORDED
         lines = [
-            f"{self.folder.path}: {plan.procedure.procedure}{units}; the run {how}.",
+            f"{self.folder.path}: {plan.procedure.procedure}{units}; the run {ending}.",
             f"{len(state.finished)} of {plan.dwell_count} dwells are finished and kept"
             f"{f', {len(state.skipped)} skipped' if state.skipped else ''}.",
         ]
         if not state.unsafe:
             lines.append("The bench was brought to its safe state.")
-        lines += [f"Unit {number} was dropped and stays out: {why}" for number, why in state.dropped.items()]
+        lines += [
+            f"Unit {number} was dropped and is not measured: {reason}"
+            for number, reason in state.dropped.items()
+        ]
         if state.in_progress:
             lines.append(f"Interrupted step: {state.in_progress}.")
         lines += self.damage.describe()
         if state.is_over(plan):
-            left = "the results and the report are" if self.is_measured else "the evaluation is"
-            return "\n".join([*lines, f"All steps are finished; only {left} left."])
+            remaining = "the results and the report remain" if self.is_measured else "the evaluation remains"
+            return "\n".join([*lines, f"All steps are finished; only {remaining} to be done."])
         planned = plan.steps[state.resume_index(plan)]
-        what = (
+        start = (
             f"dwell {planned.dwell} ({planned.label}) from its start"
             if planned.dwell
             else planned.step.describe()
         )
-        left = hours_minutes(plan.duration_s - planned.start_s)
+        remaining_h = hours_minutes(plan.duration_s - planned.start_s)
         lines.append(
-            f"It resumes with step {planned.number} of {len(plan.steps)}, {what}; about {left} h are left."
+            f"It resumes with step {planned.number} of {len(plan.steps)}, {start}; about {remaining_h} h "
+            "remain."
         )
         if state.lost:
             numbers = listed([str(dwell) for dwell in sorted(state.lost)])
@@ -334,7 +340,7 @@ def _chamber_now(station: Station, outputs: Outputs) -> str:  # noqa: ARG001 - a
 
 
 def prepare_resumption(path: Path, anyway: bool = False) -> Resumption:
-    """Read the folder of an interrupted run; ``anyway`` also after many resumes without progress.
+    """Read the folder of an interrupted run; ``anyway``: also after many resumes without progress.
 
     Raises RunFinishedError if it is finished. Raises RunFolderError if there is no run, or it was resumed too
     often without progress. Raises DocumentError if its procedure, station or DBC file is wrong.
@@ -345,27 +351,27 @@ def prepare_resumption(path: Path, anyway: bool = False) -> Resumption:
             f"{path}: is a unit of the run {folder.path.absolute().parents[1]}. Resume that run instead"
         )
     damage, entries = find_damage(folder)
-    job = job_in(folder, start_of(folder, entries)[1] if damage.is_provenance_lost else None)
+    job = read_job(folder, start_of(folder, entries)[1] if damage.is_provenance_lost else None)
     require_sealed_inputs(folder)
-    found = _read(folder, job)
-    state = found.state
-    if all(unit.number in state.dropped for unit in found.units):
+    resumption = _read(folder, job)
+    state = resumption.state
+    if all(unit.number in state.dropped for unit in resumption.units):
         raise RunFolderError(f"{path}: every unit of this run was dropped: nothing to resume.")
     is_measured = state.ended == "finished" and state.is_over(job.plan)
-    if is_measured and not found.damage and all(_is_evaluated(unit.folder) for unit in found.units):
+    if is_measured and not resumption.damage and all(_is_evaluated(unit.folder) for unit in resumption.units):
         raise RunFinishedError(f"{path}: this run is finished and has its report: nothing to resume.")
     if state.resumes_without_progress >= MAX_RESUMES_WITHOUT_PROGRESS and not anyway:
         raise RunFolderError(
             f"{path}: was resumed {state.resumes_without_progress} times without finishing a step. "
             "Find the cause (see the end of journal.jsonl), then resume it with --anyway"
         )
-    return replace(found, is_measured=is_measured)
+    return replace(resumption, is_measured=is_measured)
 
 
 def _read(folder: RunFolder, job: Job, damaged: Mapping[str, Damage] | None = None) -> Resumption:
-    """Read how far a run and its units are.
+    """Read the progress of a run and of its units.
 
-    ``damaged``: what is damaged by the number of the unit, where that is known already.
+    ``damaged``: damage by the number of the unit, if it is already known.
     """
     stations = job.station.units
     run = _read_one(folder, job.plan, "", damaged, has_dwells=len(stations) == 1)
@@ -388,26 +394,26 @@ def _read_one(
     if not has_dwells:
         state.lost.clear()
     if damaged is None:
-        damage = replace(damage, dwells=(*damage.dwells, *sorted(state.lost - _known_lost(entries))))
+        damage = replace(damage, dwells=(*damage.dwells, *sorted(state.lost - _given_up_dwells(entries))))
     else:
         damage = damaged[number]
-    state.lose(damage.dwells)
+    state.mark_lost(damage.dwells)
     return InterruptedRun(folder, plan, state, number, damage)
 
 
 def _join(run: InterruptedRun, units: Sequence[ResumeState]) -> None:
-    """Complete the state of a run with those of the units that it measures, and the other way round."""
+    """Complete the state of a run from the states of its units."""
     state = run.state
     state.finished = set.intersection(*(unit.finished for unit in units)) if units else set()
     for dwell in state.finished:
-        state.finish_up_to(end_of_dwell(run.plan, dwell))
-    done = {planned.dwell for planned in run.plan.steps[: state.next_index] if planned.dwell}
-    state.lost = done - state.finished - state.skipped
+        state.finish_up_to(index_after_dwell(run.plan, dwell))
+    passed_dwells = {planned.dwell for planned in run.plan.steps[: state.next_index] if planned.dwell}
+    state.lost = passed_dwells - state.finished - state.skipped
     state.power_ons = max([state.power_ons, *(unit.power_ons for unit in units)])
 
 
 def give_up_damage(resumption: Resumption) -> None:
-    """Set damaged files aside, and record in the journal what is measured again.
+    """Move damaged files aside, and record in the journal which dwells are measured again.
 
     Raises BenchInUseError if another process holds the run. Raises RunFolderError if a file can't be
     written.
@@ -420,10 +426,10 @@ def give_up_damage(resumption: Resumption) -> None:
                 part.damage.give_up(part.folder, resumption.clock)
 
 
-def _known_lost(entries: Sequence[Mapping[str, Any]]) -> set[int]:
-    """Dwells that were given up before."""
-    given_up = (entry["dwells"] for entry in entries if entry.get("event") == "data_given_up")
-    return {dwell for dwells in given_up for dwell in dwells}
+def _given_up_dwells(entries: Sequence[Mapping[str, Any]]) -> set[int]:
+    """Dwells whose data were given up before."""
+    dwell_lists = (entry["dwells"] for entry in entries if entry.get("event") == "data_given_up")
+    return {dwell for dwells in dwell_lists for dwell in dwells}
 
 
 def _is_evaluated(folder: RunFolder) -> bool:

@@ -1,4 +1,4 @@
-"""A run from its job to a run folder with results: new, or resumed; and its messages to people elsewhere."""
+"""Runs a job, new or resumed, to a run folder with results, and sends the run's messages."""
 
 from __future__ import annotations
 
@@ -47,26 +47,26 @@ _GUARD_TIME_S = 60.0
 
 @dataclass(frozen=True)
 class EarlierRuns:
-    """What a run continues: earlier ones of the same unit, on one clock."""
+    """Earlier runs of the same unit that a run continues, on one clock."""
 
-    clock: Clock  #: After the last record of the earlier runs; an emulated bench lives as long as it.
+    clock: Clock  #: Continues after their last record; an emulated bench exists as long as its clock.
     unit: str  #: Serial number of the INS.
     power_ons: int  #: How often the INS was switched on.
 
 
 def run_job(
-    job: Job, out: Path | None, observer: RunObserver, operator: Operator, after: EarlierRuns | None = None
+    job: Job, out: Path | None, observer: RunObserver, operator: Operator, earlier: EarlierRuns | None = None
 ) -> tuple[RunFolder, RunOutcome]:
     """Run a job.
 
-    ``out`` is the run folder, by default a new one under ``runs/``; ``after`` are runs that this one
+    ``out`` is the run folder, by default a new one under ``runs/``; ``earlier`` are the runs that this one
     continues. Raises BenchInUseError if another run holds the bench. Raises InstrumentError if an instrument
     can't be reached; nothing has moved and there is no run folder. Raises DocumentError if an instrument is
     past due and not acknowledged, and RunFolderError if the run folder can't be written.
     """
     job.check_calibrations()
-    clock = after.clock if after else job.station.new_clock()
-    state = ResumeState(unit=after.unit, power_ons=after.power_ons) if after else ResumeState()
+    clock = earlier.clock if earlier else job.station.new_clock()
+    state = ResumeState(unit=earlier.unit, power_ons=earlier.power_ons) if earlier else ResumeState()
     outcome = RunOutcome()
 
     def prepare(folder: RunFolder, identities: Mapping[str, str]) -> tuple[UnitRun, ...]:
@@ -95,8 +95,8 @@ def resume_run(
 ) -> tuple[RunFolder, RunOutcome]:
     """Resume an interrupted run; raises what :func:`run_job` does, and RunFolderError for damaged files.
 
-    ``clock``: by default :meth:`Resumption.clock`. ``other_instruments``: whether rate table and chamber may
-    identify as others than before.
+    ``clock``: by default :meth:`Resumption.clock`. ``other_instruments``: whether the rate table and chamber
+    may differ from those of the run so far.
     """
     job, folder = resumption.job, resumption.folder
     if resumption.damage:
@@ -104,7 +104,7 @@ def resume_run(
     if resumption.is_measured:
         return folder, _finish(resumption)
     clock = clock or resumption.clock()
-    outcome, units = _remeasured(resumption)
+    outcome, units = _remeasure(resumption)
 
     def prepare(folder: RunFolder, identities: Mapping[str, str]) -> tuple[UnitRun, ...]:  # noqa: ARG001
         resumption.check_unchanged()
@@ -112,26 +112,32 @@ def resume_run(
             unit.write_dwells()
         return units
 
-    known = {} if other_instruments else identities_in(folder)
-    return _execute(_Start(job, clock, resumption.state, outcome, folder, prepare, known), observer, operator)
+    expected_identities = {} if other_instruments else identities_in(folder)
+    return _execute(
+        _Start(job, clock, resumption.state, outcome, folder, prepare, expected_identities),
+        observer,
+        operator,
+    )
 
 
-def _remeasured(resumption: Resumption) -> tuple[RunOutcome, tuple[UnitRun, ...]]:
-    """Measure the finished dwells of an interrupted run again; returns its outcome, and its units."""
+def _remeasure(resumption: Resumption) -> tuple[RunOutcome, tuple[UnitRun, ...]]:
+    """Evaluate the recorded dwells of an interrupted run again; returns its outcome and its units."""
     units = []
-    for station, part in zip(resumption.job.station.units, resumption.units, strict=True):
+    for station, interrupted in zip(resumption.job.station.units, resumption.units, strict=True):
         setup = measurement_setup(station)
         dwells, check_dwells = (
-            measure_recorded(part.folder, setup) if part.folder.journal.is_file() else ([], [])
+            measure_recorded(interrupted.folder, setup) if interrupted.folder.journal.is_file() else ([], [])
         )
         outcome = RunOutcome(dwells=dwells, check_dwells=check_dwells)
-        if why := resumption.state.dropped.get(station.number):
-            outcome.fail(why)
-        units.append(UnitRun(station.number, part.plan, setup, part.folder, part.state, outcome))
+        if reason := resumption.state.dropped.get(station.number):
+            outcome.fail(reason)
+        units.append(
+            UnitRun(station.number, interrupted.plan, setup, interrupted.folder, interrupted.state, outcome)
+        )
     return RunOutcome() if units[0].number else units[0].outcome, tuple(units)
 
 
-def is_whole(folder: RunFolder) -> bool:
+def is_complete(folder: RunFolder) -> bool:
     """Whether a folder holds a run that is finished and evaluated."""
     if not (folder.journal.exists() and folder.acceptance.exists()):
         return False
@@ -139,22 +145,22 @@ def is_whole(folder: RunFolder) -> bool:
 
 
 def run_or_resume(
-    job: Job, folder: RunFolder, observer: RunObserver, operator: Operator, after: EarlierRuns | None = None
+    job: Job, folder: RunFolder, observer: RunObserver, operator: Operator, earlier: EarlierRuns | None = None
 ) -> tuple[RunFolder, RunOutcome]:
-    """Run a job into a folder, or resume the run of it that is there; raises what both do."""
+    """Run a job in a folder, or resume its run there; raises what these two functions raise."""
     if folder.journal.exists() and not folder.journal.stat().st_size:
         folder.journal.unlink()  # of a process that was killed before anything moved
     if not folder.journal.exists():
-        return run_job(job, folder.path, observer, operator, after)
-    return resume_run(prepare_resumption(folder.path), observer, operator, after.clock if after else None)
+        return run_job(job, folder.path, observer, operator, earlier)
+    return resume_run(prepare_resumption(folder.path), observer, operator, earlier.clock if earlier else None)
 
 
 def _finish(resumption: Resumption) -> RunOutcome:
-    """Write the results of a run that ended before they were written; uses no instrument."""
+    """Write the results of a measured run that ended before they were written; uses no instrument."""
     folder, job = resumption.folder, resumption.job
     with RunLock(folder.path, resumption.clock()):
         resumption.check_unchanged()
-        outcome, units = _remeasured(resumption)
+        outcome, units = _remeasure(resumption)
         for unit in units:
             unit.write_dwells()
             _evaluate(unit, job)
@@ -164,20 +170,22 @@ def _finish(resumption: Resumption) -> RunOutcome:
 
 @dataclass(frozen=True)
 class _Start:
-    """How a run starts, new or resumed."""
+    """Start conditions of a run, new or resumed."""
 
     job: Job
     clock: Clock
     state: ResumeState
     outcome: RunOutcome
-    #: Folder of the run that is resumed; of a new one its path, by default a new one under ``runs/``.
+    #: Folder of a resumed run, or path for a new one; None for a new path under ``runs/``.
     folder: RunFolder | Path | None
-    #: Writes into the locked folder before anything moves, and returns the units of the run.
+    #: Writes to the locked folder before anything moves, and returns the units of the run.
     prepare: Callable[[RunFolder, Mapping[str, str]], tuple[UnitRun, ...]]
-    known: Mapping[str, str] = field(default_factory=dict)  #: What table and chamber must identify as.
+    expected_identities: Mapping[str, str] = field(
+        default_factory=dict
+    )  #: Identities that table and chamber must have.
 
     def open_folder(self) -> RunFolder:
-        """The run folder; a new one is made."""
+        """Return the run folder; that of a new run is created."""
         if isinstance(self.folder, RunFolder):
             return self.folder
         return create_run_folder(self.folder, self.job.plan.procedure.procedure)
@@ -185,39 +193,39 @@ class _Start:
 
 def _write_inputs(job: Job, clock: Clock, folder: RunFolder, identities: Mapping[str, str]) -> None:
     units = [(unit, folder.unit(unit.number)) for unit in job.station.units if unit.number]
-    for station, inside in (*units, (job.station, folder)):
-        make_folder(inside.path)
-        write_whole(inside.procedure, job.document.path.read_bytes())
-        write_whole(inside.station, station.text.encode())
+    for station, unit_folder in (*units, (job.station, folder)):
+        make_folder(unit_folder.path)
+        write_whole(unit_folder.procedure, job.document.path.read_bytes())
+        write_whole(unit_folder.station, station.text.encode())
         if job.calibration:
-            write_dwells(inside.calibration, job.calibration_of(station.number))
+            write_dwells(unit_folder.calibration, job.calibration_of(station.number))
         if job.compensation is not None:
-            write_compensation(inside.compensation, job.compensation, job.unit)
-        write_whole(inside.path / station.dbc_path.name, station.dbc_path.read_bytes())
-        write_provenance(inside, clock.epoch, identities, job.options)
+            write_compensation(unit_folder.compensation, job.compensation, job.unit)
+        write_whole(unit_folder.path / station.dbc_path.name, station.dbc_path.read_bytes())
+        write_provenance(unit_folder, clock.epoch, identities, job.options)
 
 
 def _execute(start: _Start, observer: RunObserver, operator: Operator) -> tuple[RunFolder, RunOutcome]:
-    """Run what is left of a job, and evaluate all of it."""
+    """Run the remaining steps of a job, and evaluate all dwells."""
     _compile_estimators(start.job, observer)
-    with ExitStack() as opened:
-        run, messenger = _open(start, observer, operator, opened)
+    with ExitStack() as resources:
+        run, messenger = _open(start, observer, operator, resources)
         Engine(run).run()
         if run.outcome.is_safe:
             run.guard.release()
-            messenger.patience_s = PATIENCE_S  # else the guard must not wait for the bench
+            messenger.patience_s = PATIENCE_S  # shorter if not safe: the guard waits for the bench
     run.observers.noted("evaluating the measurements")
     for unit in run.units.values():
         try:
             _evaluate(unit, run.job)
         except GyrobenchError as error:
-            run.outcome.fail(unit.named(str(error)))
+            run.outcome.fail(unit.with_number(str(error)))
             run.observers.ended(run.outcome)
     return run.folder, run.outcome
 
 
 def _compile_estimators(job: Job, observer: RunObserver) -> None:
-    """Compile now, not at the end of a dwell: nothing watches the bench meanwhile."""
+    """Compile the estimators before anything moves: nothing watches the bench during a compilation."""
     clock, compilations = WallClock(), Kernel.compilations()
     begin_s, setup = clock.now(), measurement_setup(job.station.units[0])
     compile_estimator(setup)
@@ -228,41 +236,43 @@ def _compile_estimators(job: Job, observer: RunObserver) -> None:
 
 
 def _open(
-    start: _Start, observer: RunObserver, operator: Operator, opened: ExitStack
+    start: _Start, observer: RunObserver, operator: Operator, resources: ExitStack
 ) -> tuple[RunContext, Messenger]:
-    """Bench, locks, files, guard and messages of a run; nothing has moved. ``opened`` closes them."""
+    """Open bench, locks, files, guard and messages of a run, closed by ``resources``; nothing moves."""
     job, clock, state, outcome = start.job, start.clock, start.state, start.outcome
-    commands = opened.enter_context(CommandQueue())
+    commands = resources.enter_context(CommandQueue())
     patience_s = _GUARD_TIME_S if state.last_s else 0.0
-    bench_lock = opened.enter_context(BenchLock(job.station, RUNS, clock, patience_s=patience_s))
-    instruments = opened.enter_context(
-        Instruments(job.station, clock, job.emulation, dropped=state.dropped, known=start.known)
+    bench_lock = resources.enter_context(BenchLock(job.station, RUNS, clock, patience_s=patience_s))
+    instruments = resources.enter_context(
+        Instruments(
+            job.station, clock, job.emulation, dropped=state.dropped, identities=start.expected_identities
+        )
     )
     identities = {each: instruments.identify(each) for each in (RATE_TABLE, CHAMBER)}
     instruments.require_no_profile()
     folder = start.open_folder()
     bench_lock.sign(folder.path)
-    run_lock = opened.enter_context(RunLock(folder.path, clock))
+    run_lock = resources.enter_context(RunLock(folder.path, clock))
     units = start.prepare(folder, identities)
-    journal = opened.enter_context(Journal(folder.journal, clock))
-    running = [unit for unit in units if unit.number not in state.dropped]
+    journal = resources.enter_context(Journal(folder.journal, clock))
+    measured_units = [unit for unit in units if unit.number not in state.dropped]
     journals = {
-        unit.number: opened.enter_context(Journal(unit.folder.journal, clock)) if unit.number else journal
-        for unit in running
+        unit.number: resources.enter_context(Journal(unit.folder.journal, clock)) if unit.number else journal
+        for unit in measured_units
     }
     journal.followers += [each for each in journals.values() if each is not journal]
     outcome.units = {unit.number: unit.outcome for unit in units if unit.number}
     _record_start(journal, folder, start, units[0].setup, observer)
-    replaced = _replaced([folder, *(unit.folder for unit in units)], identities)
-    for text in (*bench_lock.taken_over, *run_lock.taken_over, *replaced):
+    changes = _record_identities([folder, *(unit.folder for unit in units)], identities)
+    for text in (*bench_lock.taken_over, *run_lock.taken_over, *changes):
         journal.record("note", text=text)
         observer.noted(text)
-    messenger = opened.enter_context(Messenger(job.station.file.messages, journal.record))
+    messenger = resources.enter_context(Messenger(job.station.file.messages, journal.record))
     observers = ObserverGroup(observer, RunNotifier(messenger, job.plan, state))
-    guard = opened.enter_context(guard_for(job.station, folder.path, clock))
-    logs = [(CanLog(unit.folder.can), Telemetry(unit.folder.telemetry)) for unit in running]
-    telemetry = None if running[0].folder == folder else Telemetry(folder.telemetry)
-    opened.callback(_flush, logs, telemetry, outcome)
+    guard = resources.enter_context(guard_for(job.station, folder.path, clock))
+    logs = [(CanLog(unit.folder.can), Telemetry(unit.folder.telemetry)) for unit in measured_units]
+    telemetry = None if measured_units[0].folder == folder else Telemetry(folder.telemetry)
+    resources.callback(_flush, logs, telemetry, outcome)
     bench = LiveBench(job.station, instruments, clock, logs, partial(_record_failure, journal), telemetry)
     observers.begun(folder, bench, outcome)
     run = RunContext(
@@ -282,35 +292,37 @@ def _open(
     return run, messenger
 
 
-def _replaced(folders: Sequence[RunFolder], identities: Mapping[str, str]) -> Iterator[str]:
-    """Keep what table and chamber are now; texts about those that are others than before."""
-    for name, now in identities.items():
-        before = {add_identity(folder, name, now) for folder in folders} - {"", now}
-        if before:
-            yield f"Another {name} than before: {now} in place of {listed(sorted(before))}."
+def _record_identities(folders: Sequence[RunFolder], identities: Mapping[str, str]) -> Iterator[str]:
+    """Store the identities of table and chamber; yields a text for each that differs from before."""
+    for name, identity in identities.items():
+        earlier = {add_identity(folder, name, identity) for folder in folders} - {"", identity}
+        if earlier:
+            yield f"The {name} was replaced: {identity} instead of {listed(sorted(earlier))}."
 
 
 def _record_start(
     journal: Journal, folder: RunFolder, start: _Start, setup: MeasurementSetup, observer: RunObserver
 ) -> None:
     job, state = start.job, start.state
-    left = job.plan.steps[state.resume_index(job.plan) :]
+    remaining = job.plan.steps[state.resume_index(job.plan) :]
     journal.record(
         "run_resumed" if state.last_s else "run_started",
         procedure=job.plan.procedure.procedure,
         station=job.station.file.station,
-        next_step=left[0].number if left else None,
+        next_step=remaining[0].number if remaining else None,
         options=job.options,
         operator=operator_name(),
         **({"unit": state.unit, "power_ons": state.power_ons} if state.power_ons else {}),
     )
-    for name, found in job.past_due().items():
-        journal.record("past_due", instrument=name, found=found, operator=operator_name())
-        observer.noted(f"Warning: {found}")
+    for name, description in job.past_due().items():
+        journal.record("past_due", instrument=name, found=description, operator=operator_name())
+        observer.noted(f"Warning: {description}")
     if changed := note_inputs(folder) if state.last_s else []:
-        text = f"Changed since the run began: {listed(changed)}. All dwells are evaluated with it."
-        journal.record("note", text=text)
-        observer.noted(text)
+        description = (
+            f"Changed since the run began: {listed(changed)}. All dwells are evaluated with the changes."
+        )
+        journal.record("note", text=description)
+        observer.noted(description)
     journal.record("resolution", lines=[limit.text for limit in setup.resolution])
     for limit in setup.resolution:
         if not limit.sufficient:

@@ -1,4 +1,4 @@
-"""What all parts of the engine share in one run."""
+"""Objects of one run that all parts of the engine share."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from gyrobench.bench.runs.journal import Journal
 
 @dataclass(frozen=True, eq=False)
 class UnitRun:
-    """The run of one unit, as if it were alone on the bench; a single unit shares the run's folder."""
+    """The part of a run that belongs to one unit; a single unit shares the run's folder."""
 
-    number: str  #: serial number by the station file; empty for a single unit
+    number: str  #: serial number in the station file; empty for a single unit
     plan: Plan  #: with the unit's positions
     setup: MeasurementSetup  #: how frames become biases
     folder: RunFolder
     state: ResumeState
-    outcome: RunOutcome  #: its dwells, and how its part of the run ends
+    outcome: RunOutcome  #: its dwells, and how the run ended for it
 
     def __post_init__(self) -> None:
         self.outcome.finished = self.state.finished
@@ -38,8 +38,8 @@ class UnitRun:
         """Write the table of its dwells."""
         write_dwells(self.folder.dwells, [each.row for each in self.outcome.dwells])
 
-    def named(self, text: str) -> str:
-        """A message about the unit, with its number where there are several."""
+    def with_number(self, text: str) -> str:
+        """Prefix a message with the unit's number, if there are several."""
         return f"unit {self.number}: {text}" if self.number else text
 
 
@@ -53,12 +53,12 @@ class RunContext:
     journal: Journal  #: its entries are in the journals of the units too
     observers: RunObserver
     operator: Operator
-    commands: CommandQueue  #: commands that wait to be executed
-    guard: Guard  #: gets a sign of life at each tick
-    state: ResumeState  #: what is finished; the run keeps it up to date
+    commands: CommandQueue  #: commands not yet executed
+    guard: Guard  #: gets a heartbeat at each tick
+    state: ResumeState  #: progress; the run keeps it up to date
     outcome: RunOutcome  #: how the run ends
-    units: Mapping[str, UnitRun]  #: all by number, also those that were dropped
-    unit_journals: Mapping[str, Journal]  #: of the units that are not dropped when it begins
+    units: Mapping[str, UnitRun]  #: all units by number, including dropped ones
+    unit_journals: Mapping[str, Journal]  #: of the units that are not dropped when the run starts
 
     @property
     def plan(self) -> Plan:
@@ -66,10 +66,10 @@ class RunContext:
         return self.job.plan
 
     def note(self, text: str) -> None:
-        """Record something that the operator should know; notify the observers."""
+        """Record a note for the operator; notify the observers."""
         self.journal.record("note", text=text)
         self.observers.noted(text)
 
     def record_retry(self, error: InstrumentError) -> None:
-        """Record an exchange that is tried again."""
+        """Record a failed exchange that is repeated."""
         self.journal.record("retry", instrument=error.instrument, error=str(error))

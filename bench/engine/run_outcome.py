@@ -11,7 +11,7 @@ from gyrobench.bench.dwells.run_rotations import RunRotations
 from gyrobench.bench.foundations.text import flag_text, run_ending
 from gyrobench.bench.station.safe_state import SafeAction
 
-#: What makes a finished run fail for the caller.
+#: Condition under which a finished run counts as failed.
 FailOn = Literal["rejected", "flagged"]
 
 
@@ -20,7 +20,7 @@ class RunOutcome:
     """How a run ended."""
 
     ended: str = "finished"  #: "finished", "stopped" (by the operator, or a hold lasted too long) or "failed"
-    reason: str = ""  #: why it did not finish; empty where it did
+    reason: str = ""  #: why it did not finish; empty if it did
     #: Whether it ended because the data contradict the signal map or latitude of the station file.
     is_station_wrong: bool = False
     dwells: list[MeasuredDwell] = field(default_factory=list)
@@ -28,7 +28,7 @@ class RunOutcome:
     rotations: RunRotations = field(default_factory=RunRotations)
     finished: set[int] = field(default_factory=set)  #: numbers of all dwells that are over
     results: RunResults = field(default_factory=RunResults)
-    #: Those of each unit by its number, where a run has several; it has no dwells itself then.
+    #: Outcome of each unit by number in a run with several units; the run itself then has no dwells.
     units: dict[str, RunOutcome] = field(default_factory=dict)
     duration_s: float = 0.0  #: on the run's clock
     #: Actions at the end that brought the bench to its safe state.
@@ -41,10 +41,10 @@ class RunOutcome:
 
     @property
     def contradicting_dwell(self) -> int | None:
-        """Number of the dwell that ended the run, with the reason as its flag; None where none did."""
+        """Number of the dwell whose contradiction ended the run; None if none did."""
         faults = {each.row.dwell: each.setup_fault for each in self.dwells}
         faults |= {each.marks.dwell: each.setup_fault for each in self.check_dwells}
-        # The last one: dwells that an earlier attempt measured may have the same flag.
+        # The last one: dwells measured by an earlier attempt may have the same fault.
         return max(
             (number for number, fault in faults.items() if fault and fault == self.reason), default=None
         )
@@ -55,9 +55,9 @@ class RunOutcome:
         return not any(action.problem for action in self.safe_state)
 
     def shortcoming(self, fail_on: FailOn | None) -> str:
-        """Why a run that finished counts as failed; empty where it does not.
+        """Reason why a finished run counts as failed; empty if it does not.
 
-        "rejected": its unit is rejected. "flagged": that, or it has a dwell with flags.
+        ``fail_on``: "rejected" if the unit is rejected; "flagged" also if a dwell has flags.
         """
         for number, outcome in self.units.items():
             if text := outcome.shortcoming(fail_on) or (outcome.reason if fail_on else ""):
@@ -72,13 +72,13 @@ class RunOutcome:
         return ""
 
     def release(self) -> None:
-        """Let go of dwells and results: the run folder has them."""
+        """Free the memory of dwells and results, which are in the run folder."""
         self.dwells, self.check_dwells = [], []
         self.rotations, self.results = RunRotations(), RunResults()
         for unit in self.units.values():
             unit.release()
 
     def fail(self, reason: str) -> None:
-        """Note a failure, unless there is one already."""
+        """Record a failure, unless the run has already failed or stopped."""
         if self.ended == "finished":
             self.ended, self.reason = "failed", reason

@@ -16,7 +16,7 @@ from gyrobench.bench.engine.units import Units
 from gyrobench.bench.foundations.errors import InstrumentError
 from gyrobench.bench.procedure.steps import Soak, span
 
-#: Span over which the rate is fitted.
+#: Time span over which the rate is fitted.
 _FIT_S = 600.0
 
 
@@ -26,11 +26,11 @@ def until_settled(step: Soak, run: RunContext, units: Units) -> Iterator[None]:
     Yields once a tick. What follows a soak that ended by its time is measured all the same, and noted.
     """
     bench = run.bench
-    begin_s, asked_s, is_new = bench.clock.now(), -math.inf, False
+    begin_s, polled_s, is_new = bench.clock.now(), -math.inf, False
     histories: dict[MeasuredUnit, _GyroTemperatures] = defaultdict(_GyroTemperatures)
     while (elapsed_s := bench.clock.now() - begin_s) < (step.at_most_s or math.inf):
-        if asked_s < bench.readings.asked_s:
-            asked_s, is_new = bench.readings.asked_s, True
+        if polled_s < bench.readings.polled_s:
+            polled_s, is_new = bench.readings.polled_s, True
             for unit in units.measuring:
                 try:
                     histories[unit].add(unit.live.name, unit.live.readings)
@@ -62,7 +62,7 @@ class _GyroTemperatures:
         """Add the newest temperatures. Raises InstrumentError if the unit of this name sends none."""
         if any(map(math.isnan, readings.ins.optics_c)):
             raise InstrumentError(name, "sends no gyro temperatures for the soak to wait for. Use for_s.")
-        self._history.append((readings.asked_s, *readings.ins.optics_c))
+        self._history.append((readings.polled_s, *readings.ins.optics_c))
         while self._history[-1][0] - self._history[0][0] > _FIT_S:
             self._history.popleft()
 

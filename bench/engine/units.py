@@ -1,4 +1,4 @@
-"""The units of a run, measured all at once; one of several that fails is left out of the rest of the run."""
+"""The units of a run, measured all at once; if one of several fails, the run continues without it."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from gyrobench.bench.foundations.errors import (
 )
 from gyrobench.bench.runs.provenance import add_identity
 
-#: A trip that lasts longer is not one that passes: the unit is dropped.
+#: A trip that lasts longer does not count as passing: the unit is dropped.
 _PASSES_WITHIN_S = 60.0
 
 
 class Units:
     """The units of a run that are not dropped.
 
-    A unit of several is dropped where the station's ``drop_units`` allows it: its interlock trips, its
-    instrument fails, it has not aligned, or its data contradict the signal map. Where that may pass, as a
-    silence, the unit is set aside first, and repeats the dwell in progress. Raises UnitsLostError when the
-    last one is dropped.
+    If the station's ``drop_units`` allows it, one of several units is dropped if its interlock trips, its
+    instrument fails, it has not aligned, or its data contradict the signal map. If the cause may pass, such
+    as a silence, the unit is first set aside, and repeats the dwell in progress. Raises UnitsLostError when
+    the last one is dropped.
     """
 
     def __init__(self, run: RunContext) -> None:
@@ -39,40 +39,40 @@ class Units:
         self._may_drop = len(run.units) > 1 and run.bench.station.file.drop_units
         self.running = [MeasuredUnit(run, live) for live in run.bench.units]
         self._compensations = {unit: StoredCompensation(run, unit) for unit in self.running}
-        self._waiting: dict[MeasuredUnit, Iterator[None]] = {}  # in the step in progress
-        self._aside: dict[MeasuredUnit, str] = {}  # why it is not measured for the moment
-        self._all_tripped_s = -math.inf  # when all were tripped at last, for long
+        self._waiting: dict[MeasuredUnit, Iterator[None]] = {}  # actions of the step in progress
+        self._set_aside_reasons: dict[MeasuredUnit, str] = {}  # set aside, with the reason
+        self._all_tripped_s = -math.inf  # last time at which all had been tripped for long
 
     @property
     def measuring(self) -> list[MeasuredUnit]:
-        """The units that the step in progress concerns: not those set aside, or done with its dwell."""
-        dwell = self._bench.state.at.dwell
-        present = (unit for unit in self.running if unit not in self._aside)
+        """Units that take part in the step in progress: not set aside, and not done with its dwell."""
+        dwell = self._bench.state.run_position.dwell
+        present = (unit for unit in self.running if unit not in self._set_aside_reasons)
         return [unit for unit in present if dwell not in unit.run.state.finished]
 
     @property
     def have_restarted(self) -> bool:
-        """Whether the INS of one has restarted without a command."""
+        """Whether the INS of any unit has restarted without a command."""
         return any(unit.live.state.has_restarted for unit in self.running)
 
     @property
     def are_on(self) -> bool:
-        """Whether the INS of every one should be on."""
+        """Whether the INS of every unit should be on."""
         return all(unit.live.state.expected.ins_on for unit in self.running)
 
     @property
     def dropped_events(self) -> set[int]:
-        """Event outputs of the chamber that feed dropped units alone; these are not switched on again."""
+        """Event outputs of the chamber that supply only dropped units; these are not switched on again."""
         stations = self._bench.station.units
-        events = {
+        used_events = {
             each.file.unit.power_event for each in stations if each.number not in self._run.state.dropped
         }
-        return set(self._bench.station.power_events) - events
+        return set(self._bench.station.power_events) - used_events
 
-    def each(self, action: Callable[[MeasuredUnit], Iterator[None]]) -> Iterator[None]:
-        """Perform an action of each unit, all at once; yields once a tick until all are done.
+    def for_all(self, action: Callable[[MeasuredUnit], Iterator[None]]) -> Iterator[None]:
+        """Perform an action for all units at once; yields once a tick until all are done.
 
-        Raises what the action raises, unless the unit is dropped for it.
+        Raises what the action raises, unless the unit is dropped or set aside.
         """
         self._waiting = {unit: action(unit) for unit in self.measuring}
         try:
@@ -89,71 +89,73 @@ class Units:
         finally:
             self._waiting = {}
 
-    def drop_late(self, why: str) -> bool:
-        """Drop the units that a step waits for, if others are done with it; returns whether there are any."""
+    def drop_late(self, reason: str) -> bool:
+        """Drop the units that a step waits for if others are done; returns whether any was dropped."""
         late = list(self._waiting)
         if not self._may_drop or len(late) in (0, len(self.measuring)):
             return False
         for unit in late:
-            self._drop(unit, why)
+            self._drop(unit, reason)
         return True
 
     def drop_tripped(self) -> None:
-        """Drop the units whose interlocks are tripped, or set them aside; take back those that are good.
+        """Drop units with tripped interlocks, or set them aside; take back units without a trip.
 
-        Where what is wrong with all of them lasts, but may pass, its cause may be common: the run holds.
+        If all of them stay tripped by something that may pass, the cause may be common: the run holds.
         """
         if not self._may_drop:
             return
-        now_s, found = self._bench.clock.now(), {unit: unit.live.trips() for unit in self.running}
-        for unit, trips in found.items():
+        now_s, trips_by_unit = self._bench.clock.now(), {unit: unit.live.trips() for unit in self.running}
+        for unit, trips in trips_by_unit.items():
             unit.tripped_s = (unit.tripped_s or now_s) if trips else None
-        latest_s = max(unit.tripped_s or now_s for unit in found)
-        if now_s - latest_s > _PASSES_WITHIN_S and all(map(_may_pass, found.values())):
+        latest_s = max(unit.tripped_s or now_s for unit in trips_by_unit)
+        if now_s - latest_s > _PASSES_WITHIN_S and all(map(_may_pass, trips_by_unit.values())):
             self._all_tripped_s = now_s
-            self._take_back(*self._aside)
+            self._take_back(*self._set_aside_reasons)
             return
-        for unit, trips in found.items():
+        for unit, trips in trips_by_unit.items():
             if trips:
-                self._tripped(unit, trips, now_s)
-            elif unit in self._aside and not self._is_in_dwell(unit):
+                self._handle_trips(unit, trips, now_s)
+            elif unit in self._set_aside_reasons and not self._is_in_dwell(unit):
                 self._take_back(unit)
 
-    def _tripped(self, unit: MeasuredUnit, trips: Sequence[Trip], now_s: float) -> None:
+    def _handle_trips(self, unit: MeasuredUnit, trips: Sequence[Trip], now_s: float) -> None:
         since_s = max(unit.tripped_s or now_s, self._all_tripped_s)
-        passes = _may_pass(trips) and now_s - since_s <= _PASSES_WITHIN_S
-        if not (passes and self._set_aside(unit, text_of_trips(trips))):
+        may_pass = _may_pass(trips) and now_s - since_s <= _PASSES_WITHIN_S
+        if not (may_pass and self._set_aside(unit, text_of_trips(trips))):
             self._drop(unit, text_of_trips(trips))
 
     def _is_in_dwell(self, unit: MeasuredUnit) -> bool:
-        dwell = self._bench.state.at.dwell
+        dwell = self._bench.state.run_position.dwell
         return bool(dwell) and dwell not in unit.run.state.finished
 
-    def _set_aside(self, unit: MeasuredUnit, why: str, *, may_flag: bool = False) -> bool:
-        """Stop measuring a unit in the dwell in progress; returns False where the dwell can't be repeated.
+    def _set_aside(self, unit: MeasuredUnit, reason: str, *, may_flag: bool = False) -> bool:
+        """Stop measuring a unit in the dwell in progress; returns False if the dwell can't be repeated.
 
-        ``may_flag``: whether the dwell is flagged then instead.
+        ``may_flag``: whether a dwell that can't be repeated may be flagged instead.
         """
-        if unit in self._aside:
+        if unit in self._set_aside_reasons:
             return True
-        if self._is_in_dwell(unit) and not (may_flag or unit.may_repeat(self._bench.state.at.dwell)):
+        if self._is_in_dwell(unit) and not (
+            may_flag or unit.may_repeat(self._bench.state.run_position.dwell)
+        ):
             return False
         self._waiting.pop(unit, None)
-        self._aside[unit] = why
+        self._set_aside_reasons[unit] = reason
         unit.live.is_set_aside = True
         unit.live.end_capture()
-        unit.note(f"not measured for the moment: {why}")
+        unit.note(f"temporarily not measured: {reason}")
         return True
 
     def _take_back(self, *units: MeasuredUnit) -> None:
         for unit in units:
             unit.live.is_set_aside = False
-            del self._aside[unit]
+            del self._set_aside_reasons[unit]
 
     def identify(self, again: bool) -> None:
-        """Check the serial numbers: read those that are not known yet, or all ``again``.
+        """Check the serial numbers: read those not known yet, or all if ``again``.
 
-        Others are compared as last received: adapters that came back may have exchanged their names.
+        The others are compared as last received: adapters that were reconnected may have exchanged names.
         """
         for unit in list(self.running):
             try:
@@ -165,32 +167,32 @@ class Units:
                 self.fail(unit, error)
 
     def _identify(self, unit: MeasuredUnit) -> None:
-        ins, known = unit.live.ins, unit.live.state.number
+        ins, expected_number = unit.live.ins, unit.live.state.number
         identity = ins.identify()
         serial_number = ins.identity().get("serial_number")
-        number = known or UNKNOWN_UNIT if serial_number is None else str(serial_number)
-        if serial_number is None and known and not unit.is_identified:
+        number = expected_number or UNKNOWN_UNIT if serial_number is None else str(serial_number)
+        if serial_number is None and expected_number and not unit.is_identified:
             unit.note(
                 f"{ins.name} sends no serial number (ins.signals.identity.serial_number): whether another "
                 "unit is connected is not checked"
             )
         _require_number(unit, number)
         unit.live.state.number, unit.is_identified = number, True
-        if (text := unit.live.station.file.ins.identity) not in identity:
+        if (expected := unit.live.station.file.ins.identity) not in identity:
             raise FaultError(
                 ins.name,
-                f"identifies as {identity}, which lacks {text!r}. Connect the right one, or correct "
+                f"identifies as {identity}, which lacks {expected!r}. Connect the right one, or correct "
                 "`identity` in the station file.",
             )
         unit.journal.record("ins_identified", unit=number, identity=identity)
         self._run.observers.identified(number)
         folders = {self._run.folder, unit.run.folder}
-        before = {add_identity(folder, ins.name, identity) for folder in folders} - {"", identity}
-        for each in before:
+        earlier_identities = {add_identity(folder, ins.name, identity) for folder in folders} - {"", identity}
+        for each in earlier_identities:
             unit.note(f"{ins.name} identifies as {identity}; before as {each}.")
 
     def settle_compensation(self, after_power_on: bool) -> Iterator[None]:
-        """Compare the stored compensation of each unit with that of the run, one after another."""
+        """Compare the stored compensation of each unit with the run's, one unit after another."""
         for unit in list(self.running):
             try:
                 yield from self._compensations[unit].settle(after_power_on)
@@ -198,21 +200,21 @@ class Units:
                 self.fail(unit, error)
 
     def finish_dwell(self, dwell: int) -> bool:
-        """Measure the dwell that is over; returns False where a unit has to repeat it."""
+        """Measure the dwell that is over; returns False if a unit has to repeat it."""
         run, is_over = self._run, True
         for unit in self.measuring:
             try:
                 is_over = unit.finish_dwell() and is_over
             except SignalMapError as error:
                 self.fail(unit, error)
-        for unit in [unit for unit in self._aside if self._is_in_dwell(unit)]:
-            why = self._aside[unit]
+        for unit in [unit for unit in self._set_aside_reasons if self._is_in_dwell(unit)]:
+            reason = self._set_aside_reasons[unit]
             self._take_back(unit)
             if unit.may_repeat(dwell):
-                unit.repeat_dwell(dwell, why)
+                unit.repeat_dwell(dwell, reason)
                 is_over = False
             else:
-                unit.recorder.disturb(why)
+                unit.recorder.disturb(reason)
                 unit.finish_dwell()
         if is_over:
             run.state.finished.add(dwell)
@@ -221,11 +223,11 @@ class Units:
         return is_over
 
     def may_repeat(self, dwell: int) -> bool:
-        """Whether the procedure allows that a dwell with invalid data is repeated."""
+        """Whether the procedure allows another repeat of a dwell with invalid data."""
         return all(unit.may_repeat(dwell) for unit in self.measuring)
 
     def repeats(self, dwell: int) -> int:
-        """How often every unit repeated a dwell because of invalid data."""
+        """Number of times that every unit has repeated a dwell because of invalid data."""
         return min(unit.run.state.repeats[dwell] for unit in self.running)
 
     @property
@@ -234,79 +236,79 @@ class Units:
         return any(unit.live.capture for unit in self.running)
 
     def end_captures(self) -> bool:
-        """Stop keeping frames; returns whether any unit kept them."""
+        """Stop capturing frames; returns whether any unit was capturing."""
         captured = [unit for unit in self.running if unit.live.capture]
         for unit in captured:
             unit.live.end_capture()
         return bool(captured)
 
-    def discard(self, dwell: int | None, why: str, counts: bool) -> None:
+    def discard(self, dwell: int | None, reason: str, counts: bool) -> None:
         """Discard the dwell in progress, if there is one; it is repeated.
 
         With ``counts``, the repeat counts against the procedure's limit.
         """
-        self._take_back(*self._aside)
+        self._take_back(*self._set_aside_reasons)
         measuring = self.measuring
         if dwell and self.end_captures():
             for unit in measuring:
                 unit.run.state.repeats[dwell] += counts
-            self._run.journal.record("dwell_given_up", dwell=dwell, why=why, counts=counts)
-            self._run.observers.noted(f"dwell {dwell} is repeated: {why}")
+            self._run.journal.record("dwell_given_up", dwell=dwell, why=reason, counts=counts)
+            self._run.observers.noted(f"dwell {dwell} is repeated: {reason}")
 
     def skip(self, dwell: int) -> None:
-        """Leave a dwell out."""
-        self._take_back(*self._aside)
+        """Skip a dwell."""
+        self._take_back(*self._set_aside_reasons)
         self.end_captures()
         self._run.journal.record("dwell_skipped", dwell=dwell)
         for state in (self._run.state, *(unit.run.state for unit in self.running)):
             state.skipped.add(dwell)
         self._run.observers.noted(f"dwell {dwell} is skipped")
 
-    def repeat_for(self, unit: MeasuredUnit, why: str) -> None:
-        """Let a unit repeat the dwell in progress, or flag the dwell if it may not be repeated.
+    def repeat_or_flag(self, unit: MeasuredUnit, reason: str) -> None:
+        """Have a unit repeat the dwell in progress, or flag the dwell if it may not be repeated.
 
-        Raises InvalidDwellError where units may not be dropped: then all repeat it.
+        Raises InvalidDwellError if units may not be dropped: then all repeat it.
         """
         if not self._may_drop:
-            raise InvalidDwellError(why)
-        self._set_aside(unit, why, may_flag=True)
+            raise InvalidDwellError(reason)
+        self._set_aside(unit, reason, may_flag=True)
 
     def fail(self, unit: MeasuredUnit, error: GyrobenchError) -> None:
         """Drop the unit for its error, or set it aside if the error may pass.
 
-        Raises the error where units may not be dropped, or if it is of another instrument.
+        Raises the error if units may not be dropped, or another instrument caused it.
         """
-        is_other = isinstance(error, InstrumentError) and error.instrument != unit.live.name
-        if not self._may_drop or is_other:
+        is_other_instrument = isinstance(error, InstrumentError) and error.instrument != unit.live.name
+        if not self._may_drop or is_other_instrument:
             raise error
-        passes = trip_of_error(error, unit.live.station).rule.resume == "automatic"
-        if not (passes and self._is_in_dwell(unit) and self._set_aside(unit, str(error))):
+        may_pass = trip_of_error(error, unit.live.station).rule.resume == "automatic"
+        if not (may_pass and self._is_in_dwell(unit) and self._set_aside(unit, str(error))):
             self._drop(unit, str(error))
 
-    def _drop(self, unit: MeasuredUnit, why: str) -> None:
+    def _drop(self, unit: MeasuredUnit, reason: str) -> None:
         run, number = self._run, unit.run.number
-        run.journal.record("unit_dropped", unit=number, why=why)
-        run.state.dropped[number] = why
+        run.journal.record("unit_dropped", unit=number, why=reason)
+        run.state.dropped[number] = reason
         self._waiting.pop(unit, None)
-        self._aside.pop(unit, None)
+        self._set_aside_reasons.pop(unit, None)
         self.running.remove(unit)
-        unit.run.outcome.ended, unit.run.outcome.reason = "failed", why
-        run.observers.dropped(number, why)
+        unit.run.outcome.ended, unit.run.outcome.reason = "failed", reason
+        run.observers.dropped(number, reason)
         if not self.running:
             self._may_drop = False
-            raise UnitsLostError(f"no unit is left. The last one, {number}, was dropped: {why}")
-        unit.journal.record("run_ended", ended="failed", reason=why, safe_state=[])
+            raise UnitsLostError(f"no unit is left. The last one, {number}, was dropped: {reason}")
+        unit.journal.record("run_ended", ended="failed", reason=reason, safe_state=[])
         run.journal.followers.remove(unit.journal)
         self._bench.leave_out(unit.live)
 
 
 def _require_number(unit: MeasuredUnit, number: str) -> None:
-    """Raise FaultError for the serial number of another unit."""
-    name, known = unit.live.name, unit.live.state.number
-    if known not in ("", number):
-        raise FaultError(name, f"is unit {number}, but this run measures {known}. Connect {known}.")
+    """Raise FaultError if the serial number is that of another unit."""
+    name, expected = unit.live.name, unit.live.state.number
+    if expected not in ("", number):
+        raise FaultError(name, f"is unit {number}, but this run measures {expected}. Connect {expected}.")
 
 
 def _may_pass(trips: Sequence[Trip]) -> bool:
-    """Whether these are trips after which a run resumes by itself."""
+    """Whether a run resumes by itself after all of these trips."""
     return all(trip.rule.resume == "automatic" for trip in trips)

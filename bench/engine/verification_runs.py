@@ -1,4 +1,4 @@
-"""The runs of a verification: without compensation, with the declared model, with the effects."""
+"""Runs of a verification: without compensation, with the declared model, and with the effects."""
 
 from __future__ import annotations
 
@@ -66,19 +66,19 @@ _AZIMUTH_TOLERANCE_DEG = 1.0
 _ROTATIONS = ("rotate", "spin")
 
 
-#: Dwells of a run, and those that check a calibration.
+#: Dwells of a run, and its dwells that check a calibration.
 _Measured = tuple[Sequence[MeasuredDwell], Sequence[CheckDwell]]
 
 
 class VerificationRuns:
-    """Measures with each compensation of a closed campaign, and compares the remaining errors.
+    """Measures with each compensation of a campaign that was searched, and compares the remaining errors.
 
-    Each compensation has a separate run, in a folder with its name. A run that is finished is not repeated.
-    ``closure`` is the outcome of the search in the campaign ``run``. All runs have the same world and seed,
-    ``only`` limits the compensations to measure with, and ``coefficients`` includes all coefficients that the
-    run measured. Raises DocumentError if procedure or station are wrong; the INS does not accept a
-    compensation; a selected one does not exist; the campaign was measured with a compensation, or with the
-    same seed.
+    Each compensation has a separate run, in a folder with its name. A finished run is not repeated.
+    ``closure`` is the outcome of the search in the campaign ``run``. All runs have the same world and seed.
+    ``only`` limits the compensations to measure with; ``coefficients`` includes all coefficients that the
+    run measured. Raises DocumentError if procedure or station are wrong, the INS does not accept a
+    compensation, a selected compensation does not exist, or the campaign was measured with a compensation or
+    with the same seed.
     """
 
     def __init__(
@@ -99,14 +99,14 @@ class VerificationRuns:
         self._closure = closure
         self._measured: dict[str, _Measured] = {}
         self._has_coefficients = coefficients
-        #: Searches of other coefficients of the run.
+        #: Searches in the other coefficients of the run.
         self.searches = _searches(run) if coefficients else ()
-        declared, whole = declared_model(closure), model_with_effects(closure)
+        declared, with_effects = declared_model(closure), model_with_effects(closure)
         if coefficients:
-            declared, whole = _with_coefficients(run, self.searches, declared, whole)
-        if not whole.effects:
-            declared = replace(declared, notes=whole.notes)
-        models = {DECLARED: declared, **({EFFECT: whole} if whole.effects else {})}
+            declared, with_effects = _with_coefficients(run, self.searches, declared, with_effects)
+        if not with_effects.effects:
+            declared = replace(declared, notes=with_effects.notes)
+        models = {DECLARED: declared, **({EFFECT: with_effects} if with_effects.effects else {})}
         compensations: dict[str, Compensation | None] = {NONE: None}
         compensations |= {name: model.compensation for name, model in models.items()}
         if set(only) - compensations.keys():
@@ -117,7 +117,7 @@ class VerificationRuns:
         #: Compensations to measure with.
         self.selected = [name for name in compensations if name in only or not only]
         unit = closure.campaign.reported_unit
-        #: One for each compensation that is selected or has a run already, in order.
+        #: Job for each compensation that is selected or has a run already, in order.
         self.jobs: Mapping[str, Job] = MappingProxyType(
             {
                 name: replace(
@@ -129,11 +129,11 @@ class VerificationRuns:
         )
         self._job = self.jobs[self.selected[0]]
         load = self._job.station.file.ins.commands.load_compensation
-        #: Models that can be loaded; without "effect" where the search found no effect to load.
+        #: Models that can be loaded; without "effect" if the search found no effect to load.
         self.models: Mapping[str, LoadableModel] = MappingProxyType(
-            {name: _as_loaded(model, load) for name, model in models.items()}
+            {name: _with_limit_note(model, load) for name, model in models.items()}
         )
-        _check_new(run, self._job)
+        _check_other_seed(run, self._job)
         if coefficients and not any(each.step.name in _ROTATIONS for each in self._job.plan.steps):
             raise DocumentError(
                 f"{procedure}: the procedure measures no coefficients. Give one with rotations, as "
@@ -176,9 +176,12 @@ class VerificationRuns:
         rows = {name: [dwell.row for dwell in dwells] for name, (dwells, _) in measured.items()}
         fitted_c = self._closure.campaign.gyro_c[self._closure.searched]
         draws = {DECLARED: self._closure.declared_draws, EFFECT: self._closure.model_draws}
-        own = set(self._closure.names)
-        fitted = {name: (draws[name], own.intersection(model.effects)) for name, model in self.models.items()}
-        most = max(rows.values(), key=len)  # a run may lack dwells
+        effect_names = set(self._closure.names)
+        fits = {
+            name: (draws[name], effect_names.intersection(model.effects))
+            for name, model in self.models.items()
+        }
+        longest = max(rows.values(), key=len)  # a run may lack dwells
         site = self._job.station.site
         coefficients = self._coefficients(measured, site)
         return VerificationResult(
@@ -191,7 +194,7 @@ class VerificationRuns:
                         name,
                         rows[name],
                         check_dwells,
-                        fitted.get(name),
+                        fits.get(name),
                         self.models[name].compensation if name in self.models else None,
                         is_limited=self.models[DECLARED].is_limited,
                     )
@@ -200,8 +203,8 @@ class VerificationRuns:
                 site,
                 fitted_c,
             ),
-            new_attitudes=_new_attitudes(read_dwells(self._run.dwells), most),
-            dwells=len(most),
+            new_attitudes=_new_attitudes(read_dwells(self._run.dwells), longest),
+            dwells=len(longest),
             is_same_seed=bool(self._job.emulated_world()),
             notes=tuple(self._notes(rows, has_coefficients=bool(coefficients))),
             searches=self.searches,
@@ -235,38 +238,38 @@ class VerificationRuns:
                 yield (
                     f"The INS identified as {before} for the model, and as {now} in the run {IN_WORDS[name]}."
                 )
-            others = {row.unit for row in measured} - units
-            if others:
+            other_units = {row.unit for row in measured} - units
+            if other_units:
                 yield (
-                    f"The run {IN_WORDS[name]} measured the unit {', '.join(sorted(others))}, but the model "
-                    f"belongs to {', '.join(sorted(units))}."
+                    f"The run {IN_WORDS[name]} measured the unit {', '.join(sorted(other_units))}, but the "
+                    f"model belongs to {', '.join(sorted(units))}."
                 )
             flagged = sum(bool(row.flags) for row in measured)
             if self._has_coefficients:
-                found = plateau_findings(read_coefficients(RunFolder(self.folder / name).coefficients))
-                yield from (f"In the run {IN_WORDS[name]}: {each}" for each in found)
+                findings = plateau_findings(read_coefficients(RunFolder(self.folder / name).coefficients))
+                yield from (f"In the run {IN_WORDS[name]}: {each}" for each in findings)
             if flagged:
                 yield flags_note(name, flagged, len(measured))
         if self._has_coefficients and not has_coefficients:
             yield "No plateau has coefficients in all runs, so they are not compared."
-        kept = compensations_in_use(RunFolder(self.folder / NONE)) if NONE in rows else []
-        if kept:
-            yield f"In the run {IN_WORDS[NONE]} the INS applied a stored compensation ({', '.join(kept)})."
+        in_use = compensations_in_use(RunFolder(self.folder / NONE)) if NONE in rows else []
+        if in_use:
+            yield f"In the run {IN_WORDS[NONE]} the INS applied a stored compensation ({', '.join(in_use)})."
 
 
 def flags_note(name: str, flagged: int, dwells: int) -> str:
-    """How many dwells of the run with a compensation have flags, at least one."""
+    """Note of how many dwells of the run with a compensation have flags, at least one."""
     verbs = plural(flagged, "has flags and is", "have flags and are")
     return f"In the run {IN_WORDS[name]} {flagged} of {counted(dwells, 'dwell')} {verbs} not used."
 
 
 def new_emulation(run: RunFolder, world: str | None = None, seed: int | None = None) -> Emulation:
-    """World of a run with the next seed: the same unit with new noise and power-ons, without faults.
+    """World of a run with the next seed: the same unit with other noise and power-ons, without faults.
 
     ``world`` and ``seed`` replace those of the run.
     """
-    known = emulation_of(run)
-    return Emulation(world or known.world, known.seed + 1 if seed is None else seed)
+    original = emulation_of(run)
+    return Emulation(world or original.world, original.seed + 1 if seed is None else seed)
 
 
 def _searches(run: RunFolder) -> tuple[Closure, ...]:
@@ -278,8 +281,8 @@ def _searches(run: RunFolder) -> tuple[Closure, ...]:
 def _coefficients_of(run: RunFolder) -> list[PlateauCoefficientRow]:
     """Coefficients of a run.
 
-    Raises DocumentError if no rotations of it could be evaluated: dwells alone leave coefficients open that
-    the others depend on.
+    Raises DocumentError if none of its rotations could be evaluated: dwells alone leave coefficients
+    undetermined on which the others depend.
     """
     rows = read_coefficients(run.coefficients) if run.coefficients.exists() else []
     if not any(np.isfinite(row.gyro_rate_c_per_h) for row in rows):
@@ -296,10 +299,10 @@ def _with_coefficients(
 ) -> list[LoadableModel]:
     """Models of the gyros' biases with the other coefficients of a run.
 
-    Where a search in one of them found effects its model replaces the polynomial in the second model; a
-    search of one cycle confirms none, and is left out.
+    If a search in a coefficient found effects, its model replaces the polynomial in the second model. A
+    search in a single cycle confirms no effect, and is not used.
     """
-    _coefficients_of(run)  # refuses a run without rotations
+    _coefficients_of(run)  # raises for a run without rotations
     polynomials = corrections(read_coefficients_apart(run.coefficients, run.budget))
     closures = [each for each in searches if not each.searched.all()]
     return [
@@ -321,7 +324,7 @@ def _check_uncompensated(run: RunFolder) -> None:
         )
 
 
-def _check_new(run: RunFolder, job: Job) -> None:
+def _check_other_seed(run: RunFolder, job: Job) -> None:
     if job.emulated_world() and job.has_world_of(run):
         raise DocumentError(
             f"--seed {job.emulation.seed} is the seed of {run.path}, so the noise would be the same. Choose "
@@ -342,20 +345,20 @@ def is_run_of(folder: RunFolder, job: Job) -> bool:
     return read_compensation(folder.compensation).is_equivalent_to(job.compensation)
 
 
-def _as_loaded(model: LoadableModel, load: CoefficientCommand | None) -> LoadableModel:
-    """The model with a note where the INS does not get its limits of temperature."""
+def _with_limit_note(model: LoadableModel, load: CoefficientCommand | None) -> LoadableModel:
+    """The model, with a note if its temperature limits are not loaded into the INS."""
     note = load.extrapolation(model.compensation) if load else ""
     return replace(model, notes=(*model.notes, note), is_limited=False) if note else model
 
 
 def _new_attitudes(fitted: Sequence[DwellRow], measured: Sequence[DwellRow]) -> int:
-    """How many dwells began in an attitude in which no other began."""
+    """Number of measured dwells that began in an attitude in which no fitted dwell began."""
 
-    def is_known(row: DwellRow) -> bool:
+    def is_fitted(row: DwellRow) -> bool:
         return any(
             other.position == row.position
             and abs((other.azimuth_deg - row.azimuth_deg + 180.0) % 360.0 - 180.0) < _AZIMUTH_TOLERANCE_DEG
             for other in fitted
         )
 
-    return sum(not is_known(row) for row in measured)
+    return sum(not is_fitted(row) for row in measured)

@@ -1,1 +1,1 @@
-"""Many runs at once: their evaluation on several cores or machines, and what units of a batch share."""
+"""Many runs at once: evaluation on several cores or machines, and statistics of the units of a batch."""

@@ -1,7 +1,7 @@
 """Statistics of the units of one batch: mean, spread between units and between runs, outliers.
 
-Each quantity has a separate model: the level of each gyro in each temperature bin, the difference of
-each position from that, and the size of each effect. The value of run r of unit u is
+Each quantity has a separate model. Quantities are the level of each gyro in each temperature bin, the
+difference of each position from that level, and the size of each effect. The value of run r of unit u is
 
     m + b_u + c_ur + e_ur
 
@@ -12,10 +12,10 @@ units), and noise e_ur of known size.
 Quantities belong to temperature bins, not to coefficients of the declared cubic: bins are measured, while
 coefficients of a cubic are correlated and depend on the temperature range of the procedure.
 
-Each unit is compared with a prediction from the other units, so an outlier does not widen the spread that
-it is judged by. A few units estimate a spread badly, so the gyros share one variance, and all position
-differences share one, where a likelihood-ratio test does not reject a common variance. Two outliers in the
-same direction still mask each other a little.
+Each unit is compared with a prediction from the other units, so an outlier does not widen the spread with
+which it is judged. Few units give a poor estimate of a spread, so the gyros share one variance, and all
+position differences share one, unless a likelihood-ratio test rejects a common variance. Two outliers in the
+same direction still mask each other slightly.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from gyrobench.bench.foundations.text import plain_name
 from gyrobench.bench.runs.index.run_biases import FALSE_ALARM, LEVEL, BiasQuantity, RunBias, read_run_biases
 from gyrobench.bench.runs.index.run_index import RunIndex
 
-#: Least number of units for an estimate of their spread.
+#: Minimum number of units for an estimate of their spread.
 _MIN_UNITS = 4
 #: Significance of the test for a common variance of several quantities.
 _COMMON_VARIANCE_P = 0.05
@@ -53,13 +53,13 @@ _COMMON_VARIANCE_P = 0.05
 
 @dataclass(frozen=True, order=True)
 class EffectSize:
-    """Rms size of an effect in deg/h; zero in runs whose search did not find it."""
+    """Rms size of an effect, deg/h; zero in runs whose search did not find it."""
 
     effect: str
 
     @property
     def label(self) -> str:
-        """Name for people."""
+        """Name for display."""
         return f"effect {plain_name(self.effect)}"
 
 
@@ -101,14 +101,14 @@ class QuantityStatistics:
     mean_dph: float
     mean_sigma_dph: float
     between_units: ExcessSigma  #: Standard deviation between units without noise, with its 95 % interval.
-    #: Standard deviation between runs of one unit; None where no unit has two runs: it is then part of the
+    #: Standard deviation between runs of one unit; None if no unit has two runs: it is then part of the
     #: spread between units.
     between_runs_dph: float | None
     units: Sequence[UnitStatistics]  #: By serial number.
 
 
 def fit_batch(values: Mapping[BatchQuantity, Sequence[RunBias]]) -> list[QuantityStatistics]:
-    """Fit the model to each quantity measured on at least :data:`_MIN_UNITS` units, in the order given.
+    """Fit the model to each quantity measured on at least :data:`_MIN_UNITS` units, in the given order.
 
     Raises MeasurementError if there is no such quantity.
     """
@@ -123,7 +123,7 @@ def fit_batch(values: Mapping[BatchQuantity, Sequence[RunBias]]) -> list[Quantit
         )
     order = list(values)
     fitted = sorted(
-        (stats for family in families.values() for stats in _fitted(family)),
+        (stats for family in families.values() for stats in _fit_family(family)),
         key=lambda stats: order.index(stats.quantity),
     )
     adjusted = iter(holm([unit.p_value for stats in fitted for unit in stats.units]))
@@ -135,8 +135,8 @@ def fit_batch(values: Mapping[BatchQuantity, Sequence[RunBias]]) -> list[Quantit
 
 def outliers(batch: Sequence[QuantityStatistics]) -> list[tuple[QuantityStatistics, UnitStatistics]]:
     """Outlying units with the quantity in which they differ, smallest p-value first."""
-    found = [(stats, unit) for stats in batch for unit in stats.units if unit.is_outlier]
-    return sorted(found, key=lambda pair: pair[1].p_value)
+    pairs = [(stats, unit) for stats in batch for unit in stats.units if unit.is_outlier]
+    return sorted(pairs, key=lambda pair: pair[1].p_value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +166,7 @@ class _Spread:
 
 
 def _family(quantity: BatchQuantity) -> object:
-    """Quantities that may share a variance between units: those of all gyros in one bin."""
+    """Key of the quantities that may share a variance between units: those of all gyros in a bin."""
     if isinstance(quantity, EffectSize):
         return quantity
     return quantity.bin_low_c, quantity.name == LEVEL
@@ -197,43 +197,43 @@ def _between_runs(repeated: Sequence[Sequence[RunBias]]) -> float | None:
     if not repeated:
         return None
     biases, variances = _arrays([run for runs in repeated for run in runs])
-    return excess_variance(biases, variances, _blocks([len(runs) for runs in repeated]))
+    return excess_variance(biases, variances, _block_design([len(runs) for runs in repeated]))
 
 
-def _fitted(family: Sequence[_UnitMeans]) -> list[QuantityStatistics]:
+def _fit_family(family: Sequence[_UnitMeans]) -> list[QuantityStatistics]:
     units = sorted({name for each in family for name in each.names})
     spreads = {unit: _spreads_without(unit, family) for unit in units}
     return [
-        _statistics(each, {unit: spreads[unit][number] for unit in each.names})
-        for number, each in enumerate(family)
+        _quantity_statistics(each, {unit: spreads[unit][index] for unit in each.names})
+        for index, each in enumerate(family)
     ]
 
 
-def _statistics(each: _UnitMeans, spreads: Mapping[str, _Spread]) -> QuantityStatistics:
-    one = np.ones((len(each.names), 1))
-    between_units = excess_sigma(each.means, each.variances, one)
+def _quantity_statistics(unit_means: _UnitMeans, spreads: Mapping[str, _Spread]) -> QuantityStatistics:
+    design = np.ones((len(unit_means.names), 1))
+    between_units = excess_sigma(unit_means.means, unit_means.variances, design)
     spread = between_units.value**2
-    fit = weighted_fit(each.means, each.variances + spread, one)
+    fit = weighted_fit(unit_means.means, unit_means.variances + spread, design)
     mean, mean_variance = float(fit.values[0]), float(fit.covariance[0, 0])
-    shares = spread / (spread + each.variances)
-    shrunken_dph = mean + shares * (each.means - mean)
-    shrunken_variance = shares * each.variances + (1.0 - shares) ** 2 * mean_variance
+    shrinkage = spread / (spread + unit_means.variances)
+    shrunken_dph = mean + shrinkage * (unit_means.means - mean)
+    shrunken_variance = shrinkage * unit_means.variances + (1.0 - shrinkage) ** 2 * mean_variance
     units = []
-    for number, name in enumerate(each.names):
+    for index, name in enumerate(unit_means.names):
         units.append(
             UnitStatistics(
                 name,
-                each.runs[number],
-                float(each.means[number]),
-                math.sqrt(each.variances[number]),
-                float(shrunken_dph[number]),
-                math.sqrt(shrunken_variance[number]),
-                *_predicted(each, number, spreads[name]),
+                unit_means.runs[index],
+                float(unit_means.means[index]),
+                math.sqrt(unit_means.variances[index]),
+                float(shrunken_dph[index]),
+                math.sqrt(shrunken_variance[index]),
+                *_prediction(unit_means, index, spreads[name]),
             )
         )
-    between_runs = None if each.between_runs is None else math.sqrt(each.between_runs)
+    between_runs = None if unit_means.between_runs is None else math.sqrt(unit_means.between_runs)
     return QuantityStatistics(
-        each.quantity, mean, math.sqrt(mean_variance), between_units, between_runs, units
+        unit_means.quantity, mean, math.sqrt(mean_variance), between_units, between_runs, units
     )
 
 
@@ -241,51 +241,51 @@ def _spreads_without(unit: str, family: Sequence[_UnitMeans]) -> list[_Spread]:
     """Variance between the other units in each quantity of a family."""
     others = [each.without(unit) for each in family]
     ones = [np.ones((len(means), 1)) for means, _ in others]
-    each_alone = [excess_variance(*other, one) for other, one in zip(others, ones, strict=True)]
+    separate = [excess_variance(*other, one) for other, one in zip(others, ones, strict=True)]
     means = np.concatenate([means for means, _ in others])
     variances = np.concatenate([variances for _, variances in others])
-    design = _blocks([len(one) for one in ones])
-    together = excess_variance(means, variances, design)
-    worse = restricted_deviance(means, variances + together, design) - sum(
-        restricted_deviance(means, variances + alone, one)
-        for (means, variances), alone, one in zip(others, each_alone, ones, strict=True)
+    design = _block_design([len(one) for one in ones])
+    common = excess_variance(means, variances, design)
+    deviance = restricted_deviance(means, variances + common, design) - sum(
+        restricted_deviance(means, variances + variance, one)
+        for (means, variances), variance, one in zip(others, separate, ones, strict=True)
     )
-    if chi2.sf(worse, max(len(family) - 1, 1)) < _COMMON_VARIANCE_P:
+    if chi2.sf(deviance, max(len(family) - 1, 1)) < _COMMON_VARIANCE_P:
         return [
-            _Spread(alone, excess_information(variances + alone, one) ** -1.0, len(one) - 1)
-            for (_, variances), alone, one in zip(others, each_alone, ones, strict=True)
+            _Spread(variance, excess_information(variances + variance, one) ** -1.0, len(one) - 1)
+            for (_, variances), variance, one in zip(others, separate, ones, strict=True)
         ]
-    share = _independent(family[0].quantity)
-    information = share * excess_information(variances + together, design)
+    share = _independent_share(family[0].quantity)
+    information = share * excess_information(variances + common, design)
     dof = share * (design.shape[0] - design.shape[1])
-    return [_Spread(together, 1.0 / information, dof)] * len(family)
+    return [_Spread(common, 1.0 / information, dof)] * len(family)
 
 
-def _independent(quantity: BatchQuantity) -> float:
+def _independent_share(quantity: BatchQuantity) -> float:
     """Share of independent quantities in a family: differences from a mean add up to zero."""
     if isinstance(quantity, EffectSize) or quantity.name == LEVEL or len(quantity.positions) < 3:
         return 1.0
     return 1.0 - 1.0 / len(quantity.positions)
 
 
-def _predicted(each: _UnitMeans, number: int, spread: _Spread) -> tuple[float, float, float]:
+def _prediction(unit_means: _UnitMeans, index: int, spread: _Spread) -> tuple[float, float, float]:
     """Prediction from the other units, standard deviation of the difference, and its p-value.
 
     Student's distribution with degrees of freedom by Satterthwaite.
     """
-    means, variances = each.without(each.names[number])
+    means, variances = unit_means.without(unit_means.names[index])
     fit = weighted_fit(means, variances + spread.value, np.ones((len(means), 1)))
     expected = float(fit.values[0])
-    variance = spread.value + float(each.variances[number] + fit.covariance[0, 0])
-    distance = abs(float(each.means[number]) - expected) / math.sqrt(variance)
+    variance = spread.value + float(unit_means.variances[index] + fit.covariance[0, 0])
+    distance = abs(float(unit_means.means[index]) - expected) / math.sqrt(variance)
     dof = min(2.0 * variance**2 / spread.variance, spread.dof)
     return expected, math.sqrt(variance), float(2.0 * student.sf(distance, dof))
 
 
-def _blocks(sizes: Sequence[int]) -> FloatArray:
+def _block_design(sizes: Sequence[int]) -> FloatArray:
     """Design with one column of ones for each group of values."""
-    of_group = np.repeat(np.arange(len(sizes)), sizes)
-    return np.asarray(of_group[:, np.newaxis] == np.arange(len(sizes)), dtype=np.float64)
+    group_index = np.repeat(np.arange(len(sizes)), sizes)
+    return np.asarray(group_index[:, np.newaxis] == np.arange(len(sizes)), dtype=np.float64)
 
 
 def _arrays(runs: Sequence[RunBias]) -> tuple[FloatArray, FloatArray]:
@@ -297,7 +297,7 @@ _COMPLETE = ("clean", "explained")
 
 
 def read_batch(index: RunIndex, runs: Sequence[Mapping[str, Any]]) -> dict[BatchQuantity, Sequence[RunBias]]:
-    """Read what can be compared between units of selected runs: biases and sizes of effects."""
+    """Read the quantities to compare between units of the selected runs: biases and sizes of effects."""
     biases = read_run_biases(index, [run["path"] for run in runs])
     by_bin = sorted(biases.items(), key=lambda pair: (pair[0].gyro, pair[0].bin_low_c))
     values: dict[BatchQuantity, Sequence[RunBias]] = dict(by_bin)
@@ -319,7 +319,7 @@ def _effect_sizes(index: RunIndex, runs: Sequence[Mapping[str, Any]]) -> dict[Ef
         and not run["compensated"]
     ]
     sql = "SELECT path, effect, rms_dph FROM effects WHERE path IN (SELECT unnest(?))"
-    found = {
+    sizes = {
         (row["path"], row["effect"]): row["rms_dph"]
         for row in index.query(sql, [[run["path"] for run in searched]]).records()
     }
@@ -328,10 +328,10 @@ def _effect_sizes(index: RunIndex, runs: Sequence[Mapping[str, Any]]) -> dict[Ef
             RunBias(
                 run["unit"],
                 run["started_utc"],
-                found.get((run["path"], effect), 0.0),
+                sizes.get((run["path"], effect), 0.0),
                 run["noise_dph"] / math.sqrt(run["dwells_searched"]),
             )
             for run in searched
         ]
-        for effect in sorted({effect for _, effect in found})
+        for effect in sorted({effect for _, effect in sizes})
     }

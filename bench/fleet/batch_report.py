@@ -1,4 +1,4 @@
-"""A batch of units in words, tables and figures: ``batch.json``, its page, and the terminal."""
+"""Report on a batch of units: ``batch.json``, page, tables and figures, and terminal text."""
 
 from __future__ import annotations
 
@@ -25,22 +25,23 @@ from gyrobench.bench.runs.index.run_biases import FALSE_ALARM, LEVEL, BiasQuanti
 
 
 def _batch_sentence(batch: Sequence[QuantityStatistics]) -> str:
-    """Name the outlying units."""
+    """Sentence that names the outlying units."""
     comparisons = sum(len(stats.units) for stats in batch)
     corrected = f"p < {FALSE_ALARM:g}, corrected for {counted(comparisons, 'comparison')}"
-    out = outliers(batch)
-    if not out:
+    pairs = outliers(batch)
+    if not pairs:
         return f"No outlying unit ({corrected})."
     texts = []
-    for name in dict.fromkeys(unit.unit for _, unit in out):
-        mine = [(stats, unit) for stats, unit in out if unit.unit == name]
-        stats, unit = mine[0]
+    for name in dict.fromkeys(unit.unit for _, unit in pairs):
+        unit_pairs = [(stats, unit) for stats, unit in pairs if unit.unit == name]
+        stats, unit = unit_pairs[0]
         difference = unit.bias_dph - unit.expected_dph
-        others = len(mine) - 1
+        others = len(unit_pairs) - 1
         more = f", and in {others} other {'quantity' if others == 1 else 'quantities'}" if others else ""
-        beyond = dph_with_sigma(difference, unit.expected_sigma_dph)
+        deviation = dph_with_sigma(difference, unit.expected_sigma_dph)
         texts.append(
-            f"unit {name} in {stats.quantity.label} ({beyond} from the prediction by the other units){more}"
+            f"unit {name} in {stats.quantity.label} ({deviation} from the prediction by the other units)"
+            f"{more}"
         )
     sentence = listed(texts)
     return f"{counted(len(texts), 'outlying unit').capitalize()}: {sentence} ({corrected})."
@@ -120,92 +121,99 @@ def _levels(batch: Sequence[QuantityStatistics]) -> list[QuantityStatistics]:
 
 
 _COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-_OTHERS = "#444444"
-_WIDTH = 0.62
-#: Size of the labels of positions, and room for them, points.
-_POSITION_PT, _POSITIONS_PT = 6.0, 32.0
+_OTHER_COLOUR = "#444444"
+_BAND_WIDTH = 0.62
+#: Font size of the labels of positions, and space for them, points.
+_POSITION_PT, _POSITION_SPACE_PT = 6.0, 32.0
 
 
 @house_style
 def batch_figure(batch: Sequence[QuantityStatistics], *, of_positions: bool) -> Figure:
-    """Draw levels or position differences: a panel a gyro, a band for each bin or position in a bin."""
+    """Draw levels or position differences: a panel for each gyro, a band for each bin or position."""
     figure = fitted_figure(9.2 if of_positions else 7.6)
     panels = figure.subplots(len(AXES), 1, sharex=False)
-    out = list(dict.fromkeys(unit.unit for _, unit in outliers(batch)))[: len(_COLOURS)]
-    colours = dict(zip(out, _COLOURS, strict=False))
+    outlier_names = list(dict.fromkeys(unit.unit for _, unit in outliers(batch)))[: len(_COLOURS)]
+    colours = dict(zip(outlier_names, _COLOURS, strict=False))
     scale = _batch_scale(batch)
     for gyro, panel in zip(AXES, panels, strict=True):
-        mine = [
+        panel_stats = [
             stats
             for stats in batch
             if not isinstance(stats.quantity, EffectSize)
             and stats.quantity.gyro == gyro
             and (stats.quantity.name != LEVEL) == of_positions
         ]
-        for place, stats in enumerate(mine):
-            _draw(panel, place, stats, scale, colours)
+        for index, stats in enumerate(panel_stats):
+            _draw_band(panel, index, stats, scale, colours)
         panel.set_title(gyro_label(gyro))
         panel.set_ylabel(f"{'difference' if of_positions else 'bias'} / ({scale.unit})")
         panel.grid(visible=False, axis="x")
-        if mine:
-            _label(panel, [stats.quantity for stats in mine if isinstance(stats.quantity, BiasQuantity)])
+        if panel_stats:
+            _label(
+                panel, [stats.quantity for stats in panel_stats if isinstance(stats.quantity, BiasQuantity)]
+            )
         else:
             say_empty(panel, "measured on too few units")
     panels[-1].set_xlabel("temperature of the gyro, bin / °C")
-    if out:
-        panels[-1].plot([], [], "D", color=_OTHERS, markersize=5.5, label="outlier")
+    if outlier_names:
+        panels[-1].plot([], [], "D", color=_OTHER_COLOUR, markersize=5.5, label="outlier")
     common_legend(figure, panels, "upper center", ncols=5, title=BARS)
     return figure
 
 
 def _label(panel: Axes, quantities: Sequence[BiasQuantity]) -> None:
-    """Label places with their bins, in the middle of those of a bin, and above these with positions."""
+    """Label the bands with their bins, centred on those of a bin, and above with positions."""
     names = [each.name for each in quantities]
     bins = [(each.bin_low_c, each.bin_high_c) for each in quantities]
-    middles = {limits: np.mean([place for place, own in enumerate(bins) if own == limits]) for limits in bins}
+    middles = {
+        limits: np.mean([index for index, bin_limits in enumerate(bins) if bin_limits == limits])
+        for limits in bins
+    }
     panel.set_xticks(list(middles.values()), [bin_label(*limits, "..") for limits in middles], fontsize=8)
     if LEVEL not in names:
         labels = list(map(position_label, names))
         panel.set_xticks(range(len(labels)), labels, minor=True, rotation=90, fontsize=_POSITION_PT)
-        panel.tick_params("x", which="major", length=0, pad=_POSITIONS_PT)
+        panel.tick_params("x", which="major", length=0, pad=_POSITION_SPACE_PT)
 
 
-def _draw(
-    panel: Axes, place: int, stats: QuantityStatistics, scale: BiasScale, colours: dict[str, str]
+def _draw_band(
+    panel: Axes, position: int, stats: QuantityStatistics, scale: BiasScale, colours: dict[str, str]
 ) -> None:
     centre, spread = scale.factor * stats.mean_dph, scale.factor * stats.between_units.value
-    ends = [place - 0.5 * _WIDTH - 0.08, place + 0.5 * _WIDTH + 0.08]
-    first = place == 0
-    for times, alpha in ((2.0, 0.16), (1.0, 0.3)):
-        label = f"mean ± {times:g} SD" if first else None
+    ends = [position - 0.5 * _BAND_WIDTH - 0.08, position + 0.5 * _BAND_WIDTH + 0.08]
+    is_first = position == 0
+    for factor, alpha in ((2.0, 0.16), (1.0, 0.3)):
+        label = f"mean ± {factor:g} SD" if is_first else None
         panel.fill_between(
             ends,
-            centre - times * spread,
-            centre + times * spread,
+            centre - factor * spread,
+            centre + factor * spread,
             color="#5a656d",
             alpha=alpha,
             lw=0,
             label=label,
         )
-    panel.plot(ends, [centre, centre], color="#1d2429", lw=1.2, label="mean of the batch" if first else None)
-    places = place + np.linspace(-0.5, 0.5, len(stats.units)) * _WIDTH
-    alike: dict[tuple[str, bool], list[int]] = {}
+    panel.plot(
+        ends, [centre, centre], color="#1d2429", lw=1.2, label="mean of the batch" if is_first else None
+    )
+    x = position + np.linspace(-0.5, 0.5, len(stats.units)) * _BAND_WIDTH
+    groups: dict[tuple[str, bool], list[int]] = {}
     for index, unit in enumerate(stats.units):
-        alike.setdefault((unit.unit if unit.unit in colours else "", unit.is_outlier), []).append(index)
-    for (name, is_outlier), indices in alike.items():
+        groups.setdefault((unit.unit if unit.unit in colours else "", unit.is_outlier), []).append(index)
+    for (name, is_outlier), indices in groups.items():
         panel.errorbar(
-            places[indices],
+            x[indices],
             [scale.factor * stats.units[index].bias_dph for index in indices],
             [scale.factor * stats.units[index].sigma_dph for index in indices],
             fmt="D" if is_outlier else "o",
             markersize=5.5 if is_outlier else 2.8,
-            color=colours.get(name, _OTHERS),
+            color=colours.get(name, _OTHER_COLOUR),
             elinewidth=0.8,
             label=f"unit {name}" if name else None,
         )
 
 
-_BAND = (
+_BAND_CAPTION = (
     "Line: mean of the batch; bands: one and two standard deviations between units, without noise. Points: "
     "units with standard uncertainties; diamonds: outliers."
 )
@@ -242,7 +250,7 @@ def batch_document(name: str, batch: Sequence[QuantityStatistics], watermark: st
 def write_batch(
     folder: Path, name: str, batch: Sequence[QuantityStatistics], source: str, watermark: str
 ) -> Path:
-    """Write ``batch.json``, ``batch.html`` and figures into a folder, made if it isn't there.
+    """Write ``batch.json``, ``batch.html`` and figures to a folder, which is created if necessary.
 
     The name of the batch may be empty; the page, which is returned, shows the source. ``watermark`` is a
     word across page and figures.
@@ -253,14 +261,14 @@ def write_batch(
     text = json.dumps(batch_document(name, batch, watermark), indent=1, allow_nan=False) + "\n"
     write_whole(folder / "batch.json", text.encode())
     units = {unit.unit for stats in batch for unit in stats.units}
-    out = {unit.unit for _, unit in outliers(batch)}
+    outlier_names = {unit.unit for _, unit in outliers(batch)}
     findings = Findings(
         title=f"Batch {name}" if name else "Batch of units",
         source=source,
-        judgement=f"{counted(len(out), 'outlier')} in {counted(len(units), 'unit')}"
-        if out
+        judgement=f"{counted(len(outlier_names), 'outlier')} in {counted(len(units), 'unit')}"
+        if outlier_names
         else f"no outlier in {counted(len(units), 'unit')}",
-        colour="stopped" if out else "finished",
+        colour="stopped" if outlier_names else "finished",
         sentence=_batch_sentence(batch),
         facts={"units": ", ".join(sorted(units)), "quantities": str(len(batch))},
         sections=_sections(batch),
@@ -270,7 +278,7 @@ def write_batch(
 
 
 def batch_summary(name: str, batch: Sequence[QuantityStatistics]) -> Section:
-    """Outliers, and the spread of the units, without figures."""
+    """Section with outliers and the spread of the units, without figures."""
     box = Box("open", f"Batch {name}." if name else "", _batch_sentence(batch))
     return Section("", boxes=[box], sections=_spread_sections(batch))
 
@@ -282,13 +290,15 @@ def _spread_sections(batch: Sequence[QuantityStatistics]) -> list[Section]:
 
 def _sections(batch: Sequence[QuantityStatistics]) -> list[Section]:
     sections = _spread_sections(batch)
-    for of_positions, title, what in (
+    for of_positions, title, description in (
         (False, "Levels", "Mean bias of all positions by gyro temperature."),
         (True, "Differences between positions", "Bias of a position minus the mean of all positions."),
     ):
         figure = partial(batch_figure, batch, of_positions=of_positions)
         name = "batch_positions" if of_positions else "batch_levels"
-        sections.append(Section(title, figures=[SectionFigure(name, f"{what} {_BAND}", figure)]))
+        sections.append(
+            Section(title, figures=[SectionFigure(name, f"{description} {_BAND_CAPTION}", figure)])
+        )
     positions = [stats for stats in batch if stats not in _levels(batch)]
     sections.append(Section("Spread of the position differences", tables=[_spread_table(positions)]))
     header = ("unit", "runs", "mean of its runs", "shrunk to the batch", "p", "p corrected")

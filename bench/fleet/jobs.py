@@ -1,4 +1,4 @@
-"""What is done with each run of a fleet, in a worker, and the record ``fleet.json`` of what was done."""
+"""Jobs of a fleet: processing of one run in a worker, and the record ``fleet.json`` of the outcomes."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _DRAWING = threading.Lock()
 
 
 class JobKind(StrEnum):
-    """Jobs for many runs; named as the command for one run."""
+    """Jobs for many runs, with the names of the commands for one run."""
 
     BINS = "bins"
     CLOSE = "close"
@@ -41,7 +41,7 @@ class JobState(StrEnum):
     """Outcome of a job."""
 
     DONE = "done"
-    #: Its dwells can't be searched, as too few; it is tried again once they have changed.
+    #: Its dwells can't be searched, for instance too few; it is tried again once they have changed.
     NOT_SEARCHED = "not searched"
     FAILED = "failed"
     #: The run folder can't be written at present.
@@ -54,14 +54,14 @@ class JobResult:
 
     path: str  #: The run folder.
     state: JobState  #: The outcome.
-    text: str  #: Result in a few words, or the reason why it was not done.
+    text: str  #: Short result, or the reason why it was not done.
     took_s: float = 0.0  #: Duration.
 
 
 def do_job(kind: JobKind, path: str, *, is_synced: bool = True) -> JobResult:
-    """Process one run under its lock; errors of the run go into the result, bugs are raised.
+    """Process one run under its lock; the result contains errors of the run, other exceptions are raised.
 
-    ``is_synced``: whether each file is on the disk once it is written; otherwise it is after the next
+    ``is_synced``: whether each file is flushed to disk when it is written; otherwise by the next
     :func:`gyrobench.bench.foundations.files.sync_all`.
     """
     clock = WallClock()
@@ -74,7 +74,7 @@ def do_job(kind: JobKind, path: str, *, is_synced: bool = True) -> JobResult:
             RunLock(run, clock, command=f"gyrobench fleet {kind}"),
             nullcontext() if is_synced else defer_sync(),
         ):
-            text = _DOERS[kind](folder)
+            text = _PROCESSORS[kind](folder)
     except BenchInUseError as error:
         return JobResult(path, JobState.SKIPPED, str(error), clock.now())
     except GyrobenchError as error:
@@ -95,13 +95,13 @@ def inputs_of(kind: JobKind, path: Path) -> str:
         JobKind.REPORT: (
             *(folder.journal, folder.dwells, folder.bias_bins, folder.acceptance, folder.noise),
             *(folder.joint, folder.joint_biases, folder.calibration_check),
-            *(place / FINDINGS_FILE for place in (folder.closure, folder.verify)),
+            *(subfolder / FINDINGS_FILE for subfolder in (folder.closure, folder.verify)),
         ),
     }[kind]
     return " ".join(_stamp(file) for file in files)
 
 
-def _measured(folder: RunFolder) -> str:
+def _recompute(folder: RunFolder) -> str:
     from gyrobench.bench.bias.dwell_table import read_dwells
     from gyrobench.bench.dwells.run_results import recompute_run
 
@@ -111,7 +111,7 @@ def _measured(folder: RunFolder) -> str:
     return f"{len(rows)} dwells{f', {flagged} flagged' if flagged else ''}"
 
 
-def _closed(folder: RunFolder) -> str:
+def _search(folder: RunFolder) -> str:
     from gyrobench.bench.closure.inputs import read_campaign
     from gyrobench.bench.closure.loop import close_loop
     from gyrobench.bench.report.closure_page import write_search
@@ -123,7 +123,7 @@ def _closed(folder: RunFolder) -> str:
     return f"{closure.verdict}: {', '.join(effects)}" if effects else closure.verdict
 
 
-def _reported(folder: RunFolder) -> str:
+def _report(folder: RunFolder) -> str:
     from gyrobench.bench.report.run_report import write_report
 
     with _DRAWING:
@@ -131,8 +131,8 @@ def _reported(folder: RunFolder) -> str:
 
 
 #: Imported in the worker: the command that distributes runs starts without them.
-_DOERS: Mapping[JobKind, Callable[[RunFolder], str]] = MappingProxyType(
-    {JobKind.BINS: _measured, JobKind.CLOSE: _closed, JobKind.REPORT: _reported}
+_PROCESSORS: Mapping[JobKind, Callable[[RunFolder], str]] = MappingProxyType(
+    {JobKind.BINS: _recompute, JobKind.CLOSE: _search, JobKind.REPORT: _report}
 )
 
 
@@ -172,7 +172,7 @@ class FleetRecord:
     runs: dict[str, RunEntry] = field(default_factory=dict)  #: By run folder.
 
     def pending(self, paths: list[Path]) -> list[Path]:
-        """Runs that are new, failed, or have changed since."""
+        """Runs that are new, failed, or have changed since they were processed."""
         return [path for path in paths if not self._is_done(path)]
 
     def add(self, result: JobResult) -> None:

@@ -1,4 +1,4 @@
-"""Jobs of many runs, handed to workers: processes or threads of this machine, or a Dask cluster."""
+"""Distributes the jobs of a fleet to workers: processes or threads of this machine, or a Dask cluster."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from gyrobench.bench.foundations.text import counted
 if TYPE_CHECKING:
     from distributed import Client
 
-#: A run whose worker was killed is tried once more: another run may have caused it.
+#: A run whose worker was killed is repeated once: another run may have been the cause.
 _ALLOWED_DEATHS = 1
 _SCHEDULER_TIMEOUT_S = 20.0
 
@@ -47,13 +47,13 @@ class Workers:
     """Workers that process the runs."""
 
     count: int | None = None  #: Workers on this machine; None for one per core.
-    are_threads: bool = False  #: Whether they are threads of this process instead of processes.
-    #: Address of a Dask scheduler, as ``tcp://host:8786``, whose workers see the run folders under the same
-    #: paths; it excludes the two above.
+    are_threads: bool = False  #: Whether the workers are threads of this process instead of processes.
+    #: Address of a Dask scheduler, such as ``tcp://host:8786``, whose workers see the run folders under the
+    #: same paths; excludes ``count`` and ``are_threads``.
     scheduler: str | None = None
 
     def describe(self) -> str:
-        """Text for people: "4 processes"."""
+        """Text such as "4 processes"."""
         if self.scheduler:
             return f"the workers of {self.scheduler}"
         number = self.count or _cores()
@@ -70,8 +70,8 @@ class Pool(Protocol):
 
 
 @contextmanager
-def connected(workers: Workers) -> Iterator[Pool]:
-    """Start local workers, stopped afterwards, or connect to those of a Dask cluster.
+def connect_workers(workers: Workers) -> Iterator[Pool]:
+    """Start local workers, which are stopped afterwards, or connect to a Dask cluster.
 
     Local workers open no port, and import nothing from the current folder. Raises GyrobenchError if the
     scheduler can't be reached or has no workers. Raises MissingPackageError if it is named and Dask is not
@@ -82,48 +82,48 @@ def connected(workers: Workers) -> Iterator[Pool]:
             yield _Cluster(client)
         return
     os.environ["PYTHONSAFEPATH"] = "1"
-    with ExitStack() as opened:
+    with ExitStack() as resources:
         threads = ThreadPoolExecutor(workers.count or _cores())
         try:
-            yield _Local(threads, None if workers.are_threads else opened)
+            yield _Local(threads, None if workers.are_threads else resources)
         finally:
             threads.shutdown(cancel_futures=True)
 
 
 @dataclass(frozen=True)
 class _Local:
-    """Workers of this machine: each thread does a job itself, or has it done by a separate process."""
+    """Workers of this machine: each thread does its jobs itself, or in a separate process."""
 
     threads: ThreadPoolExecutor
-    #: Closes the processes; None where the threads do the jobs.
-    opened: ExitStack | None
-    own: threading.local = field(default_factory=threading.local)
+    #: Closes the processes; None if the threads do the jobs.
+    resources: ExitStack | None
+    thread_data: threading.local = field(default_factory=threading.local)
 
     def results(self, kind: JobKind, paths: Sequence[Path]) -> Iterator[JobResult]:
         jobs = {self.threads.submit(self._do, kind, str(path)): str(path) for path in paths}
         for future in as_completed(jobs):
-            yield _result(future.exception() or future.result(), jobs.pop(future))
+            yield _job_result(future.exception() or future.result(), jobs.pop(future))
 
     def _do(self, kind: JobKind, path: str) -> JobResult:
-        if self.opened is None:
+        if self.resources is None:
             return do_job(kind, path, is_synced=False)
-        for deaths_left in range(_ALLOWED_DEATHS, -1, -1):
-            process = getattr(self.own, "process", None)
+        for remaining_deaths in range(_ALLOWED_DEATHS, -1, -1):
+            process = getattr(self.thread_data, "process", None)
             if process is None:
                 process = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _ignore_interrupts)
-                self.opened.callback(process.shutdown)
-                self.own.process = process
+                self.resources.callback(process.shutdown)
+                self.thread_data.process = process
             try:
                 return process.submit(do_job, kind, path, is_synced=False).result()
             except BrokenProcessPool:
-                self.own.process = None
-                if not deaths_left:
+                self.thread_data.process = None
+                if not remaining_deaths:
                     raise
         raise AssertionError("the last try returns or raises")
 
 
 def _ignore_interrupts() -> None:
-    """Leave Ctrl-C to the process that started the worker; a job in progress ends whole."""
+    """Ignore Ctrl-C, which the starting process handles; a job in progress is completed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
@@ -140,17 +140,17 @@ class _Cluster:
             for path in paths
         }
         for future in require("distributed").as_completed(list(jobs)):
-            yield _result(future.exception() or future.result(), jobs.pop(future))
+            yield _job_result(future.exception() or future.result(), jobs.pop(future))
 
 
-def _result(found: JobResult | BaseException, path: str) -> JobResult:
-    if isinstance(found, JobResult):
-        return found
-    if type(found).__name__ in ("BrokenProcessPool", "KilledWorker"):
-        why = "its worker was killed twice, probably out of memory. Use fewer --workers"
+def _job_result(outcome: JobResult | BaseException, path: str) -> JobResult:
+    if isinstance(outcome, JobResult):
+        return outcome
+    if type(outcome).__name__ in ("BrokenProcessPool", "KilledWorker"):
+        reason = "its worker was killed twice, probably out of memory. Use fewer --workers"
     else:
-        why = f"{type(found).__name__}: {found}"
-    return JobResult(path, JobState.FAILED, why)
+        reason = f"{type(outcome).__name__}: {outcome}"
+    return JobResult(path, JobState.FAILED, reason)
 
 
 def _remote(address: str) -> Client:
@@ -175,7 +175,7 @@ def _cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
-#: Longest time between writing the record to disk.
+#: Maximum time between writes of the record.
 _WRITE_EVERY_S = 5.0
 
 _calls = count(1)
@@ -184,7 +184,7 @@ _calls = count(1)
 def work_through(pool: Pool, record: FleetRecord, paths: Sequence[Path]) -> Iterator[JobResult]:
     """Process runs; yields each result as it arrives and adds it to the record.
 
-    The record on disk is complete however this ends, and what it states to be done is on the disk before it.
+    The record is complete at any end, and the results of a run are on the disk before the record lists it.
     Raises RunFolderError if the record can't be written.
     """
     clock = WallClock()

@@ -29,7 +29,7 @@ def main() -> int:
     _report_ready()
     log.add(f"watches process {config.engine_pid}; acts after {config.silence_s:g} s of silence")
     try:
-        # Loaded at once: later the disk may fail or the files be replaced.
+        # Loaded immediately: later the disk may fail or the files may be replaced.
         from gyrobench.bench.guard.rescue import Rescue
 
         rescue = Rescue(config, engine, clock, log)
@@ -45,8 +45,8 @@ def main() -> int:
 
 
 def _report_ready() -> None:
-    """Report to the engine and close the pipe back, so that no process waits for its end."""
-    with contextlib.suppress(BrokenPipeError):  # the engine has died, which the other pipe shows
+    """Report to the engine and close the answering pipe, so that no process waits for its end."""
+    with contextlib.suppress(BrokenPipeError):  # the engine has died; the other pipe reports that
         os.write(_OUT, READY)
     nothing = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nothing, _OUT)

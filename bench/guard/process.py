@@ -1,4 +1,4 @@
-"""The engine's side of the guard: start it, send beats, release it."""
+"""The engine's side of the guard: start it, send heartbeats, release it."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from gyrobench.bench.guard.protocol import BEAT, LOG_NAME, READY, RELEASE, Guard
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.station.station import Station
 
-#: A guard is ready in a fraction of a second; a machine may be busy.
+#: A guard is ready in a fraction of a second, unless the machine is busy.
 _READY_TIME_S = 30.0
 #: A guard that dies repeatedly is restarted at this interval.
 _RESTART_PAUSE_S = 60.0
-#: A pipe this small fills soon with unread beats, which shows a guard that hangs.
+#: A small pipe soon fills with unread heartbeats if the guard hangs.
 _PIPE_BYTES = 4096
 _EMULATED = "emulator://"
 
 
 class Guard:
-    """What the engine uses; by itself no guard, for emulated instruments inside the engine's process."""
+    """Interface for the engine; this base class has no guard, for instruments emulated in its process."""
 
     def __enter__(self) -> Self:
         return self
@@ -34,11 +34,11 @@ class Guard:
     def __exit__(self, *_: object) -> None: ...
 
     def beat(self) -> str | None:
-        """Send that the engine is alive, at every tick; returns a text to be noted, if any."""
+        """Send a heartbeat, at every tick; returns a note for the journal, if any."""
         return None
 
     def release(self) -> None:
-        """Send that the bench is safe, and end the guard."""
+        """Report that the bench is safe, and end the guard."""
 
 
 class GuardProcess(Guard):
@@ -70,7 +70,7 @@ class GuardProcess(Guard):
         self._close_pipe()
 
     def beat(self) -> str | None:
-        """Send that the engine is alive; a guard that died or hangs is replaced, which the text says."""
+        """Send a heartbeat; a guard that died or hangs is replaced, and the returned note reports that."""
         if self._pipe is None:
             return self._replace("there was no guard process")
         try:
@@ -82,23 +82,23 @@ class GuardProcess(Guard):
         return None
 
     def release(self) -> None:
-        """Send that the bench is safe, and wait until the guard has ended."""
+        """Report that the bench is safe, and wait until the guard has ended."""
         if self._pipe is not None and self._process is not None:
             with contextlib.suppress(BrokenPipeError, BlockingIOError, subprocess.TimeoutExpired):
                 os.write(self._pipe, RELEASE)
                 self._process.wait(_READY_TIME_S)
         self._end()
 
-    def _replace(self, found: str) -> str | None:
-        first = self._pipe is not None
+    def _replace(self, problem: str) -> str | None:
+        was_running = self._pipe is not None
         self._end()
-        if not first and self._clock.now() - self._started_s < _RESTART_PAUSE_S:
+        if not was_running and self._clock.now() - self._started_s < _RESTART_PAUSE_S:
             return None
         try:
             self._start()
         except GyrobenchError as error:
-            return f"{found}, and a new one could not be started: {error}"
-        return f"{found}; a new one was started"
+            return f"{problem}, and a new one could not be started: {error}"
+        return f"{problem}; a new one was started"
 
     def _end(self) -> None:
         """End the guard process."""
@@ -114,29 +114,29 @@ class GuardProcess(Guard):
             self._pipe = None
 
     def _start(self) -> None:
-        """Start a guard that alone has the other end of the pipe."""
+        """Start a guard, as the only process with the other end of the pipe."""
         import fcntl  # POSIX only
 
         self._started_s = self._clock.now()
-        theirs, ours = os.pipe()  # closed in every child but for what is passed on
+        read_end, write_end = os.pipe()  # closed in every child except for the passed descriptor
         try:
-            fcntl.fcntl(ours, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
-            os.set_blocking(ours, False)
-            os.write(ours, self._config().line())  # before it runs, in case the engine is killed now
-            self._process = self._started(theirs)
+            fcntl.fcntl(write_end, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
+            os.set_blocking(write_end, False)
+            os.write(write_end, self._config().line())  # before it runs, in case the engine is killed now
+            self._process = self._spawn(read_end)
         except (OSError, ValueError) as error:
-            os.close(ours)
+            os.close(write_end)
             raise GyrobenchError(f"the guard process can't be started: {error}") from error
         finally:
-            os.close(theirs)
-        self._pipe = ours
+            os.close(read_end)
+        self._pipe = write_end
         try:
             self._await_ready(self._process)
         except GyrobenchError:
             self._end()
             raise
 
-    def _started(self, pipe: int) -> subprocess.Popen[bytes]:
+    def _spawn(self, pipe: int) -> subprocess.Popen[bytes]:
         with contextlib.ExitStack() as opened:
             try:
                 errors = opened.enter_context((self._folder / LOG_NAME).open("ab")).fileno()
@@ -156,9 +156,9 @@ class GuardProcess(Guard):
             )
 
     def _config(self) -> GuardConfig:
-        as_run = RunFolder(self._folder).station  # unaffected by edits of the original
+        run_copy = RunFolder(self._folder).station  # unaffected by edits of the original
         return GuardConfig(
-            station=str((as_run if as_run.is_file() else self._station.path).absolute()),
+            station=str((run_copy if run_copy.is_file() else self._station.path).absolute()),
             folder=str(self._folder.absolute()),
             silence_s=self._station.file.guard.silence_s,
             engine_pid=os.getpid(),
@@ -180,7 +180,7 @@ class GuardProcess(Guard):
 
 
 def guard_for(station: Station, folder: Path, clock: Clock) -> Guard:
-    """Return a guard process, or none where table and chamber are emulated inside this process."""
+    """Return a guard process, or one without effect if table and chamber are emulated in this process."""
     section = station.file
     ports = (section.rate_table.port, section.chamber.port)
     if clock.is_virtual or all(port.startswith(_EMULATED) for port in ports):

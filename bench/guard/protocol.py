@@ -1,4 +1,4 @@
-"""What the engine sends to the guard, and the bytes between them."""
+"""Protocol between engine and guard: the configuration and the bytes in the pipe."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import json
 import os
 from dataclasses import asdict, dataclass
 
-#: After the configuration, the pipe carries these.
+#: Bytes in the pipe after the configuration.
 BEAT, RELEASE = b".", b"R"
 #: The guard's answer when it watches.
 READY = b"ready\n"
-#: In the run folder.
+#: Name of the guard's log in the run folder.
 LOG_NAME = "guard.log"
 
 #: A write of up to this many bytes to a pipe is atomic.
@@ -23,13 +23,13 @@ class GuardConfig:
 
     station: str  #: absolute path of the station file
     folder: str  #: absolute path of the run folder
-    silence_s: float  #: silence after which the engine is taken to hang
+    silence_s: float  #: silence after which the engine counts as hanging
     engine_pid: int  #: the engine's process
     epoch: str  #: calendar time at zero of the run's clock, ISO 8601
     now_s: float  #: the run's clock when the guard starts
 
     def line(self) -> bytes:
-        """Return the bytes to send; raises ValueError where they are too long for the pipe."""
+        """Return the bytes to send; raises ValueError if they are too long for the pipe."""
         data = json.dumps(asdict(self)).encode() + b"\n"
         if len(data) > _MAX_BYTES:
             raise ValueError(f"{self.folder}: the path is too long for the guard")
@@ -37,7 +37,7 @@ class GuardConfig:
 
     @classmethod
     def read(cls, descriptor: int) -> GuardConfig | None:
-        """Read the line from the pipe; None where the engine died before it sent one."""
+        """Read the line from the pipe; None if the engine died before it sent one."""
         data = bytearray()
         while not data.endswith(b"\n"):
             if not (byte := os.read(descriptor, 1)):

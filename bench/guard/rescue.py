@@ -1,4 +1,4 @@
-"""Making the bench safe in place of the engine, and sending an alarm about it."""
+"""Makes the bench safe in place of the engine, and sends an alarm about it."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ _PAUSES_S = (0.0, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, *[60.0] * 14)
 
 _KILL_TIME_S = 10.0
 _LOCK_PERIOD_S = 0.2
-#: The guard has nothing else to do; networks come back.
+#: Long, as the guard has nothing else to do and networks recover.
 _ALARM_PATIENCE_S = 900.0
 
 
 class Rescue:
     """Makes table and chamber of a bench safe over their ports, with repeated attempts.
 
-    Another instrument than the run's under the name of a port is not commanded.
+    An instrument with another identity than in the run is not commanded.
 
     Raises DocumentError if the station file is wrong.
     """
@@ -49,7 +49,7 @@ class Rescue:
         self._clock = clock
         self._log = log
         self._killed = False
-        self._known = identities_in(self._folder)
+        self._identities = identities_in(self._folder)
         self._engine_holders = [
             each for each in bench_holders(self._station) if each.pid == config.engine_pid
         ]
@@ -59,24 +59,27 @@ class Rescue:
         self._log.add(end.value)
         if end is EngineEnd.SILENT:
             self._kill()
-        # Its exit waits until the alarm is sent.
+        # Leaving the context waits until the alarm is sent.
         with Messenger(self._station.file.messages, self._log_sending, _ALARM_PATIENCE_S) as messenger:
             self._act(end, messenger)
 
     def _act(self, end: EngineEnd, messenger: Messenger) -> None:
-        left: list[str] | None = None
+        remaining: list[str] | None = None
         for pause_s in _PAUSES_S:
             self._clock.sleep(pause_s)
             try:
-                with self._lock(), Outputs(self._station, self._clock, known=self._known) as outputs:
-                    taken: dict[str, SafeAction] = {}
-                    for actions in self._made_safe(outputs, left):
-                        is_first = left is None
+                with (
+                    self._lock(),
+                    Outputs(self._station, self._clock, identities=self._identities) as outputs,
+                ):
+                    results: dict[str, SafeAction] = {}
+                    for actions in self._make_safe(outputs, remaining):
+                        is_first = remaining is None
                         if is_first or not all(action.problem for action in actions):
                             self._record(end, actions)
-                        taken |= {action.what: action for action in actions}
-                        left = [action.what for action in taken.values() if action.problem]
-                        if is_first and left:
+                        results |= {action.what: action for action in actions}
+                        remaining = [action.what for action in results.values() if action.problem]
+                        if is_first and remaining:
                             problems = "; ".join(
                                 f"{action.what}: {action.problem}" for action in actions if action.problem
                             )
@@ -85,7 +88,7 @@ class Rescue:
             except BenchInUseError as error:
                 self._log.add(f"ends without acting: {error}")
                 return
-            if not left:
+            if not remaining:
                 self._log.add("the bench is in its safe state")
                 self._send_alarm(messenger, end, "The bench is in its safe state.")
                 return
@@ -96,7 +99,7 @@ class Rescue:
     def _kill(self) -> None:
         self._engine.kill()
         self._killed = True
-        ended = self._engine.ended(_KILL_TIME_S)
+        ended = self._engine.wait_for_end(_KILL_TIME_S)
         self._log.add("killed the engine" if ended else "the killed engine still hangs in the kernel")
 
     def _lock(self) -> AbstractContextManager[object]:
@@ -107,14 +110,14 @@ class Rescue:
         deadline = Deadline(self._clock, self._silence_s)
         while True:
             lock = BenchLock(self._station, self._folder.path, self._clock, GUARD_COMMAND)
-            with ExitStack() as taken:
+            with ExitStack() as resources:
                 try:
-                    taken.enter_context(lock)
-                    return taken.pop_all()
+                    resources.enter_context(lock)
+                    return resources.pop_all()
                 except BenchInUseError:
                     if not self._does_engine_hold():
                         raise
-                    if self._killed:  # it can't act any more, so its lock protects nothing
+                    if self._killed:  # a killed engine can't act, so its lock protects nothing
                         return nullcontext()
                 except GyrobenchError as error:
                     self._log.add(f"acts without the lock: {error}")
@@ -128,21 +131,21 @@ class Rescue:
         holders: list[Holder] = bench_holders(self._station)
         return not holders or any(holder in self._engine_holders for holder in holders)
 
-    def _made_safe(self, outputs: Outputs, only: list[str] | None) -> Iterator[list[SafeAction]]:
-        """Make the bench safe, and yield what was done or failed; what a ramp adds, once that is known."""
+    def _make_safe(self, outputs: Outputs, only: list[str] | None) -> Iterator[list[SafeAction]]:
+        """Make the bench safe; yields the actions performed, then those of a ramp as they complete."""
         actions = make_safe(self._station, outputs, only=only)
-        known = {action.what: action for action in actions}
+        results = {action.what: action for action in actions}
         ramp = finish_ramp(self._station, outputs, actions)
-        known |= {action.what: action for action in next(ramp, [])}
-        yield self._logged(list(known.values()))
-        for taken in ramp:
-            new = [action for action in taken if known.get(action.what) != action]
-            known |= {action.what: action for action in new}
+        results |= {action.what: action for action in next(ramp, [])}
+        yield self._log_actions(list(results.values()))
+        for ramp_actions in ramp:
+            new = [action for action in ramp_actions if results.get(action.what) != action]
+            results |= {action.what: action for action in new}
             if new:
-                yield self._logged(new)
+                yield self._log_actions(new)
             self._clock.sleep(RAMP_PERIOD_S)
 
-    def _logged(self, actions: list[SafeAction]) -> list[SafeAction]:
+    def _log_actions(self, actions: list[SafeAction]) -> list[SafeAction]:
         for action in actions:
             self._log.add(f"{action.what}: {action.problem or 'done'}")
         return actions
@@ -158,9 +161,9 @@ class Rescue:
     def _send_alarm(self, messenger: Messenger, end: EngineEnd, bench: str) -> None:
         """Send how the engine ended, and the state of the bench."""
         entries: list[dict[str, Any]] = []
-        with contextlib.suppress(GyrobenchError):  # up to where the journal is damaged
+        with contextlib.suppress(GyrobenchError):  # entries up to a damaged line
             entries.extend(read_journal(self._folder.journal))
-        known = facts_of(entries)
+        facts = facts_of(entries)
         message = Message(
             event="guard_acted",
             why=f"{capitalised(end.value)}, so the guard acted. {bench}\n"
@@ -168,8 +171,8 @@ class Rescue:
             station=self._station.file.station,
             time=self._clock.utc(),
             folder=self._folder.path,
-            procedure=known.procedure,
-            unit=known.unit,
+            procedure=facts.procedure,
+            unit=facts.unit,
         )
         messenger.send(message, about=bench)
 

@@ -1,4 +1,4 @@
-"""Watching the engine: its beats, its process, and the guard's log."""
+"""Watching the engine: its heartbeats, its process, and the guard's log."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _CHUNK = 4096
 
 
 class EngineEnd(Enum):
-    """How the engine's beats ended."""
+    """How the engine's heartbeats ended."""
 
     RELEASED = "the engine released the guard"
     CLOSED = "the engine died without releasing the guard"
@@ -27,8 +27,8 @@ class EngineEnd(Enum):
 def watch_engine(descriptor: int, silence_s: float, clock: Clock) -> EngineEnd:
     """Wait until the engine releases the guard, dies, or is silent for too long.
 
-    A wait that took much longer than it should counts as a short one: then the machine was suspended or the
-    guard was not scheduled, and the engine neither.
+    A wait that took much longer than requested counts as a short one: the machine was suspended, or neither
+    guard nor engine was scheduled.
     """
     silent_s, last_s = 0.0, clock.now()
     while silent_s < silence_s:
@@ -46,28 +46,28 @@ def watch_engine(descriptor: int, silence_s: float, clock: Clock) -> EngineEnd:
 
 
 class EngineProcess:
-    """The engine, which is the parent process, by a descriptor that stays valid if its number is reused."""
+    """The engine, the parent process, by a descriptor that stays valid if its process number is reused."""
 
     def __init__(self, pid: int) -> None:
         self._descriptor: int | None = None
         if os.getppid() != pid:
             return
         descriptor = os.pidfd_open(pid)
-        # While it is still the parent, its number can't have been reused before.
+        # As it is still the parent, its number had not been reused when the descriptor was opened.
         if os.getppid() == pid:
             self._descriptor = descriptor
         else:
             os.close(descriptor)
 
-    def ended(self, within_s: float = 0.0) -> bool:
-        """Wait for its end, and return whether it has ended."""
+    def wait_for_end(self, within_s: float = 0.0) -> bool:
+        """Wait for the engine's end at most ``within_s``; returns whether it has ended."""
         if self._descriptor is None:
             return True
         ready, _, _ = select.select([self._descriptor], [], [], within_s)
         return bool(ready)
 
     def kill(self) -> None:
-        """End it at once, also if it is stopped."""
+        """Kill the engine, even if it is stopped."""
         if self._descriptor is not None:
             with contextlib.suppress(ProcessLookupError):
                 signal.pidfd_send_signal(self._descriptor, signal.SIGKILL)
@@ -81,7 +81,7 @@ class GuardLog:
         self._clock = clock
 
     def add(self, text: str) -> None:
-        """Add one line; it is on the disk when this returns, if it can be."""
+        """Add a line, flushed to the disk if possible."""
         line = f"{self._clock.utc().isoformat(timespec='milliseconds')} guard {os.getpid()}: {text}\n"
         with contextlib.suppress(OSError), self._path.open("a", encoding="utf-8") as stream:
             stream.write(line)

@@ -1,4 +1,4 @@
-"""A session of manual control, from the name of a station to the safe state, and its typed commands."""
+"""A session of manual control: opens the bench, executes commands, and leaves the bench safe."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ _TICKS_TO_FIRST_FRAME = 2
 def jog_bench(name: str, commands: Sequence[str], emulation: Emulation, leave: bool) -> bool:
     """Open a bench, execute commands, and leave it in its safe state.
 
-    Result: whether all commands succeeded and the bench was left as intended. Raises DocumentError if the
+    Returns whether all commands succeeded and the bench was left as intended. Raises DocumentError if the
     station file is wrong. Raises BenchInUseError if another process holds the bench. Raises InstrumentError
-    if no instrument can be reached when the bench is opened; one that can't is left out.
+    if no instrument can be reached when the bench is opened; a single unreachable one is left out.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def jog_bench(name: str, commands: Sequence[str], emulation: Emulation, leave: b
     commands : sequence of str
         Commands; if empty, lines of standard input.
     leave : bool
-        Whether chamber, INS power and servos stay as they are at the end.
+        Whether chamber, INS power and servos keep their state at the end.
     """
     station = Station(find_document("stations", name))
     station.check_dbc()
@@ -65,12 +65,12 @@ def jog_bench(name: str, commands: Sequence[str], emulation: Emulation, leave: b
         display.print(str(error) if error is not None else f"{instrument}: replies again")
 
     folder = Path(tempfile.mkdtemp(prefix="gyrobench-jog-"))
-    with ExitStack() as held:
-        interruptions = held.enter_context(Interruptions())
-        lock = held.enter_context(BenchLock(station, folder, clock, JOG_COMMAND))
-        instruments = held.enter_context(Instruments(station, clock, emulation, may_be_absent=True))
+    with ExitStack() as resources:
+        interruptions = resources.enter_context(Interruptions())
+        lock = resources.enter_context(BenchLock(station, folder, clock, JOG_COMMAND))
+        instruments = resources.enter_context(Instruments(station, clock, emulation, may_be_absent=True))
         for each in (RATE_TABLE, CHAMBER):
-            with suppress(InstrumentError):  # left out, or to be asked again
+            with suppress(InstrumentError):  # left out, or identified later
                 instruments.identify(each)
         for error in instruments.absent.values():
             display.print(f"Left out: {error}")
@@ -80,20 +80,20 @@ def jog_bench(name: str, commands: Sequence[str], emulation: Emulation, leave: b
         bench.start()
         _await_first_frame(bench)
         limits = manual_limits(station, instruments.table, instruments.chamber)
-        guard = held.enter_context(guard_for(station, folder, clock))
+        guard = resources.enter_context(guard_for(station, folder, clock))
         control = ManualControl(bench, limits, display, guard.beat, interruptions)
         session = _Session(control, display, commands, leave)
-        all_done = session.run()
+        succeeded = session.run()
         is_safe = session.end()
         if is_safe:
             guard.release()
     if is_safe:
         shutil.rmtree(folder, ignore_errors=True)
-    return all_done and is_safe
+    return succeeded and is_safe
 
 
 def _await_first_frame(bench: LiveBench) -> None:
-    """Give an INS that is on the time to send before the first command."""
+    """Wait for the first frame of an INS that is on, for a few ticks."""
     for _ in range(_TICKS_TO_FIRST_FRAME):
         bench.tick()
         bench.read_instruments()
@@ -102,7 +102,7 @@ def _await_first_frame(bench: LiveBench) -> None:
 
 
 class _Session:
-    """Executes commands until the last one, or one that ends the session."""
+    """Executes commands until the end of the input, or a command that ends the session."""
 
     def __init__(
         self, control: ManualControl, display: Display, commands: Sequence[str], leave: bool
@@ -115,7 +115,7 @@ class _Session:
         self._input = None if commands else TypedLines(sys.stdin.fileno(), control.idle)
         # Unlike a generator, this iterator continues after an exception raised while it waits for a line.
         self._lines = (
-            iter(commands) if self._input is None else iter(partial(self._next_of, self._input), None)
+            iter(commands) if self._input is None else iter(partial(self._next_line, self._input), None)
         )
 
     def run(self) -> bool:
@@ -124,22 +124,24 @@ class _Session:
             name = self._control.bench.station.file.station
             self._display.print(f"Manual control of {name}. `help` lists the commands, `quit` ends.")
             return self._execute_lines()
-        all_done = self._execute_lines()
-        rest = [] if all_done else list(self._lines) if self._input is None else self._input.arrived()
-        commands = takewhile(lambda line: line.lower() not in _END_COMMANDS, rest)
-        if number := sum(bool(_command_of(line)) for line in commands):
-            self._display.print(f"Not executed: {counted(number, 'command')} after this one.")
-        return all_done
+        succeeded = self._execute_lines()
+        remaining = (
+            [] if succeeded else list(self._lines) if self._input is None else self._input.read_arrived()
+        )
+        commands = takewhile(lambda line: line.lower() not in _END_COMMANDS, remaining)
+        if count := sum(bool(_command_of(line)) for line in commands):
+            self._display.print(f"Not executed: {counted(count, 'command')} after this one.")
+        return succeeded
 
     def _execute_lines(self) -> bool:
-        all_done = True
+        succeeded = True
         while True:
             try:
-                self._control.idle()  # interlocks are checked between commands that follow each other at once
+                self._control.idle()  # checks interlocks between commands without a pause
                 line = next(self._lines, None)
                 if line is None or line.lower() in _END_COMMANDS:
                     self._leave = self._leave or (line or "").lower() == "leave"
-                    return all_done
+                    return succeeded
                 if not self._is_typed and line and not line.startswith("#"):
                     self._display.print(f"{_PROMPT}{line}")
                 self._shell.execute(_command_of(line))
@@ -151,7 +153,7 @@ class _Session:
                 if not self._is_typed:
                     return False
             except GyrobenchError as error:
-                all_done = self._is_typed
+                succeeded = self._is_typed
                 self._display.print(_error_text(error))
                 if not self._is_typed:
                     return False
@@ -166,7 +168,9 @@ class _Session:
         absent = self._control.bench.instruments.absent
         actions = [action for action in actions if action.instrument not in absent]
         if self._control.bench.instruments.is_ramping:
-            self._display.print("The chamber's set point is moved to its safe value; Ctrl-C ends that.")
+            self._display.print(
+                "The chamber's set point is being ramped to its safe value; Ctrl-C ends the ramp."
+            )
             actions = self._control.finish_ramp(actions)
         for action in actions:
             self._display.print(action.text)
@@ -178,14 +182,14 @@ class _Session:
         except GyrobenchError as error:
             self._display.print(f"The table could not be stopped: {error}")
 
-    def _next_of(self, lines: TypedLines) -> str | None:
+    def _next_line(self, lines: TypedLines) -> str | None:
         if self._is_typed:
             self._display.prompt(_PROMPT)
         return lines.next()
 
 
 def _command_of(line: str) -> str:
-    """A line without its comment."""
+    """Strip the comment from a line."""
     return line.partition("#")[0].strip()
 
 
@@ -204,7 +208,7 @@ _END_COMMANDS = ("quit", "exit", "q", "leave")
 
 @dataclass(frozen=True)
 class _JogCommand:
-    """One command: each way to type it with its meaning, and the function that executes it."""
+    """A command: its usages with their meanings, and the function that executes it."""
 
     usages: Mapping[str, str]
     execute: Callable[[list[str]], None]
@@ -254,17 +258,18 @@ class _Shell:
     def execute(self, line: str) -> None:
         """Parse a line and execute it.
 
-        Raises CommandError if it is not understood, or a limit forbids it. Raises GyrobenchError if it failed
-        during execution.
+        Raises CommandError if it is not a command, or a limit forbids it. Raises GyrobenchError if it fails
+        during its execution.
         """
         words = line.replace(",", " ").lower().split()
         if not words:
             return
         command = self._commands.get(words[0])
         if command is None:
-            known = [*self._commands, *_END_USAGES]
+            command_names = [*self._commands, *_END_USAGES]
             raise CommandError(
-                f"unknown command '{words[0]}'{did_you_mean(words[0], known)}; `help` lists the commands"
+                f"unknown command '{words[0]}'{did_you_mean(words[0], command_names)}; `help` lists the "
+                "commands"
             )
         try:
             command.execute(words[1:])
@@ -276,88 +281,89 @@ class _Shell:
         self._print(readings(self._control.bench, self._control.tripped))
 
     def _watch(self, words: list[str]) -> None:
-        duration_s = _number(words.pop(0), "a time in s") if words else _WATCH_S
-        _no_more(words)
+        duration_s = _parse_number(words.pop(0), "a time in s") if words else _WATCH_S
+        _require_end(words)
         if not 0.0 < duration_s <= _MAX_WATCH_S:
             raise _UsageError("the time must be above 0 s and at most a week")
         self._control.watch(duration_s)
 
     def _table(self, words: list[str]) -> None:
-        what = words.pop(0) if words else ""
-        if what == "rate":
-            axis, rate = _axis(words), _number(_next(words), "a rate in deg/s")
-            _no_more(words)
+        keyword = words.pop(0) if words else ""
+        if keyword == "rate":
+            axis, rate = _parse_axis(words), _parse_number(_next_word(words), "a rate in deg/s")
+            _require_end(words)
             self._control.turn_at(axis, rate)
             return
-        if what == "to":
+        if keyword == "to":
             self._to_position(words)
             return
-        axis = _axis([what])
-        angle_deg = _number(_next(words), "an angle in deg")
-        self._control.move({axis: angle_deg}, _rate(words))
+        axis = _parse_axis([keyword])
+        angle_deg = _parse_number(_next_word(words), "an angle in deg")
+        self._control.move({axis: angle_deg}, _parse_rate(words))
 
     def _to_position(self, words: list[str]) -> None:
-        name = _next(words)
+        name = _next_word(words)
         if name not in POSITIONS:
             raise _UsageError(
                 f"no position '{name}'{did_you_mean(name, POSITIONS)}; known: {', '.join(POSITIONS)}"
             )
         azimuth_deg = 0.0
         if words and words[0] != "at":
-            azimuth_deg = _number(words.pop(0), "an azimuth in deg")
-        rate_dps = _rate(words)
+            azimuth_deg = _parse_number(words.pop(0), "an azimuth in deg")
+        rate_dps = _parse_rate(words)
         station = self._control.bench.station
         angles_deg = station.table.angles(POSITIONS[name].C_nb(np.deg2rad(azimuth_deg)))
-        names = self._control.limits.axes
+        axis_names = self._control.limits.axes
         self._control.move(
-            {axis: each for axis, each in zip(TABLE_AXES, angles_deg, strict=True) if axis in names}, rate_dps
+            {axis: each for axis, each in zip(TABLE_AXES, angles_deg, strict=True) if axis in axis_names},
+            rate_dps,
         )
 
     def _home(self, words: list[str]) -> None:
-        rate_dps = _rate(words)
+        rate_dps = _parse_rate(words)
         self._control.move(dict.fromkeys(self._control.limits.axes, 0.0), rate_dps)
 
     def _servo(self, words: list[str]) -> None:
-        self._control.servo_on() if _on(words) else self._control.servo_off()
+        self._control.servo_on() if _parse_on_off(words) else self._control.servo_off()
 
     def _chamber(self, words: list[str]) -> None:
         if words and words[0] in ("on", "off"):
-            self._control.chamber_switch(_on(words))
+            self._control.chamber_switch(_parse_on_off(words))
             return
-        temperature_c = _number(_next(words), "a temperature in degC")
+        temperature_c = _parse_number(_next_word(words), "a temperature in degC")
         if words and words[0] == "at":
             words.pop(0)
-        ramp = _number(words.pop(0), "a ramp in degC/min") if words else None
-        _no_more(words)
+        ramp = _parse_number(words.pop(0), "a ramp in degC/min") if words else None
+        _require_end(words)
         self._control.chamber_to(temperature_c, ramp)
 
     def _unit(self, words: list[str]) -> None:
-        self._control.unit_switch(_on(words))
+        self._control.unit_switch(_parse_on_off(words))
 
     def _ins(self, words: list[str]) -> None:
-        command = _next(words)
-        _no_more(words)
+        command = _next_word(words)
+        _require_end(words)
         if command not in ("align", "navigate", "standby"):
             raise _UsageError(f"the INS has no command '{command}'")
         self._control.ins(command)
 
     def _faults(self, words: list[str]) -> None:
         _without_arguments(words, self._control.bench.read_instruments)
-        now = self._control.bench.readings
-        lines = [f"rate table: {each}" for each in now.table.faults]
-        lines += [f"chamber: {each}" for each in now.chamber.alarms]
+        newest = self._control.bench.readings
+        lines = [f"rate table: {each}" for each in newest.table.faults]
+        lines += [f"chamber: {each}" for each in newest.chamber.alarms]
         lines += [f"interlock tripped: {each}" for each in self._control.tripped]
         self._print(lines or ["none"])
 
     def _events(self, words: list[str]) -> None:
-        _no_more(words)
+        _require_end(words)
         self._print(self._control.events())
 
     def _limits(self, words: list[str]) -> None:
-        _no_more(words)
+        _require_end(words)
         self._print(limit_lines(self._control.limits))
 
-    def _help(self, words: list[str]) -> None:  # noqa: ARG002 - one help for all
+    def _help(self, words: list[str]) -> None:  # noqa: ARG002 - the help has no topics
         usages = [usage for command in self._commands.values() for usage in command.usages.items()]
         self._print([f"  {usage:38} {meaning}" for usage, meaning in (*usages, *_END_USAGES.items())])
         self._print(["Ctrl-C stops the table."])
@@ -368,56 +374,56 @@ class _Shell:
 
 
 class _UsageError(Exception):
-    """Arguments that do not fit the command."""
+    """The arguments do not fit the command."""
 
 
 def _without_arguments(words: list[str], execute: Callable[[], None]) -> None:
-    _no_more(words)
+    _require_end(words)
     execute()
 
 
-def _next(words: list[str]) -> str:
+def _next_word(words: list[str]) -> str:
     if not words:
         raise _UsageError("an argument is missing")
     return words.pop(0)
 
 
-def _no_more(words: list[str]) -> None:
+def _require_end(words: list[str]) -> None:
     if words:
         raise _UsageError(f"unexpected argument '{' '.join(words)}'")
 
 
-def _number(word: str, what: str) -> float:
+def _parse_number(word: str, quantity: str) -> float:
     try:
         number = float(word)
     except ValueError:
         number = float("nan")
     if not np.isfinite(number):
-        raise _UsageError(f"'{word}' is not {what}")
+        raise _UsageError(f"'{word}' is not {quantity}")
     return number
 
 
-def _axis(words: list[str]) -> str:
-    axis = _next(words)
+def _parse_axis(words: list[str]) -> str:
+    axis = _next_word(words)
     if axis not in TABLE_AXES:
         raise _UsageError(f"'{axis}' is not an axis; the axes are outer and inner")
     return axis
 
 
-def _rate(words: list[str]) -> float | None:
-    """Rate of ``at RATE``, None without it."""
+def _parse_rate(words: list[str]) -> float | None:
+    """Parse ``at RATE``; None if it is missing."""
     if not words:
         return None
     if words.pop(0) != "at":
         raise _UsageError("expected 'at RATE'")
-    rate_dps = _number(_next(words), "a rate in deg/s")
-    _no_more(words)
+    rate_dps = _parse_number(_next_word(words), "a rate in deg/s")
+    _require_end(words)
     return rate_dps
 
 
-def _on(words: list[str]) -> bool:
-    word = _next(words)
-    _no_more(words)
+def _parse_on_off(words: list[str]) -> bool:
+    word = _next_word(words)
+    _require_end(words)
     if word not in ("on", "off"):
         raise _UsageError(f"'{word}' is neither on nor off")
     return word == "on"

@@ -1,4 +1,4 @@
-"""Manual control: what each command does, with the interlocks checked at every tick; readings as text."""
+"""Manual control: executes commands and checks interlocks at every tick; formats readings as text."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from gyrobench.drivers.ins.can_bus import INSTRUMENT
 from gyrobench.drivers.ins.ins_status import InsStatus
 from gyrobench.drivers.ins.readout import Alignment, InsMode
 
-#: Rate of a move without a given rate, deg/s, where the limits allow it.
+#: Rate of a move without a given rate, deg/s, if the limits allow it.
 _DEFAULT_RATE_DPS = 10.0
 _MOVE_FACTOR, _MOVE_MARGIN_S = 1.5, 30.0
 _MAX_START_S = 180.0
 _TRIES = 3
 _MAX_EVENTS = 16
-#: Ticks allowed for the table to come to rest, and the rate below which it rests.
+#: Maximum number of ticks until the table is at rest, and the maximum rate at rest, deg/s.
 _STOP_TICKS, _REST_DPS = 60, 0.01
 #: Interlocks that forbid motion, and those that forbid chamber commands, while tripped.
 _TABLE_TRIPS = {"table_silence", "table_rate", "table_acceleration"}
@@ -43,7 +43,7 @@ class ManualControl:
     Parameters
     ----------
     bench : LiveBench
-        Started.
+        Bench after its ``start``.
     beat_guard : callable
         Sends the guard its heartbeat; returns a note to print, or None.
 
@@ -69,7 +69,7 @@ class ManualControl:
         self._turning: dict[str, float] = {}
         self._ticked_s = bench.clock.now()
         if bench.units[0].has_started():
-            bench.units[0].state.seen_on()
+            bench.units[0].state.detected_on()
         self.tripped: list[str] = []
         for trip in bench.trips():
             self.tripped.append(trip.name)
@@ -78,9 +78,9 @@ class ManualControl:
     def tick(self, follow: bool = False) -> None:
         """Poll the bench for one tick, check interlocks and signals.
 
-        ``follow``: whether to read all instruments at this tick, also before their period is over. Raises
-        TrippedError if an interlock tripped; the bench is in its safe state. Raises StoppedByOperatorError or
-        EndSessionError if a signal arrived.
+        ``follow``: whether to read all instruments at this tick, even if their period is not over. Raises
+        TrippedError if an interlock tripped; the bench is then in its safe state. Raises
+        StoppedByOperatorError or EndSessionError if a signal arrived.
         """
         self.bench.tick()
         self._ticked_s = self.bench.clock.now()
@@ -93,14 +93,14 @@ class ManualControl:
         self._interruptions.check()
 
     def idle(self) -> None:
-        """Keep a bench in real time polled between commands; virtual time stands still."""
+        """Poll a bench in real time between commands; does nothing on virtual time."""
         self._interruptions.check()
         bench = self.bench
         if bench.clock.is_virtual:
             return
         bench.poll_units()
         file = bench.station.file
-        # A tick lasts until the bench's next one: begun too early it delays commands, too late it skips one.
+        # A tick lasts until the next tick of the bench: started early it delays commands, late it misses one.
         if bench.clock.now() >= self._ticked_s + file.tick_s - min(file.poll_period_s, file.tick_s / 2.0):
             self.tick()
 
@@ -113,10 +113,12 @@ class ManualControl:
             self.limits.check_angle(axis, angle_deg)
             self.limits.check_rate(axis, rate_dps)
         self.servo_on()
-        with self._stopped_on_failure():
+        with self._stop_on_failure():
             self._turning.clear()
-            self._retry(lambda: self.bench.instruments.table.move_to(self._by_number(angles_deg), rate_dps))
-            self._await_position(angles_deg, rate_dps)
+            self._retry(
+                lambda: self.bench.instruments.table.move_to(self._by_axis_number(angles_deg), rate_dps)
+            )
+            self._wait_for_position(angles_deg, rate_dps)
         self._display.print(self._angles_text())
 
     def turn_at(self, axis: str, rate_dps: float) -> None:
@@ -132,8 +134,8 @@ class ManualControl:
                 f"the {axis} axis is too close to its limit to turn at {rate_dps:g} deg/s. Nothing was moved."
             )
         self.servo_on()
-        with self._stopped_on_failure():
-            number = next(iter(self._by_number({axis: 0.0})))
+        with self._stop_on_failure():
+            number = next(iter(self._by_axis_number({axis: 0.0})))
             self._retry(lambda: self.bench.instruments.table.turn_at(number, rate_dps))
         self._turning[axis] = rate_dps
         self._display.print(
@@ -154,8 +156,8 @@ class ManualControl:
         self._display.print(f"table stopped: {self._angles_text()}")
 
     def servo_on(self) -> None:
-        """Set the table's limits, clear latched faults and close its servos, if that is still to do."""
-        self._refuse_while(_TABLE_TRIPS)
+        """Set the table's limits, clear latched faults and close its servos, unless that is done."""
+        self._require_untripped(_TABLE_TRIPS)
         if not self.bench.state.expected.table_prepared:
             self.bench.prepare_table()
             self._display.print("servos on")
@@ -171,9 +173,9 @@ class ManualControl:
         """Set the chamber's temperature and switch it on; does not wait."""
         ramp = self.limits.ramp_c_per_min if ramp_c_per_min is None else ramp_c_per_min
         self.limits.check_chamber(temperature_c, ramp)
-        self._refuse_while(_CHAMBER_TRIPS)
+        self._require_untripped(_CHAMBER_TRIPS)
         self.bench.state.chamber_state_unknown()
-        # Look the driver up at each use: a port that is reopened has a new one.
+        # The driver is looked up at each use: reopening a port creates a new one.
         self._retry(lambda: self.bench.instruments.chamber.set_temperature(temperature_c, ramp))
         self._retry(lambda: self.bench.instruments.chamber.switch(True))
         self.bench.state.chamber_commanded(temperature_c)
@@ -184,14 +186,14 @@ class ManualControl:
     def chamber_switch(self, on: bool) -> None:
         """Switch the chamber's temperature control."""
         if on:
-            self._refuse_while(_CHAMBER_TRIPS)
+            self._require_untripped(_CHAMBER_TRIPS)
         self.bench.state.chamber_switching(on)
         self._retry(lambda: self.bench.instruments.chamber.switch(on))
         self.bench.state.chamber_switched(on)
         self._display.print(f"chamber {'on' if on else 'off'}")
 
     def unit_switch(self, on: bool) -> None:
-        """Switch the INS, or ask the operator to; after power-on wait for its first frames."""
+        """Switch the INS, or ask the operator to do so; after power-on wait for its first frames."""
         power = self.bench.station.file.unit.power
         if power == "always_on":
             raise CommandError("the INS of this bench is always on (station file: unit.power)")
@@ -205,23 +207,23 @@ class ManualControl:
             return
         begin_s = self.bench.clock.now()
         while not self.bench.units[0].has_started():
-            passed_s = self.bench.clock.now() - begin_s
-            if passed_s > _MAX_START_S:
+            elapsed_s = self.bench.clock.now() - begin_s
+            if elapsed_s > _MAX_START_S:
                 raise InstrumentError(
                     "INS",
-                    f"sends no frames {passed_s:.0f} s after power-on. Check its power and the CAN bus.",
+                    f"sends no frames {elapsed_s:.0f} s after power-on. Check its power and the CAN bus.",
                 )
-            self._display.progress(f"INS starts, {passed_s:.0f} s")
+            self._display.progress(f"INS starts, {elapsed_s:.0f} s")
             self.tick()
         self.bench.read_instruments()
-        self.bench.units[0].state.seen_on()
-        self._display.print(f"INS on: {_mode_words(self.bench.readings.ins)}")
+        self.bench.units[0].state.detected_on()
+        self._display.print(f"INS on: {_mode_text(self.bench.readings.ins)}")
 
     def ins(self, command: str) -> None:
         """Command the INS: ``align``, ``navigate`` or ``standby``."""
         self.bench.instruments.ins.enter(InsMode[command.upper()])
         self.bench.read_instruments()
-        self._display.print(f"INS: {_mode_words(self.bench.readings.ins)}")
+        self._display.print(f"INS: {_mode_text(self.bench.readings.ins)}")
 
     def watch(self, duration_s: float) -> None:
         """Print the readings for a time."""
@@ -237,14 +239,14 @@ class ManualControl:
         """Clear the chamber's latched alarms; `servo on` clears those of the table."""
         self._retry(lambda: self.bench.instruments.chamber.clear_alarms())
         self.bench.read_instruments()
-        left = ", ".join(self.bench.readings.chamber.alarms)
+        active = ", ".join(self.bench.readings.chamber.alarms)
         self._display.print(
-            f"chamber alarms cleared; still active: {left or 'none'}. `servo on` clears table faults."
+            f"chamber alarms cleared; still active: {active or 'none'}. `servo on` clears table faults."
         )
 
     def events(self) -> list[str]:
         """Describe each of the chamber's event outputs."""
-        found = []
+        lines = []
         for number in range(1, _MAX_EVENTS + 1):
             try:
                 on = self.bench.instruments.chamber.is_event_on(number)
@@ -252,8 +254,8 @@ class ManualControl:
                 break
             power = self.bench.station.file.unit
             unit = "  (the INS)" if power.power == "chamber_event" and power.power_event == number else ""
-            found.append(f"event {number}  {'on' if on else 'off'}{unit}")
-        return found or ["the chamber has no event outputs"]
+            lines.append(f"event {number}  {'on' if on else 'off'}{unit}")
+        return lines or ["the chamber has no event outputs"]
 
     def make_safe(self) -> list[SafeAction]:
         """Bring the whole bench to the station's safe state, servos open."""
@@ -261,22 +263,22 @@ class ManualControl:
         return self.bench.make_safe(meanwhile=self._beat_guard)
 
     def finish_ramp(self, actions: list[SafeAction]) -> list[SafeAction]:
-        """Wait until the set point has its safe value, or a signal; returns what came of the actions."""
-        taken = {action.what: action for action in actions}
-        for since in finish_ramp(self.bench.station, self.bench.instruments, actions, self._beat_guard):
-            taken |= {action.what: action for action in since}
+        """Wait until the set point has its safe value, or a signal; returns the results of the actions."""
+        results = {action.what: action for action in actions}
+        for new_results in finish_ramp(self.bench.station, self.bench.instruments, actions, self._beat_guard):
+            results |= {action.what: action for action in new_results}
             self._beat()
             try:
                 self._interruptions.check()
             except GyrobenchError:
                 break
             self.bench.clock.sleep(RAMP_PERIOD_S)
-        return list(taken.values())
+        return list(results.values())
 
-    def _await_position(self, angles_deg: Mapping[str, float], rate_dps: float) -> None:
+    def _wait_for_position(self, angles_deg: Mapping[str, float], rate_dps: float) -> None:
         self.bench.read_instruments()
-        way_deg = max(abs(angle - self._angle_deg(axis)) for axis, angle in angles_deg.items())
-        limit_s = _MOVE_FACTOR * way_deg / rate_dps + _MOVE_MARGIN_S
+        distance_deg = max(abs(angle - self._angle_deg(axis)) for axis, angle in angles_deg.items())
+        limit_s = _MOVE_FACTOR * distance_deg / rate_dps + _MOVE_MARGIN_S
         end_s = self.bench.clock.now() + limit_s
         while not self._retry(lambda: self.bench.instruments.table.in_position()):
             self.tick(follow=True)
@@ -297,13 +299,13 @@ class ManualControl:
         for name in self.tripped:
             if name not in names:
                 self._display.print(f"Interlock {name}: cleared")
-        new = [trip for trip in trips if trip.name not in self.tripped]
+        new_trips = [trip for trip in trips if trip.name not in self.tripped]
         self.tripped = names
-        if new:
+        if new_trips:
             self._turning.clear()
             for action in self.bench.make_safe(release_table=False, meanwhile=self._beat_guard):
                 self._display.print(action.text)
-            raise TrippedError(new)
+            raise TrippedError(new_trips)
 
     def _stop_before_limits(self) -> None:
         for axis, rate_dps in list(self._turning.items()):
@@ -314,13 +316,13 @@ class ManualControl:
                 self._display.print(f"{axis} axis is close to its limit and is stopped")
                 self.stop()
 
-    def _refuse_while(self, names: set[str]) -> None:
+    def _require_untripped(self, names: set[str]) -> None:
         tripped = sorted(names.intersection(self.tripped))
         if tripped:
             raise CommandError(f"the interlock {', '.join(tripped)} is tripped. Nothing was done.")
 
     @contextlib.contextmanager
-    def _stopped_on_failure(self) -> Iterator[None]:
+    def _stop_on_failure(self) -> Iterator[None]:
         try:
             yield
         except BaseException:
@@ -329,7 +331,7 @@ class ManualControl:
             raise
 
     def _retry(self, exchange: Callable[[], _T]) -> _T:
-        """Repeat an exchange with an instrument that is lost on the line."""
+        """Exchange with an instrument; repeated if it is lost on the line."""
         for _ in range(_TRIES - 1):
             try:
                 return exchange()
@@ -345,7 +347,7 @@ class ManualControl:
     def _angle_deg(self, axis: str) -> float:
         return self.bench.table_angles()[TABLE_AXES.index(axis)]
 
-    def _by_number(self, angles_deg: Mapping[str, float]) -> dict[int, float]:
+    def _by_axis_number(self, angles_deg: Mapping[str, float]) -> dict[int, float]:
         section = self.bench.station.file.rate_table
         numbers = {"outer": section.outer_axis_number, "inner": section.inner_axis_number}
         return {numbers[axis]: angle for axis, angle in angles_deg.items()}
@@ -359,24 +361,27 @@ _MIN_COSINE = math.cos(math.radians(0.1))
 
 
 def readings(bench: LiveBench, tripped: Sequence[str]) -> list[str]:
-    """All readings of the instruments, in lines of at most 80 columns."""
-    now, absent = bench.readings, bench.instruments.absent
-    angles, rates = bench.table_angles(), bench.station.table_axes_of(now.table.rate_dps)
-    servo = "servos on" if now.table.is_servoed else "servos off"
-    single = bench.station.file.rate_table.is_single_axis
+    """Format all readings of the instruments, in lines of at most 80 columns."""
+    newest, absent = bench.readings, bench.instruments.absent
+    angles, rates = bench.table_angles(), bench.station.table_axes_of(newest.table.rate_dps)
+    servo = "servos on" if newest.table.is_servoed else "servos off"
+    is_single_axis = bench.station.file.rate_table.is_single_axis
     table = [
         f"Table      {name} {angle:9.4f} deg  {rate:8.4f} deg/s"
         for name, angle, rate in zip(("outer", "inner"), angles, rates, strict=True)
-        if not (single and name == "outer")
+        if not (is_single_axis and name == "outer")
     ]
-    table.append(f"           {servo}; the unit is {_position(bench)}")
+    table.append(f"           {servo}; the unit is {_position_text(bench)}")
     lines = ["Table      left out"] if RATE_TABLE in absent else table
-    chamber = now.chamber
-    air, set_point = _known(chamber.temperature_c, ".1f"), _known(chamber.set_point_c, ".1f")
-    known = f"air {air} degC, set point {set_point}{_switched(chamber.is_on)}"
-    lines.append(f"Chamber    {'left out' if CHAMBER in absent else known}")
-    lines += ["INS        left out"] if INSTRUMENT in absent else _ins_lines(now.ins)
-    lines.append(f"Faults     {'; '.join([*now.table.faults, *now.chamber.alarms]) or 'none'}")
+    chamber = newest.chamber
+    air, set_point = (
+        _format_or_dash(chamber.temperature_c, ".1f"),
+        _format_or_dash(chamber.set_point_c, ".1f"),
+    )
+    chamber_text = f"air {air} degC, set point {set_point}{_unit_and_state(chamber.is_on)}"
+    lines.append(f"Chamber    {'left out' if CHAMBER in absent else chamber_text}")
+    lines += ["INS        left out"] if INSTRUMENT in absent else _ins_lines(newest.ins)
+    lines.append(f"Faults     {'; '.join([*newest.table.faults, *newest.chamber.alarms]) or 'none'}")
     lines.append(f"Interlocks {', '.join(tripped) or 'none tripped'}")
     return lines
 
@@ -385,12 +390,13 @@ def _ins_lines(ins: InsStatus) -> list[str]:
     if not math.isfinite(ins.age_s):
         return ["INS        sends no frames"]
     velocity = (
-        f"{name} {_known(each, '+.4f')}" for name, each in zip("ENU", ins.velocity_enu_mps, strict=True)
+        f"{name} {_format_or_dash(each, '+.4f')}"
+        for name, each in zip("ENU", ins.velocity_enu_mps, strict=True)
     )
     return [
-        f"INS        {_mode_words(ins)}, last frame {ins.age_s:.1f} s ago",
+        f"INS        {_mode_text(ins)}, last frame {ins.age_s:.1f} s ago",
         f"           velocity   {'  '.join(velocity)} m/s",
-        f"           gyros      {_xyz(ins.optics_c)} degC, case {_known(ins.case_c, '.1f')} degC",
+        f"           gyros      {_xyz(ins.optics_c)} degC, case {_format_or_dash(ins.case_c, '.1f')} degC",
         f"           boards     {_xyz(ins.electronics_c)} degC",
     ]
 
@@ -404,22 +410,22 @@ _WATCH_HEADER = (
 
 
 def _watch_line(bench: LiveBench) -> str:
-    """The readings that change, on one line of at most 80 columns."""
-    now = bench.readings
+    """Format the changing readings in one line of at most 80 columns."""
+    newest = bench.readings
     outer, inner = bench.table_angles()
-    ins = now.ins
+    ins = newest.ins
     return _WATCH_COLUMNS.format(
-        f"{now.asked_s:.0f}",
+        f"{newest.polled_s:.0f}",
         f"{outer:.3f}",
         f"{inner:.3f}",
-        _known(now.chamber.temperature_c, ".1f"),
-        _known(float(np.mean(ins.optics_c)), ".1f"),
-        *(_known(each, "+.3f") for each in ins.velocity_enu_mps[:2]),
+        _format_or_dash(newest.chamber.temperature_c, ".1f"),
+        _format_or_dash(float(np.mean(ins.optics_c)), ".1f"),
+        *(_format_or_dash(each, "+.3f") for each in ins.velocity_enu_mps[:2]),
         _short_mode(ins),
     )
 
 
-def _position(bench: LiveBench) -> str:
+def _position_text(bench: LiveBench) -> str:
     C_nb = bench.station.table.attitude(*bench.table_angles())
     for name, position in POSITIONS.items():
         if C_nb[2, position.up_axis] * position.up_sign > _MIN_COSINE:
@@ -428,7 +434,7 @@ def _position(bench: LiveBench) -> str:
 
 
 def limit_lines(limits: ManualLimits) -> list[str]:
-    """The limits of commands, one line an axis and one for the chamber."""
+    """Format the limits of commands, a line for each axis and one for the chamber."""
     lines = [
         f"{name:8} {axis.low_deg:g} to {axis.high_deg:g} deg, at most {axis.rate_dps:g} deg/s"
         for name, axis in limits.axes.items()
@@ -437,8 +443,8 @@ def limit_lines(limits: ManualLimits) -> list[str]:
     return [*lines, f"{'chamber':8} {air}"]
 
 
-def _mode_words(ins: InsStatus) -> str:
-    """Mode and alignment of the INS, in words."""
+def _mode_text(ins: InsStatus) -> str:
+    """Mode and alignment of the INS as text."""
     if ins.mode is InsMode.UNKNOWN:
         return "mode unknown"
     aligned = {
@@ -458,13 +464,15 @@ def _azimuth_deg(C_nb: FloatArray, C_zero: FloatArray) -> float:
     return math.degrees(math.atan2(turn[1, 0], turn[0, 0])) % 360.0
 
 
-def _known(value: float | None, form: str) -> str:
+def _format_or_dash(value: float | None, form: str) -> str:
     return "-" if value is None or not math.isfinite(value) else format(value, form)
 
 
 def _xyz(values: Sequence[float]) -> str:
-    return "  ".join(f"{axis} {_known(value, '.2f')}" for axis, value in zip("xyz", values, strict=True))
+    return "  ".join(
+        f"{axis} {_format_or_dash(value, '.2f')}" for axis, value in zip("xyz", values, strict=True)
+    )
 
 
-def _switched(is_on: bool | None) -> str:
+def _unit_and_state(is_on: bool | None) -> str:
     return {True: " degC, on", False: " degC, off", None: " degC"}[is_on]

@@ -1,4 +1,4 @@
-"""Limits of manual control: the narrower of the station's and the controllers'."""
+"""Limits of manual control: the narrower ones of station and controllers."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _STOP_DELAY_S = 1.0
 
 @dataclass(frozen=True)
 class AxisRange:
-    """Range of an axis's angle, and its highest rate."""
+    """Range of an axis's angle, and its maximum rate."""
 
     low_deg: float
     high_deg: float
@@ -27,18 +27,18 @@ class AxisRange:
 
 @dataclass(frozen=True)
 class ManualLimits:
-    """The narrower of station and controller."""
+    """Limits of manual control: the narrower ones of station and controllers."""
 
     axes: dict[str, AxisRange]  #: Range of each axis by its name.
     acceleration_dps2: float  #: Deceleration of a stop.
     #: low_c, high_c: Range of the chamber's set point.
     low_c: float
     high_c: float
-    ramp_c_per_min: float  #: Highest ramp.
+    ramp_c_per_min: float  #: Maximum ramp, up or down.
 
     def check_angle(self, axis: str, angle_deg: float) -> None:
-        """Raise CommandError for an angle that is out of range."""
-        limit = self._of(axis)
+        """Raise CommandError if an angle is out of range."""
+        limit = self._axis_range(axis)
         if not limit.low_deg <= angle_deg <= limit.high_deg:
             raise CommandError(
                 f"{axis} {angle_deg:g} deg is outside its limits of {limit.low_deg:g} to "
@@ -46,8 +46,8 @@ class ManualLimits:
             )
 
     def check_rate(self, axis: str, rate_dps: float) -> None:
-        """Raise CommandError for a rate that is too high."""
-        limit = self._of(axis)
+        """Raise CommandError if a rate is too high."""
+        limit = self._axis_range(axis)
         if not abs(rate_dps) <= limit.rate_dps:
             raise CommandError(
                 f"{rate_dps:g} deg/s exceeds the limit of {limit.rate_dps:g} deg/s of the {axis} axis. "
@@ -55,7 +55,7 @@ class ManualLimits:
             )
 
     def check_chamber(self, temperature_c: float, ramp_c_per_min: float) -> None:
-        """Raise CommandError for a set point that is out of range, or a ramp that is too high."""
+        """Raise CommandError if a set point is out of range, or a ramp is too high."""
         if not self.low_c <= temperature_c <= self.high_c:
             raise CommandError(
                 f"{temperature_c:g} degC is outside the chamber's limits of {self.low_c:g} to "
@@ -68,13 +68,13 @@ class ManualLimits:
             )
 
     def room_deg(self, axis: str, angle_deg: float, rate_dps: float) -> float:
-        """Angle that an axis may still turn at a rate before it must stop; negative when it is too late."""
-        limit = self._of(axis)
-        left_deg = limit.high_deg - angle_deg if rate_dps > 0.0 else angle_deg - limit.low_deg
+        """Angle that an axis may still turn at a rate before it must stop; negative if it is too late."""
+        limit = self._axis_range(axis)
+        distance_deg = limit.high_deg - angle_deg if rate_dps > 0.0 else angle_deg - limit.low_deg
         speed_dps = abs(rate_dps)
-        return left_deg - speed_dps * _STOP_DELAY_S - speed_dps**2 / self.acceleration_dps2
+        return distance_deg - speed_dps * _STOP_DELAY_S - speed_dps**2 / self.acceleration_dps2
 
-    def _of(self, axis: str) -> AxisRange:
+    def _axis_range(self, axis: str) -> AxisRange:
         if axis not in self.axes:
             raise CommandError(f"this table has no {axis} axis. Nothing was moved.")
         return self.axes[axis]
@@ -93,19 +93,19 @@ def manual_limits(station: Station, table: RateTable, chamber: Chamber) -> Manua
     axes = {name: AxisRange(*ranges[name], limits.rate_dps) for name in names}
     acceleration_dps2 = limits.acceleration_dps2
     try:
-        own = dict(zip(section.axis_numbers, table.limits(), strict=True))
+        controller_limits = dict(zip(section.axis_numbers, table.limits(), strict=True))
     except RefusedError:
-        own = {}
+        controller_limits = {}
     for name in names:
         number = section.outer_axis_number if name == "outer" else section.inner_axis_number
-        if number in own:
-            its, ours = own[number], axes[name]
+        if number in controller_limits:
+            allowed, limit = controller_limits[number], axes[name]
             axes[name] = AxisRange(
-                max(ours.low_deg, its.low_deg),
-                min(ours.high_deg, its.high_deg),
-                min(ours.rate_dps, its.rate_dps, its.trip_dps),
+                max(limit.low_deg, allowed.low_deg),
+                min(limit.high_deg, allowed.high_deg),
+                min(limit.rate_dps, allowed.rate_dps, allowed.trip_dps),
             )
-            acceleration_dps2 = min(acceleration_dps2, its.acceleration_dps2)
+            acceleration_dps2 = min(acceleration_dps2, allowed.acceleration_dps2)
     try:
         low_c, high_c = chamber.limits_c()
     except RefusedError:

@@ -1,4 +1,4 @@
-"""The terminal of manual control: lines typed, lines printed, Ctrl-C, and the errors of a command."""
+"""The terminal of manual control: typed lines, printed lines, Ctrl-C, and errors of commands."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from typing import Any, Self, TextIO
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import GyrobenchError
 
-#: Period of progress lines where a line can't be overwritten.
+#: Period of progress lines if a line can't be overwritten.
 _PROGRESS_PERIOD_S = 5.0
 _ERASE = "\r\x1b[K"
 _INPUT_WAIT_S = 0.1
 _CHUNK = 4096
 _MAX_COMMAND_BYTES = 1000
-#: A program that writes without end is not read to its end.
+#: Limit of the input read at the end of a session: a program may write without end.
 _MAX_ARRIVED_BYTES = 1_000_000
 
 
 class CommandError(GyrobenchError):
-    """A command is not understood or a limit forbids it; nothing was moved."""
+    """A command is invalid or a limit forbids it; nothing was moved."""
 
 
 class StoppedByOperatorError(GyrobenchError):
@@ -51,7 +51,7 @@ class Display:
         self._write(f"{text}\n")
 
     def progress(self, text: str) -> None:
-        """Print a progress line; on a terminal it overwrites the one before."""
+        """Print a progress line; on a terminal it overwrites the previous one."""
         if self._can_erase:
             self._open_line = True
             self._write(f"{_ERASE}{text}")
@@ -70,7 +70,7 @@ class Display:
             self._write("\n")
 
     def _write(self, text: str) -> None:
-        # A closed terminal must not keep the bench from reaching its safe state.
+        # A closed terminal must not prevent the bench from reaching its safe state.
         with contextlib.suppress(OSError, ValueError):
             self._stream.write(text)
             self._stream.flush()
@@ -79,7 +79,7 @@ class Display:
 class TypedLines:
     """Lines of standard input, read while the bench is polled.
 
-    ``meanwhile``: called before every wait for input; returns soon.
+    ``meanwhile``: called before every wait for input; must return soon.
     """
 
     def __init__(self, descriptor: int, meanwhile: Callable[[], None]) -> None:
@@ -87,7 +87,7 @@ class TypedLines:
         self._meanwhile = meanwhile
         self._text = b""
         self._ended = False
-        self._skips = False
+        self._skips_rest = False
 
     def next(self) -> str | None:
         """Wait for a line; None at the end of the input.
@@ -101,14 +101,14 @@ class TypedLines:
                 self._read()
         line, newline, self._text = self._text.partition(b"\n")
         if len(line) > _MAX_COMMAND_BYTES:
-            self._skips = not newline
+            self._skips_rest = not newline
             raise CommandError(f"a command is at most {_MAX_COMMAND_BYTES} bytes long. Nothing was done.")
         if not line and not newline:
             return None
         return line.decode(errors="replace").strip()
 
-    def arrived(self) -> list[str]:
-        """Lines that have arrived and were not read; does not wait for more."""
+    def read_arrived(self) -> list[str]:
+        """Lines that have arrived and were not read; does not wait."""
         while not self._ended and len(self._text) < _MAX_ARRIVED_BYTES:
             ready, _, _ = select.select([self._descriptor], [], [], 0.0)
             if not ready:
@@ -122,32 +122,32 @@ class TypedLines:
         except OSError:  # the terminal closed
             data = b""
         self._ended = not data
-        if self._skips:
+        if self._skips_rest:
             _, newline, data = data.partition(b"\n")
-            self._skips = not newline
+            self._skips_rest = not newline
         self._text += data
 
 
 class Interruptions:
-    """Keeps Ctrl-C and end signals until they are checked for, so that no exchange is cut."""
+    """Stores Ctrl-C and end signals until they are checked, so that no exchange is interrupted."""
 
     def __init__(self) -> None:
         self._stop = self._end = False
-        self._former: dict[int, Any] = {}
+        self._previous_handlers: dict[int, Any] = {}
 
     def __enter__(self) -> Self:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            self._former[number] = signal.signal(number, self._received)
+            self._previous_handlers[number] = signal.signal(number, self._handle_signal)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for number, handler in self._former.items():
+        for number, handler in self._previous_handlers.items():
             signal.signal(number, handler)
 
     def check(self) -> None:
-        """Raise what has arrived since the last call.
+        """Raise an exception for a signal that has arrived since the last call.
 
         Raises StoppedByOperatorError if Ctrl-C was pressed. Raises EndSessionError if SIGTERM or SIGHUP
         arrived; raised by every later call too.
@@ -158,7 +158,7 @@ class Interruptions:
             self._stop = False
             raise StoppedByOperatorError("stopped by Ctrl-C")
 
-    def _received(self, number: int, frame: FrameType | None) -> None:  # noqa: ARG002 - a handler's signature
+    def _handle_signal(self, number: int, frame: FrameType | None) -> None:  # noqa: ARG002 - a handler's signature
         if number == signal.SIGINT:
             self._stop = True
         else:

@@ -38,20 +38,20 @@ from gyrobench.bench.foundations.files import read_limited
 from gyrobench.bench.foundations.text import hours_minutes, listed
 from gyrobench.bench.station.receivers import SECRET, Email, EventName, Ntfy, Receiver, Webhook
 
-#: What happened. Receivers choose events with their key ``on``; the last two go to all.
+#: Event of a message. Receivers select events with their key ``on``; the last two go to all.
 Event = Literal[EventName, "guard_acted", "test"]
 
 _S_PER_H = 3600.0
-#: Events by their names in the data of a message, a format that receivers rely on, where these differ.
+#: Names of events in the data of a message, a format that receivers rely on, if they differ.
 _NAMES_IN_DATA = MappingProxyType({"resumes": "goes_on"})
-_HAPPENED = MappingProxyType(
+_EVENT_TEXTS = MappingProxyType(
     {
         "ends": "the run has ended",
         "holds": "the run holds",
         "resumes": "the run has resumed",
         "needs_person": "an operator is needed",
         "unit_dropped": "a unit was dropped, the run continues with the others",
-        "dwells_flagged": "dwell after dwell is flagged, the run continues",
+        "dwells_flagged": "several successive dwells are flagged, the run continues",
         "guard_acted": "the run died, the guard brought the bench to its safe state",
         "test": "test message",
     }
@@ -60,14 +60,14 @@ _HAPPENED = MappingProxyType(
 
 @dataclass(frozen=True)
 class Remaining:
-    """Remaining time and dwells of a run by its plan."""
+    """Remaining time and dwells of a run according to its plan."""
 
     hours: float
     dwells: int
 
     @property
     def text(self) -> str:
-        """As "44:59 h, 12 dwells"."""
+        """Text such as "44:59 h, 12 dwells"."""
         return f"{hours_minutes(self.hours * _S_PER_H)} h, {self.dwells} dwells"
 
 
@@ -76,11 +76,11 @@ class Message:
     """One message."""
 
     event: Event
-    why: str  #: The event in words.
+    why: str  #: Reason of the event.
     station: str
     time: datetime  #: UTC.
     folder: Path | None = None  #: Run folder; None without a run.
-    #: procedure, unit: Name of the procedure, serial number of the INS; empty where not known.
+    #: procedure, unit: Name of the procedure, serial number of the INS; empty if unknown.
     procedure: str = ""
     unit: str = ""
     ended: str = ""  #: How the run ended: "finished", "stopped" or "failed"; empty while it has not.
@@ -96,15 +96,15 @@ class Message:
 
     @property
     def title(self) -> str:
-        """One line of printable characters: bench, unit and what happened."""
-        happened = f"the run {self.ended}" if self.ended else _HAPPENED[self.event]
+        """One line of printable characters: bench, unit and event."""
+        event_text = f"the run {self.ended}" if self.ended else _EVENT_TEXTS[self.event]
         unit = f", unit {self.unit}" if self.unit else ""
-        line = f"{self.station}{unit}: {happened}"
+        line = f"{self.station}{unit}: {event_text}"
         return "".join(letter if letter.isprintable() else " " for letter in line)
 
     @property
     def text(self) -> str:
-        """All of it as text."""
+        """The whole message as text."""
         lines = [self.why] if self.why else []
         if self.question:
             lines.append(f"{self.question}\nAnswer {_choice(self.answers)} at the terminal of the bench.")
@@ -123,7 +123,7 @@ class Message:
         return "\n".join([*lines, *(f"{name:<9} {value}" for name, value in rows.items() if value)])
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data, always with the same keys; null where not known."""
+        """Plain data, always with the same keys; null if unknown."""
         return {
             "event": _NAMES_IN_DATA.get(self.event, self.event),
             "run": self.folder.name if self.folder else None,
@@ -153,7 +153,7 @@ def _choice(answers: tuple[str, ...]) -> str:
 class UndeliveredError(GyrobenchError):
     """A message could not be delivered.
 
-    The message gives the reason without the secret; ``is_final`` says that the receiver refused for good.
+    The message gives the reason without the secret; ``is_final``: whether a new attempt would be useless.
     """
 
     def __init__(self, message: str, is_final: bool) -> None:
@@ -162,15 +162,15 @@ class UndeliveredError(GyrobenchError):
 
 
 _MAX_BYTES = 10_000
-#: Fewer letters of Base64 may occur in any word.
+#: Minimum number of Base64 letters to replace: fewer may occur in any word.
 _MIN_BASE64 = 4
-_SHOWN = 200
+_MAX_SHOWN = 200
 
 
 def read_secret(receiver: Receiver) -> str:
-    """Read the secret of a receiver; empty where it has none.
+    """Read the secret of a receiver; empty if it has none.
 
-    Raises DocumentError if it is missing at the place that the station file names.
+    Raises DocumentError if it is missing in the variable or file that the station file names.
     """
     if receiver.secret_env is not None:
         source = f"the environment variable {receiver.secret_env}"
@@ -189,34 +189,34 @@ def read_secret(receiver: Receiver) -> str:
 
 
 def without_secret(secret: str, text: str) -> str:
-    """Replace the secret by ``{secret}``, in every encoding that an address, a header or a page may use."""
-    forms = sorted(set(_written(secret)), key=len, reverse=True) if secret else []
-    if not forms:
+    """Replace the secret by ``{secret}`` in every encoding used by addresses, headers or pages."""
+    encodings = sorted(set(_encodings_of(secret)), key=len, reverse=True) if secret else []
+    if not encodings:
         return text
-    return re.sub("|".join(map(re.escape, forms)), SECRET, text, flags=re.IGNORECASE)
+    return re.sub("|".join(map(re.escape, encodings)), SECRET, text, flags=re.IGNORECASE)
 
 
 def server_words(secret: str, text: str) -> str:
     """One short line of a server's reply without the secret; ``text`` is the whole reply."""
-    shown = without_secret(secret, text)[:_SHOWN]
+    shown = without_secret(secret, text)[:_MAX_SHOWN]
     return " ".join("".join(letter if letter.isprintable() else " " for letter in shown).split())
 
 
-def _written(secret: str) -> Iterator[str]:
+def _encodings_of(secret: str) -> Iterator[str]:
     for plain in (secret, quote(secret, safe="/"), quote(secret, safe=""), quote_plus(secret)):
         yield plain
         yield html.escape(plain)
         yield json.dumps(plain)[1:-1]
         yield json.dumps(plain)[1:-1].replace("/", r"\/")
         yield repr(plain)[1:-1]
-    yield from _base64(secret.encode())
+    yield from _base64_forms(secret.encode())
 
 
-def _base64(data: bytes) -> Iterator[str]:
-    """Letters of Base64 for the data at any offset in something longer."""
-    for before in range(3):
-        first, end = math.ceil(8 * before / 6), 8 * (before + len(data)) // 6
-        letters = base64.b64encode(bytes(before) + data).decode()[first:end]
+def _base64_forms(data: bytes) -> Iterator[str]:
+    """Base64 letters of the data at each possible offset inside longer data."""
+    for offset in range(3):
+        first, end = math.ceil(8 * offset / 6), 8 * (offset + len(data)) // 6
+        letters = base64.b64encode(bytes(offset) + data).decode()[first:end]
         if len(letters) >= _MIN_BASE64:
             yield letters
             yield letters.replace("+", "-").replace("/", "_")
@@ -224,12 +224,12 @@ def _base64(data: bytes) -> Iterator[str]:
 
 #: Time limit of one operation on a socket.
 TIMEOUT_S = 10.0
-#: Mail servers refuse for good with codes from here on.
+#: Mail servers refuse permanently with codes from here on.
 _PERMANENT = 500
 
 
 def _send_mail(receiver: Email, password: str, message: Message) -> str:
-    """Send a mail by way of the receiver's mail server; returns the server's answer."""
+    """Send an e-mail through the receiver's mail server; returns the server's answer."""
     mail = EmailMessage()
     mail["From"], mail["To"] = receiver.sender, receiver.address
     mail["Subject"] = f"gyrobench {message.title}"
@@ -248,9 +248,9 @@ def _send_mail(receiver: Email, password: str, message: Message) -> str:
             return f"taken by {receiver.server}"
     except smtplib.SMTPRecipientsRefused as error:
         code, reply = next(iter(error.recipients.values()))
-        raise _mail_refused(code, reply, password) from None
+        raise _refusal_error(code, reply, password) from None
     except smtplib.SMTPResponseException as error:
-        raise _mail_refused(error.smtp_code, error.smtp_error, password) from None
+        raise _refusal_error(error.smtp_code, error.smtp_error, password) from None
     except smtplib.SMTPNotSupportedError as error:
         raise UndeliveredError(str(error), is_final=True) from None
     except TimeoutError:
@@ -267,24 +267,24 @@ def _mail_server(receiver: Email) -> smtplib.SMTP:
     return smtplib.SMTP(receiver.server, receiver.port, timeout=TIMEOUT_S)
 
 
-def _mail_refused(code: int, reply: bytes | str, password: str) -> UndeliveredError:
+def _refusal_error(code: int, reply: bytes | str, password: str) -> UndeliveredError:
     text = reply.decode(errors="replace") if isinstance(reply, bytes) else reply
     answer = f"{code} {server_words(password, text)}".strip()
     return UndeliveredError(f"the mail server answered {answer}", is_final=code >= _PERMANENT)
 
 
-#: ntfy makes an attachment of what is longer.
+#: ntfy converts a longer message to an attachment.
 _NTFY_BYTES = 4000
 _TOO_MANY, _TIMED_OUT = 429, 408
-#: Read from a reply, far more than is shown, so that no part of a secret remains at its end.
+#: Bytes read of a reply: far more than shown, so that no part of a secret remains at its end.
 _READ_BYTES = 65_536
 
 
 class _NoRedirect(urllib.request.HTTPRedirectHandler):
-    """Follows no redirect: a redirected POST would become an empty GET, or take the secret elsewhere."""
+    """Follows no redirect: a redirected POST would become an empty GET, or send the secret elsewhere."""
 
     def redirect_request(self, *_: Any) -> None:
-        """Follow nowhere."""
+        """Do not follow."""
         return
 
 
@@ -299,7 +299,7 @@ def _post_ntfy(receiver: Ntfy, secret: str, message: Message) -> str:
     headers = {
         "Title": _header(message.title),
         "Priority": "urgent" if message.is_urgent else "default",
-        "Tags": _tag(message),
+        "Tags": _ntfy_tag(message),
         "Content-Type": "text/plain; charset=utf-8",
     }
     body = message.text.encode()[:_NTFY_BYTES].decode(errors="ignore").encode()
@@ -355,12 +355,12 @@ def _first_line(answer: urllib.error.HTTPError, secret: str) -> str:
 
 
 def _header(text: str) -> str:
-    """Text as a header can carry it."""
+    """Encode a text for a header."""
     return text if text.isascii() else Header(text, "utf-8", maxlinelen=10_000).encode()
 
 
-def _tag(message: Message) -> str:
-    """The sign before the title in the ntfy application."""
+def _ntfy_tag(message: Message) -> str:
+    """Name of the symbol before the title in the ntfy application."""
     if message.is_urgent:
         return "rotating_light"
     return {"ends": "white_check_mark", "holds": "pause_button", "resumes": "arrow_forward"}.get(
@@ -377,7 +377,7 @@ _SEND: Mapping[str, Callable[[Any, str, Message], str]] = MappingProxyType(
 
 
 def deliver(receiver: Receiver, message: Message) -> str:
-    """Deliver a message and return the receiver's reply; takes up to :data:`MAX_EXCHANGE_S` without one.
+    """Deliver a message and return the receiver's reply, within :data:`MAX_EXCHANGE_S`.
 
     Raises UndeliveredError if it could not be delivered.
     """
@@ -386,7 +386,7 @@ def deliver(receiver: Receiver, message: Message) -> str:
     except DocumentError as error:  # the secret may be provided later
         raise UndeliveredError(str(error), is_final=False) from error
     try:
-        answer = _in_time(lambda: _SEND[receiver.kind](receiver, secret, message))
+        answer = _within_time_limit(lambda: _SEND[receiver.kind](receiver, secret, message))
     except UndeliveredError as error:
         raise UndeliveredError(without_secret(secret, str(error)), error.is_final) from None
     except ValueError as error:  # an address or secret that the protocol can't carry
@@ -394,21 +394,21 @@ def deliver(receiver: Receiver, message: Message) -> str:
     return without_secret(secret, answer)
 
 
-def _in_time(exchange: Callable[[], str]) -> str:
-    """Carry out an exchange within :data:`MAX_EXCHANGE_S`, else abandon it to its thread.
+def _within_time_limit(exchange: Callable[[], str]) -> str:
+    """Perform an exchange within :data:`MAX_EXCHANGE_S`; afterwards it is abandoned in its thread.
 
     The time-outs of sockets apply to single operations: a slow name server, or a server that sends byte
-    by byte, could take for ever.
+    by byte, could take forever.
     """
     outcome: Future[str] = Future()
 
-    def carry_out() -> None:
+    def perform() -> None:
         try:
             outcome.set_result(exchange())
-        except Exception as error:  # noqa: BLE001 - raised where it is waited for
+        except Exception as error:  # noqa: BLE001 - raised in the waiting thread
             outcome.set_exception(error)
 
-    threading.Thread(target=carry_out, name="one message", daemon=True).start()
+    threading.Thread(target=perform, name="one message", daemon=True).start()
     try:
         return outcome.result(MAX_EXCHANGE_S)
     except TimeoutError:

@@ -1,4 +1,4 @@
-"""Messages to all receivers of a station, each with its thread, limit per hour and repeated attempts."""
+"""Sends messages to the receivers of a station, each with a thread, hourly limit and repeated attempts."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ class Quota:
 
     def __init__(self, max_per_hour: int) -> None:
         self._max = max_per_hour
-        self._passed: defaultdict[str, deque[float]] = defaultdict(deque)
+        self._sent_s: defaultdict[str, deque[float]] = defaultdict(deque)
 
     def lets_pass(self, about: str, now_s: float) -> bool:
-        """Whether one more may be sent now; counts it if so."""
-        passed = self._passed[about]
-        while passed and now_s - passed[0] >= _HOUR_S:
-            passed.popleft()
-        if len(passed) >= self._max:
+        """Whether one more may be sent now; if so, it is counted."""
+        sent_s = self._sent_s[about]
+        while sent_s and now_s - sent_s[0] >= _HOUR_S:
+            sent_s.popleft()
+        if len(sent_s) >= self._max:
             return False
-        passed.append(now_s)
+        sent_s.append(now_s)
         return True
 
 
 #: Pauses between attempts.
 _PAUSES_S = (5.0, 15.0, 60.0, 300.0, 600.0)
-#: Over some twelve hours.
+#: Maximum number of attempts, over about twelve hours.
 _MAX_ATTEMPTS = 75
 #: Pause between attempts while the process waits to end.
 _LAST_PAUSE_S = 1.0
@@ -51,9 +51,9 @@ _LAST_PAUSE_S = 1.0
 class _Sender:
     """Delivers messages to one receiver in order, with repeated attempts, by a daemon thread.
 
-    A message stays in the queue until it is delivered, so that the journal can name those that were not.
+    A message stays in the queue until it is delivered, so that undelivered ones can be recorded.
 
-    ``record``: takes the event of a journal entry and its details; called by the thread. ``pauses_s``: pauses
+    ``record``: called by the thread with the event of a journal entry and its details. ``pauses_s``: pauses
     between attempts; the last one repeats.
     """
 
@@ -63,7 +63,7 @@ class _Sender:
         self._receiver = receiver
         self._pauses_s = pauses_s
         self._record = record
-        self._waiting: deque[Message] = deque()
+        self._queue: deque[Message] = deque()
         self._changed = threading.Condition()
         self._is_closing = False
         self._is_over = threading.Event()
@@ -75,37 +75,37 @@ class _Sender:
         with self._changed:
             if self._thread.ident is None:
                 self._thread.start()
-            self._waiting.append(message)
+            self._queue.append(message)
             self._changed.notify()
 
     def close(self) -> None:
-        """Accept no more messages; queued ones are tried at once, then every second."""
+        """Accept no more messages; queued ones are sent at once, then retried every second."""
         with self._changed:
             self._is_closing = True
             self._changed.notify()
         self._hurry.set()
 
     def wait(self, duration_s: float) -> None:
-        """Wait for the queue to empty, at most ``duration_s``, then abandon the rest."""
+        """Wait at most ``duration_s`` until the queue is empty, then abandon the remaining messages."""
         if self._thread.ident is not None:
             self._thread.join(duration_s)
         self._is_over.set()
         with self._changed:
-            for message in self._waiting:
+            for message in self._queue:
                 self._log("message_not_sent", message, why="the process ended first")
 
     def _work(self) -> None:
-        while (message := self._next()) is not None:
+        while (message := self._next_message()) is not None:
             self._send(message)
             with self._changed:
-                self._waiting.popleft()
+                self._queue.popleft()
 
-    def _next(self) -> Message | None:
+    def _next_message(self) -> Message | None:
         """The oldest queued message, which stays queued; None at the end."""
         with self._changed:
-            while not self._waiting and not self._is_closing:
+            while not self._queue and not self._is_closing:
                 self._changed.wait()
-            return self._waiting[0] if self._waiting and not self._is_over.is_set() else None
+            return self._queue[0] if self._queue and not self._is_over.is_set() else None
 
     def _send(self, message: Message) -> None:
         for attempt, pause_s in zip(
@@ -136,10 +136,10 @@ class _Sender:
         self._record(event, to=self._receiver.name, about=message.event, **details)
 
 
-#: How long a process waits at its end for queued messages.
+#: Time for which a process waits at its end for queued messages.
 PATIENCE_S = 15.0
 #: Events that go to every receiver.
-_FOR_ALL = ("guard_acted", "test")
+_EVENTS_FOR_ALL = ("guard_acted", "test")
 
 
 class Messenger:
@@ -148,10 +148,10 @@ class Messenger:
     Parameters
     ----------
     record : callable
-        Takes the event of a journal entry and its details; never called by two threads at once, nor
-        after the exit.
+        Called with the event of a journal entry and its details; never by two threads at once, nor after
+        the exit.
     patience_s : float
-        How long the exit waits for queued messages; also an attribute that may be changed.
+        Time for which the exit waits for queued messages; also an attribute that may be changed.
     pauses_s : sequence of float
         Pauses between attempts.
     """
@@ -165,11 +165,12 @@ class Messenger:
     ) -> None:
         self._record = record
         self.patience_s = patience_s
-        self._recording = threading.Lock()
-        self._is_left = False
+        self._record_lock = threading.Lock()
+        self._has_exited = False
         self._clock: Clock = WallClock()  # real time, on a virtual run too
-        self._sendings = [
-            (each, Quota(each.max_per_hour), _Sender(each, self._record_once, pauses_s)) for each in receivers
+        self._channels = [
+            (each, Quota(each.max_per_hour), _Sender(each, self._record_safely, pauses_s))
+            for each in receivers
         ]
 
     def __enter__(self) -> Messenger:
@@ -179,33 +180,33 @@ class Messenger:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         deadline = Deadline(self._clock, self.patience_s)
-        for _, _, sender in self._sendings:
+        for _, _, sender in self._channels:
             sender.close()
-        for _, _, sender in self._sendings:
+        for _, _, sender in self._channels:
             sender.wait(deadline.remaining_s())
-        with self._recording:
-            self._is_left = True
+        with self._record_lock:
+            self._has_exited = True
 
     def send(self, message: Message, about: str) -> None:
         """Queue a message; those with the same event and ``about`` are limited per hour."""
-        for receiver, quota, sender in self._sendings:
-            if message.event not in (*receiver.on, *_FOR_ALL):
+        for receiver, quota, sender in self._channels:
+            if message.event not in (*receiver.on, *_EVENTS_FOR_ALL):
                 continue
             if quota.lets_pass(f"{message.event} {about}", self._clock.now()):
                 sender.post(message)
             else:
-                self._record_once("message_withheld", to=receiver.name, about=message.event)
+                self._record_safely("message_withheld", to=receiver.name, about=message.event)
 
-    def _record_once(self, event: str, **details: Any) -> None:
-        with self._recording:
-            if not self._is_left:
+    def _record_safely(self, event: str, **details: Any) -> None:
+        with self._record_lock:
+            if not self._has_exited:
                 with contextlib.suppress(RunFolderError):  # the run itself reports a full disk
                     self._record(event, **details)
 
 
 @dataclass(frozen=True)
 class Attempt:
-    """Result of a message to one receiver."""
+    """Result of sending a message to one receiver."""
 
     receiver: str
     is_sent: bool
@@ -221,10 +222,10 @@ def send_test(station: str, text: str) -> list[Attempt]:
     if not file.messages:
         raise document.error([DocumentProblem((), "no receivers: the section `messages` is missing")])
     message = Message("test", text, file.station, WallClock().utc())
-    return [_attempt(receiver, message) for receiver in file.messages]
+    return [_send_once(receiver, message) for receiver in file.messages]
 
 
-def _attempt(receiver: Receiver, message: Message) -> Attempt:
+def _send_once(receiver: Receiver, message: Message) -> Attempt:
     try:
         return Attempt(receiver.name, True, deliver(receiver, message))
     except UndeliveredError as error:

@@ -146,7 +146,7 @@ def _bench_readings(bench: LiveBench) -> BenchReadings:
     outer_deg, inner_deg = bench.table_angles()
     outer_dps, inner_dps = bench.station.table_axes_of(readings.table.rate_dps)
     set_c = bench.state.commanded_c
-    ins_age_s = readings.ins.age_s + now_s - readings.asked_s
+    ins_age_s = readings.ins.age_s + now_s - readings.polled_s
     return BenchReadings(
         chamber_set_c=math.nan if set_c is None else set_c,
         chamber_c=readings.chamber.temperature_c,
@@ -178,10 +178,10 @@ def _alarms_of(bench: LiveBench) -> tuple[Alarm, ...]:
 
 
 def _unit_status(bench: LiveBench, number: str, outcome: RunOutcome, bins: tuple[LiveBin, ...]) -> UnitStatus:
-    read = [unit.readings for unit in bench.units if unit.station.number == number and unit.is_read]
+    read = [unit.readings for unit in bench.units if unit.station.number == number and unit.has_readings]
     readings = [each.ins for each in read]
     now_s = bench.clock.now()
-    ages_s = [each.ins.age_s + now_s - each.asked_s for each in read if math.isfinite(each.ins.age_s)]
+    ages_s = [each.ins.age_s + now_s - each.polled_s for each in read if math.isfinite(each.ins.age_s)]
     newest = [dwell.row for dwell in outcome.dwells[-1:]]
     return UnitStatus(
         number=number,
@@ -405,14 +405,14 @@ class SnapshotRecorder(RunObserver):
     def beat(self, bench: LiveBench) -> None:
         """Add a new reading, and write the snapshot if it is due."""
         readings = bench.readings
-        if readings.asked_s > self._last_reading_s:
-            self._last_reading_s = readings.asked_s
+        if readings.polled_s > self._last_reading_s:
+            self._last_reading_s = readings.polled_s
             set_c = bench.state.commanded_c
             set_or_nan_c = math.nan if set_c is None else set_c
             air_c, gyro_c = readings.chamber.temperature_c, readings.ins.optics_c
-            self._readings.add((readings.asked_s, set_or_nan_c, air_c, *gyro_c))
-            if self._dwell and self._step and readings.asked_s >= self._step.started_s:
-                self._dwell.add(readings.asked_s, readings.ins)
+            self._readings.add((readings.polled_s, set_or_nan_c, air_c, *gyro_c))
+            if self._dwell and self._step and readings.polled_s >= self._step.started_s:
+                self._dwell.add(readings.polled_s, readings.ins)
         if self._real.now() >= self._next_write_s:
             self._write()
 

@@ -1,4 +1,4 @@
-"""What can't work in a plan, found before anything moves."""
+"""Checks of a plan before anything moves: order of the steps, times, and limits of the station."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ class StationLimits:
     chamber_high_c: float
     ramp_max_c_per_min: float  #: Fastest ramp of the chamber, up or down.
     table_rate_max_dps: float  #: Fastest turn of either axis of the table.
-    #: ``reachable(position, azimuth_deg, turns_deg)`` gives the reason why the table can't go there and then
-    #: do these turns; None if it can.
-    reachable: Callable[[str, float, tuple[TurnOrMove, ...]], str | None]
+    #: ``reachable(position, azimuth_deg, turns_deg)`` returns the reason why the table can't go there and
+    #: then make these turns; None if it can.
+    unreachable_reason: Callable[[str, float, tuple[TurnOrMove, ...]], str | None]
     #: gyro_low_c, gyro_high_c: Temperatures of the gyros at which an interlock trips.
     gyro_low_c: float = -math.inf
     gyro_high_c: float = math.inf
@@ -54,7 +54,7 @@ class StationLimits:
 
 
 def check_plan(document: Document, plan: Plan, limits: StationLimits | None = None) -> None:
-    """Refuse a plan that can't be run: a DocumentError lists all problems with their places in the file.
+    """Raise DocumentError with all problems of a plan that can't be run, and their places in the file.
 
     Without the limits of a station only the order of the steps and their times are checked.
     """
@@ -65,15 +65,15 @@ def check_plan(document: Document, plan: Plan, limits: StationLimits | None = No
 
 def find_problems(plan: Plan, limits: StationLimits | None = None) -> list[DocumentProblem]:
     """All problems of a plan; see :func:`check_plan`."""
-    if limits is not None:  # a long plan asks for the same few attitudes again and again
-        limits = replace(limits, reachable=cache(limits.reachable))
-    problems = [*_find_dwell_problems(plan)]
+    if limits is not None:  # a long plan has few different attitudes
+        limits = replace(limits, unreachable_reason=cache(limits.unreachable_reason))
+    problems = [*_dwell_problems(plan)]
     for planned in plan.steps:
         problems += [*_order_problems(planned), *_time_problems(planned)]
         if limits is not None:
             problems += [*_chamber_problems(planned, limits), *_table_problems(planned, limits)]
             problems += _command_problems(planned, limits)
-            problems += _find_reach_problems(plan, planned, limits)
+            problems += _reach_problems(plan, planned, limits)
     problems += [*_test_problems(plan), *_spin_problems(plan)]
     if limits is not None:
         problems += _gyro_problems(plan, limits)
@@ -140,7 +140,7 @@ def _chamber_problems(planned: PlannedStep, limits: StationLimits) -> Iterator[D
 
 
 def _gyro_problems(plan: Plan, limits: StationLimits) -> Iterator[DocumentProblem]:
-    """Commands of the chamber that would bring the gyros to a temperature at which an interlock trips."""
+    """Problems of chamber set points that would bring the gyros to a trip limit of their interlock."""
     place: KeyPath | None = None
     reported = set()  # a place in a loop is reported once
     for planned in plan.steps:
@@ -176,50 +176,51 @@ def _table_problems(planned: PlannedStep, limits: StationLimits) -> Iterator[Doc
 def _test_problems(plan: Plan) -> Iterator[DocumentProblem]:
     tests = plan.procedure.tests
     if tests.turn_on_repeatability:
-        least = tests.turn_on_repeatability.min_power_cycles
+        required = tests.turn_on_repeatability.min_power_cycles
         power_ons = itertools.accumulate(isinstance(each.step, PowerOn) for each in plan.steps)
-        cycles = {number for number, each in zip(power_ons, plan.steps, strict=True) if each.dwell}
-        if len(cycles) < least:
+        power_cycles = {number for number, each in zip(power_ons, plan.steps, strict=True) if each.dwell}
+        if len(power_cycles) < required:
             yield DocumentProblem(
                 ("tests", "turn_on_repeatability"),
-                f"the plan has dwells in {len(cycles)} power cycles; the test needs {least}. Repeat "
+                f"the plan has dwells in {len(power_cycles)} power cycles; the test needs {required}. Repeat "
                 "power_on, a dwell and power_off",
             )
 
 
 def _spin_problems(plan: Plan) -> Iterator[DocumentProblem]:
     test = plan.procedure.tests.scale_factor_stability
-    spun = {each.dwell for each in plan.steps if isinstance(each.step, Spin)}
-    if test and len(spun) < test.min_measurements:
+    spin_dwells = {each.dwell for each in plan.steps if isinstance(each.step, Spin)}
+    if test and len(spin_dwells) < test.min_measurements:
         yield DocumentProblem(
             ("tests", "scale_factor_stability"),
-            f"the plan has {len(spun)} dwells with step spin; the test needs {test.min_measurements}. Repeat "
-            "go_to, align and spin",
+            f"the plan has {len(spin_dwells)} dwells with step spin; the test needs {test.min_measurements}. "
+            "Repeat go_to, align and spin",
         )
 
 
 _INSEPARABLE = "biases and initial errors can't be separated"
 
 
-def _find_dwell_problems(plan: Plan) -> Iterator[DocumentProblem]:
-    """Everything that keeps the dwells of a plan from giving a result, in no order."""
+def _dwell_problems(plan: Plan) -> Iterator[DocumentProblem]:
+    """Problems of dwells that would give no result, in no particular order."""
     for dwell, steps in itertools.groupby(plan.steps, key=lambda planned: planned.dwell):
         group = list(steps)
         windows = [planned for planned in group if isinstance(planned.step, Navigate)]
         yield from itertools.chain.from_iterable(map(_navigation_time_problems, windows))
         if dwell is None:
-            yield from _outside_dwells(windows)
+            yield from _stray_navigation_problems(windows)
             continue
         if group[0].purpose is DwellPurpose.ROTATIONS:
-            yield from _mixed_with_rotations(group)
+            yield from _mixed_rotation_problems(group)
             continue
         turns = [planned for planned in group if isinstance(planned.step, Turn)]
-        kind_problems = _turned_check if group[0].purpose in SINGLE_NAVIGATION else _one_sided
-        yield from kind_problems(windows, [*turns, *_turn_that_follows(plan, group[-1])])
-        yield from _until_without_turn(windows)
-        yield from _not_turned_between(group)
-        yield from _turned_to_the_same(windows, turns)
-    yield from _find_unpaired_checks(plan)
+        is_single = group[0].purpose in SINGLE_NAVIGATION
+        window_problems = _turned_check_problems if is_single else _one_sided_problems
+        yield from window_problems(windows, [*turns, *_turn_after(plan, group[-1])])
+        yield from _until_problems(windows)
+        yield from _successive_navigation_problems(group)
+        yield from _same_azimuth_problems(windows, turns)
+    yield from _unpaired_check_problems(plan)
 
 
 def _navigation_time_problems(window: PlannedStep) -> Iterator[DocumentProblem]:
@@ -234,16 +235,16 @@ def _navigation_time_problems(window: PlannedStep) -> Iterator[DocumentProblem]:
         )
 
 
-def _outside_dwells(windows: Sequence[PlannedStep]) -> Iterator[DocumentProblem]:
+def _stray_navigation_problems(windows: Sequence[PlannedStep]) -> Iterator[DocumentProblem]:
     for window in windows:
-        if window.before.aligned:  # else that is the problem to report
+        if window.before.aligned:  # otherwise the missing alignment is reported
             yield DocumentProblem(
                 window.location,
                 "this navigation belongs to no dwell: only navigate, turn and wait may follow align",
             )
 
 
-def _mixed_with_rotations(dwell: Sequence[PlannedStep]) -> Iterator[DocumentProblem]:
+def _mixed_rotation_problems(dwell: Sequence[PlannedStep]) -> Iterator[DocumentProblem]:
     for planned in dwell:
         if isinstance(planned.step, Navigate | Turn):
             yield DocumentProblem(
@@ -253,13 +254,15 @@ def _mixed_with_rotations(dwell: Sequence[PlannedStep]) -> Iterator[DocumentProb
             )
 
 
-def _turn_that_follows(plan: Plan, last: PlannedStep) -> list[PlannedStep]:
-    """Find a turn after the last navigation, which its dwell does not contain."""
-    following = itertools.dropwhile(lambda planned: isinstance(planned.step, Wait), plan.later(last))
+def _turn_after(plan: Plan, last: PlannedStep) -> list[PlannedStep]:
+    """The turn that follows the last navigation of a dwell, outside the dwell, in a list; empty if none."""
+    following = itertools.dropwhile(lambda planned: isinstance(planned.step, Wait), plan.steps_after(last))
     return [planned for planned in itertools.islice(following, 1) if isinstance(planned.step, Turn)]
 
 
-def _turned_check(windows: Sequence[PlannedStep], turns: Sequence[PlannedStep]) -> Iterator[DocumentProblem]:
+def _turned_check_problems(
+    windows: Sequence[PlannedStep], turns: Sequence[PlannedStep]
+) -> Iterator[DocumentProblem]:
     if not turns:
         return
     for window in windows:
@@ -272,7 +275,9 @@ def _turned_check(windows: Sequence[PlannedStep], turns: Sequence[PlannedStep]) 
             )
 
 
-def _one_sided(windows: Sequence[PlannedStep], turns: Sequence[PlannedStep]) -> Iterator[DocumentProblem]:
+def _one_sided_problems(
+    windows: Sequence[PlannedStep], turns: Sequence[PlannedStep]
+) -> Iterator[DocumentProblem]:
     if len(windows) != 1:
         return
     if turns:
@@ -286,7 +291,7 @@ def _one_sided(windows: Sequence[PlannedStep], turns: Sequence[PlannedStep]) -> 
     yield DocumentProblem(windows[0].location, message)
 
 
-def _until_without_turn(windows: Sequence[PlannedStep]) -> Iterator[DocumentProblem]:
+def _until_problems(windows: Sequence[PlannedStep]) -> Iterator[DocumentProblem]:
     first = windows[0]
     if isinstance(first.step, Navigate) and first.step.until:
         yield DocumentProblem(
@@ -295,7 +300,7 @@ def _until_without_turn(windows: Sequence[PlannedStep]) -> Iterator[DocumentProb
         )
 
 
-def _not_turned_between(dwell: Sequence[PlannedStep]) -> Iterator[DocumentProblem]:
+def _successive_navigation_problems(dwell: Sequence[PlannedStep]) -> Iterator[DocumentProblem]:
     moves = [planned for planned in dwell if isinstance(planned.step, Navigate | Turn)]
     advice = _turn_advice(moves)
     for earlier, later in itertools.pairwise(moves):
@@ -304,7 +309,7 @@ def _not_turned_between(dwell: Sequence[PlannedStep]) -> Iterator[DocumentProble
 
 
 def _turn_advice(moves: Sequence[PlannedStep]) -> str:
-    """What to do about two navigations in succession: one alone gives a bias only in a calibration check."""
+    """Advice for two navigations in succession; a single one gives a bias only in a calibration check."""
     if moves[0].purpose in SINGLE_NAVIGATION:
         kind = "calibration check" if moves[0].purpose is DwellPurpose.CALIBRATION_CHECK else "noise record"
         return f": a {kind} has a single one. Make it longer, or put go_to and align between them"
@@ -312,7 +317,7 @@ def _turn_advice(moves: Sequence[PlannedStep]) -> str:
     return ". Put a turn between them" + (", or make one longer" if has_turn else "")
 
 
-def _turned_to_the_same(
+def _same_azimuth_problems(
     windows: Sequence[PlannedStep], turns: Sequence[PlannedStep]
 ) -> Iterator[DocumentProblem]:
     azimuths_deg = {round(window.before.azimuth_deg, 6) % 360.0 for window in windows}
@@ -324,24 +329,24 @@ def _turned_to_the_same(
         )
 
 
-def _find_unpaired_checks(plan: Plan) -> Iterator[DocumentProblem]:
-    """Calibration checks that have no partner half a turn away, in their position and at their temperature.
+def _unpaired_check_problems(plan: Plan) -> Iterator[DocumentProblem]:
+    """Problems of checks without a partner half a turn away, at the same position and temperature.
 
-    A gyro bias changes the two headings oppositely, an azimuth error of the table equally.
+    A gyro bias changes the two headings in opposite directions, an azimuth error of the table in the same.
     """
     groups: dict[tuple[int, int, str | None], list[PlannedStep]] = defaultdict(list)
     for number, plateau in enumerate(_plateaus(plan)):
-        for window in _verifying(plateau):
+        for window in _check_navigations(plateau):
             groups[number, window.cycle, window.before.position].append(window)
     for windows in groups.values():
-        for alone, partner in half_turn_pairs(windows, lambda window: window.before.azimuth_deg):
+        for check, partner in half_turn_pairs(windows, lambda window: window.before.azimuth_deg):
             if partner is not None:
                 continue
-            opposite_deg = (alone.before.azimuth_deg + 180.0) % 360.0
+            opposite_deg = (check.before.azimuth_deg + 180.0) % 360.0
             yield DocumentProblem(
-                alone.place_of("purpose"),
+                check.place_of("purpose"),
                 "a single alignment includes the table's azimuth error. "
-                f"Add the same position ({alone.before.position}) at azimuth {opposite_deg:g} deg, "
+                f"Add the same position ({check.before.position}) at azimuth {opposite_deg:g} deg, "
                 "in the same cycle, before the next chamber or power step",
             )
 
@@ -354,14 +359,14 @@ def _plateaus(plan: Plan) -> Iterator[list[PlannedStep]]:
         yield list(steps)
 
 
-def _verifying(steps: Sequence[PlannedStep]) -> Iterator[PlannedStep]:
-    """Navigations of check dwells; those with several or with turns are another problem."""
+def _check_navigations(steps: Sequence[PlannedStep]) -> Iterator[PlannedStep]:
+    """Navigations of check dwells; check dwells with turns or several navigations are reported elsewhere."""
     for dwell, members in itertools.groupby(steps, key=lambda planned: planned.dwell):
         group = list(members)
         windows = [planned for planned in group if isinstance(planned.step, Navigate)]
-        turned = any(isinstance(planned.step, Turn) for planned in group)
+        has_turn = any(isinstance(planned.step, Turn) for planned in group)
         is_check = dwell is not None and group[0].purpose is DwellPurpose.CALIBRATION_CHECK
-        if is_check and len(windows) == 1 and not turned:
+        if is_check and len(windows) == 1 and not has_turn:
             yield windows[0]
 
 
@@ -369,29 +374,29 @@ def _verifying(steps: Sequence[PlannedStep]) -> Iterator[PlannedStep]:
 _AZIMUTHS_DEG = (0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0)
 
 
-def _find_reach_problems(
-    plan: Plan, planned: PlannedStep, limits: StationLimits
-) -> Iterator[DocumentProblem]:
-    """Why the position of a go_to can't be reached, or not with the turns that follow there.
+def _reach_problems(plan: Plan, planned: PlannedStep, limits: StationLimits) -> Iterator[DocumentProblem]:
+    """Problem of a go_to whose position can't be reached, or not with the turns that follow it.
 
-    The problem is placed at the first turn that leads out of reach, or at the go_to if that is itself.
+    It is placed at the first turn that leads out of reach, or at the go_to if its position is out of reach.
     """
     step = planned.step
     if not isinstance(step, GoTo):
         return
     turn_steps = turn_steps_after(plan, planned)
-    placed = [(turn, each) for turn in turn_steps for each in turns_of(turn)]
-    turns_deg = tuple(each for _, each in placed)
-    if limits.reachable(step.position, step.azimuth_deg, turns_deg) is None:
+    turns = [(turn, each) for turn in turn_steps for each in turns_of(turn)]
+    turns_deg = tuple(each for _, each in turns)
+    if limits.unreachable_reason(step.position, step.azimuth_deg, turns_deg) is None:
         return
     for count in range(len(turns_deg) + 1):
-        reason = limits.reachable(step.position, step.azimuth_deg, turns_deg[:count])
+        reason = limits.unreachable_reason(step.position, step.azimuth_deg, turns_deg[:count])
         if reason:
-            what = ", then turns of ".join([f"azimuth {step.azimuth_deg:g}", *_listed(turns_deg[:count])])
+            route = ", then turns of ".join(
+                [f"azimuth {step.azimuth_deg:g}", *_turn_texts(turns_deg[:count])]
+            )
             advice = _reach_advice(step, turns_deg, limits)
             yield DocumentProblem(
-                _turn_place(placed[count - 1][0]) if count else _place(planned, step, limits),
-                f"{step.position} at {what} deg can't be reached: {reason}{advice}",
+                _turn_place(turns[count - 1][0]) if count else _unreachable_key(planned, step, limits),
+                f"{step.position} at {route} deg can't be reached: {reason}{advice}",
             )
             return
 
@@ -400,14 +405,18 @@ def _turn_place(planned: PlannedStep) -> KeyPath:
     return planned.place_of("angle_deg") if isinstance(planned.step, Turn) else planned.location
 
 
-def _place(planned: PlannedStep, step: GoTo, limits: StationLimits) -> KeyPath:
-    another_would_do = "azimuth_deg" in step.model_fields_set and _azimuths_deg(step.position, limits)
-    return planned.place_of("azimuth_deg" if another_would_do else "position")
+def _unreachable_key(planned: PlannedStep, step: GoTo, limits: StationLimits) -> KeyPath:
+    has_other_azimuth = "azimuth_deg" in step.model_fields_set and _reachable_azimuths_deg(
+        step.position, limits
+    )
+    return planned.place_of("azimuth_deg" if has_other_azimuth else "position")
 
 
 def _reach_advice(step: GoTo, turns_deg: tuple[TurnOrMove, ...], limits: StationLimits) -> str:
-    azimuths_deg = _azimuths_deg(step.position, limits)
-    positions = [name for name in POSITIONS if limits.reachable(name, step.azimuth_deg, turns_deg) is None]
+    azimuths_deg = _reachable_azimuths_deg(step.position, limits)
+    positions = [
+        name for name in POSITIONS if limits.unreachable_reason(name, step.azimuth_deg, turns_deg) is None
+    ]
     advice = ""
     if 0 < len(azimuths_deg) < len(_AZIMUTHS_DEG):
         azimuths = ", ".join(f"{azimuth:g}" for azimuth in azimuths_deg)
@@ -417,9 +426,9 @@ def _reach_advice(step: GoTo, turns_deg: tuple[TurnOrMove, ...], limits: Station
     return advice
 
 
-def _azimuths_deg(position: str, limits: StationLimits) -> list[float]:
-    return [each for each in _AZIMUTHS_DEG if limits.reachable(position, each, ()) is None]
+def _reachable_azimuths_deg(position: str, limits: StationLimits) -> list[float]:
+    return [each for each in _AZIMUTHS_DEG if limits.unreachable_reason(position, each, ()) is None]
 
 
-def _listed(turns_deg: tuple[TurnOrMove, ...]) -> list[str]:
+def _turn_texts(turns_deg: tuple[TurnOrMove, ...]) -> list[str]:
     return [", ".join(map(turn_text, turns_deg))] if turns_deg else []

@@ -39,7 +39,7 @@ class BenchEstimate:
     #: turn.
     powered: bool = False
     aligned: bool = False
-    #: position, azimuth_deg: Where the table is; None before the first go_to.
+    #: position, azimuth_deg: Position and azimuth of the table; None before the first go_to.
     position: str | None = None
     azimuth_deg: float = 0.0
     #: set_point_c, ramp_c_per_s: Set point and ramp of the chamber; None while it is off.
@@ -48,7 +48,7 @@ class BenchEstimate:
 
     @classmethod
     def at_rest(cls, thermal: ThermalEstimate | None = None) -> BenchEstimate:
-        """Everything off and at room temperature."""
+        """State with everything off and at room temperature."""
         thermal = thermal or ThermalEstimate()
         return cls(thermal, chamber_c=thermal.room_c, gyro_c=thermal.room_c)
 
@@ -59,7 +59,7 @@ class BenchEstimate:
         return abs(self.set_point_c - self.chamber_c) / self.ramp_c_per_s
 
     def passed(self, duration_s: float) -> BenchEstimate:
-        """Return the bench after some time without commands."""
+        """Return the state of the bench ``duration_s`` later, without commands meanwhile."""
         tau_s, heating_c = self.thermal.time_constant_s, self._heating_c()
         slope_c_per_s, ramp_s = self._slope_c_per_s(), min(duration_s, self.ramp_left_s())
         chamber_c = self.chamber_c + slope_c_per_s * ramp_s
@@ -68,12 +68,12 @@ class BenchEstimate:
         return replace(self, chamber_c=chamber_c, gyro_c=held_c)
 
     def time_until_gyro_rate_s(self, rate_c_per_h: float) -> float:
-        """Time until the gyros change by less than ``rate_c_per_h``, the chamber held where it is."""
+        """Time until the gyros change by less than ``rate_c_per_h`` if the chamber holds its temperature."""
         return self.thermal.time_constant_s * math.log(max(1.0, self.settling_c_per_h / rate_c_per_h))
 
     @property
     def settling_c_per_h(self) -> float:
-        """By how much the gyros change per hour, the chamber held where it is; a size."""
+        """Absolute rate of change of the gyros, degC/h, if the chamber holds its temperature."""
         gap_c = self.chamber_c + self._heating_c() - self.gyro_c
         return 3600.0 * abs(gap_c) / self.thermal.time_constant_s
 
@@ -87,7 +87,7 @@ class BenchEstimate:
 
 
 def lagged(value: float, goal: float, slope_per_s: float, tau_s: float, duration_s: float) -> float:
-    """Follow a goal that moves at a constant slope, as a lag of first order with time constant ``tau_s``."""
-    behind = slope_per_s * tau_s
-    steady = goal + slope_per_s * duration_s - behind
-    return steady + (value - goal + behind) * math.exp(-duration_s / tau_s)
+    """Response of a first-order lag with time constant ``tau_s`` to a goal that moves at a constant slope."""
+    lag = slope_per_s * tau_s
+    steady = goal + slope_per_s * duration_s - lag
+    return steady + (value - goal + lag) * math.exp(-duration_s / tau_s)

@@ -1,4 +1,4 @@
-"""From a procedure to its plan: the loops unrolled into one flat list of timed steps."""
+"""Plan of a procedure: its loops unrolled into one flat list of timed steps."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gyrobench.bench.procedure.steps import Align, GoTo, Navigate, Step, Turn, W
 
 
 class DwellPurpose(StrEnum):
-    """What a dwell is for."""
+    """Purpose of a dwell."""
 
     CALIBRATION = "calibration"
     CALIBRATION_CHECK = "calibration_check"  #: One navigation straight from the alignment.
@@ -38,14 +38,14 @@ _AFTER_ALIGNMENT = (Navigate, Turn, Wait, RotatingStep)
 
 @dataclass(frozen=True, slots=True)
 class PlannedStep:
-    """A step with its place in time."""
+    """A step of the plan with its expected times and bench states."""
 
     number: int  #: From 1, in the order of the plan.
     location: KeyPath  #: Place of the step's keys in the procedure file.
     step: Step
     cycle: int  #: Pass of the temperature profile: the loop variable ``cycle``, or 1.
     plateau: str  #: "cycle 1, 60 degC".
-    #: start_s, duration_s: Expected, from the start of the plan.
+    #: start_s, duration_s: Expected start, counted from the start of the plan, and duration.
     start_s: float
     duration_s: float
     timeout_s: float
@@ -54,7 +54,7 @@ class PlannedStep:
     #: before, between and after the turns that follow it.
     dwell: int | None = None
     purpose: DwellPurpose = DwellPurpose.CALIBRATION  #: Of its dwell.
-    #: Places of the values that came from loop variables, by their keys.
+    #: Places of the values that came from loop variables, by key path in the step.
     value_places: Mapping[KeyPath, KeyPath] = field(default_factory=dict, repr=False)
 
     @property
@@ -69,17 +69,17 @@ class PlannedStep:
 
     @property
     def label(self) -> str:
-        """Part of the procedure with the position: "cycle 1, 60 degC, z_up"."""
+        """Plateau and position of the step: "cycle 1, 60 degC, z_up"."""
         position = self.after.position if self.in_position else None
         return ", ".join(part for part in (self.plateau, position) if part)
 
     @property
     def in_position(self) -> bool:
-        """Whether the step belongs to one position rather than to the temperature as a whole."""
+        """Whether the step belongs to one position rather than to the whole plateau."""
         return self.step.at_position or self.dwell is not None
 
     def place_of(self, *keys: str) -> KeyPath:
-        """Place of the value at some keys: in the step, or in the list of its loop."""
+        """Place of the value under ``keys``: in the step, or in the values of its loop."""
         return self.value_places.get(keys, (*self.location, *keys))
 
 
@@ -92,7 +92,7 @@ class Plan:
 
     @property
     def duration_s(self) -> float:
-        """Expected duration of the whole."""
+        """Expected duration of the whole plan."""
         return self.steps[-1].end_s
 
     @property
@@ -100,8 +100,8 @@ class Plan:
         """Number of dwells."""
         return max((step.dwell or 0 for step in self.steps), default=0)
 
-    def later(self, planned: PlannedStep) -> Iterator[PlannedStep]:
-        """Steps after one of them, in order."""
+    def steps_after(self, planned: PlannedStep) -> Iterator[PlannedStep]:
+        """Steps after ``planned``, in order."""
         return (self.steps[index] for index in range(planned.number, len(self.steps)))
 
 
@@ -113,18 +113,18 @@ def expand(
 ) -> Plan:
     """Unroll a procedure into its plan.
 
-    ``bench``: state at the start; by default at rest at room temperature. ``adapt`` gives each step as it is
-    for a unit with another mounting. Raises DocumentError if the loops give too many steps, or a variable has
-    a value that its step can't take.
+    ``bench``: state at the start; by default at rest at room temperature. ``adapt`` converts each step for a
+    unit with another mounting. Raises DocumentError if the loops give too many steps, or a variable has a
+    value that its step can't take.
     """
     resolved = resolve(document, procedure)
     if adapt is not None:
         resolved = [replace(each, step=adapt(each.step)) for each in resolved]
-    timed = list(_timed(resolved, bench or BenchEstimate.at_rest()))
-    return Plan(procedure, tuple(_with_dwells(timed)))
+    steps = list(_schedule(resolved, bench or BenchEstimate.at_rest()))
+    return Plan(procedure, tuple(_number_dwells(steps)))
 
 
-def _timed(steps: Sequence[ResolvedStep], bench: BenchEstimate) -> Iterator[PlannedStep]:
+def _schedule(steps: Sequence[ResolvedStep], bench: BenchEstimate) -> Iterator[PlannedStep]:
     start_s = 0.0
     for number, resolved in enumerate(steps, start=1):
         step = resolved.step
@@ -135,7 +135,7 @@ def _timed(steps: Sequence[ResolvedStep], bench: BenchEstimate) -> Iterator[Plan
             location=resolved.location,
             step=step,
             cycle=resolved.cycle or 1,
-            plateau=_plateau(resolved.cycle, after),
+            plateau=_plateau_label(resolved.cycle, after),
             start_s=start_s,
             duration_s=duration_s,
             timeout_s=step.time_limit_s(duration_s),
@@ -146,30 +146,30 @@ def _timed(steps: Sequence[ResolvedStep], bench: BenchEstimate) -> Iterator[Plan
         bench = after
 
 
-def _plateau(cycle: int | None, bench: BenchEstimate) -> str:
-    of_cycle = None if cycle is None else f"cycle {cycle}"
-    of_chamber = None if bench.set_point_c is None else f"{bench.set_point_c:g} degC"
-    return ", ".join(part for part in (of_cycle, of_chamber) if part)
+def _plateau_label(cycle: int | None, after: BenchEstimate) -> str:
+    cycle_text = None if cycle is None else f"cycle {cycle}"
+    chamber_text = None if after.set_point_c is None else f"{after.set_point_c:g} degC"
+    return ", ".join(text for text in (cycle_text, chamber_text) if text)
 
 
 #: Steps in which the INS navigates.
 _NAVIGATING = (Navigate, RotatingStep)
 
 
-def _with_dwells(steps: Sequence[PlannedStep]) -> Iterator[PlannedStep]:
+def _number_dwells(steps: Sequence[PlannedStep]) -> Iterator[PlannedStep]:
     """Number the dwells: each from an alignment to the last navigation or rotation."""
     dwells = itertools.count(1)
-    for group in _groups(steps):
+    for group in _split_at_alignments(steps):
         navigating = (index for index, each in enumerate(group) if isinstance(each.step, _NAVIGATING))
         end = max(navigating, default=0)
         if end:
-            dwell, purpose = next(dwells), _purpose([each.step for each in group[: end + 1]])
+            dwell, purpose = next(dwells), _purpose_of([each.step for each in group[: end + 1]])
             group[: end + 1] = [replace(each, dwell=dwell, purpose=purpose) for each in group[: end + 1]]
         yield from group
 
 
-def _groups(steps: Sequence[PlannedStep]) -> Iterator[list[PlannedStep]]:
-    """Split before each alignment and around all that can't belong to a dwell."""
+def _split_at_alignments(steps: Sequence[PlannedStep]) -> Iterator[list[PlannedStep]]:
+    """Split the steps before each alignment and around each step that can't belong to a dwell."""
     group: list[PlannedStep] = []
     for step in steps:
         is_in_dwell = isinstance(step.step, _AFTER_ALIGNMENT)
@@ -181,15 +181,15 @@ def _groups(steps: Sequence[PlannedStep]) -> Iterator[list[PlannedStep]]:
         yield group
 
 
-def _purpose(steps: Sequence[Step]) -> DwellPurpose:
+def _purpose_of(steps: Sequence[Step]) -> DwellPurpose:
     if any(isinstance(step, RotatingStep) for step in steps):
         return DwellPurpose.ROTATIONS
-    stated = {step.purpose for step in steps if isinstance(step, Navigate)}
-    return next(each for each in (*SINGLE_NAVIGATION, DwellPurpose.CALIBRATION) if each in stated)
+    purposes = {step.purpose for step in steps if isinstance(step, Navigate)}
+    return next(each for each in (*SINGLE_NAVIGATION, DwellPurpose.CALIBRATION) if each in purposes)
 
 
 def turns_after(plan: Plan, position: PlannedStep) -> tuple[TurnOrMove, ...]:
-    """Turns and moves, in deg, between one step and the next that goes to a position."""
+    """Turns and moves, in deg, between ``position`` and the next step that goes to a position."""
     return tuple(itertools.chain.from_iterable(map(turns_of, turn_steps_after(plan, position))))
 
 
@@ -204,6 +204,6 @@ def turns_of(planned: PlannedStep) -> list[TurnOrMove]:
 
 
 def turn_steps_after(plan: Plan, position: PlannedStep) -> list[PlannedStep]:
-    """Find the turns themselves; see :func:`turns_after`."""
-    stay = itertools.takewhile(lambda each: not isinstance(each.step, GoTo), plan.later(position))
-    return [planned for planned in stay if turns_of(planned)]
+    """Steps that turn the table between ``position`` and the next step that goes to a position."""
+    steps = itertools.takewhile(lambda each: not isinstance(each.step, GoTo), plan.steps_after(position))
+    return [each for each in steps if turns_of(each)]

@@ -1,4 +1,4 @@
-"""A procedure as written: its YAML file, checked step by step, and its loops unrolled.
+"""Reads a procedure's YAML file, checks it step by step and unrolls its loops.
 
 The file has loops (``repeat``) and variables (``$name``), which :func:`resolve` replaces. A step is checked
 with the values in the file; a value that is a variable is checked when the loops are unrolled.
@@ -69,22 +69,22 @@ VARIABLE_PATTERN = r"\$([a-z][a-z0-9_]*)"
 
 _VARIABLE = re.compile(VARIABLE_PATTERN)
 _ALLOWED_STEPS = (*STEP_KINDS, "repeat")
-#: Similarity (difflib) from which the name of a variable that no step uses is a mistyped one.
-_MISTYPED = 0.8
+#: Similarity (difflib) above which the name of an unused variable counts as mistyped.
+_MISTYPED_SIMILARITY = 0.8
 _MODELS: tuple[type[StrictModel], ...] = (*STEP_KINDS.values(), Until)
 _STEP_KEYS = frozenset(key for model in _MODELS for key in model.model_fields)
 
 
 @dataclass(frozen=True)
 class StepTemplate:
-    """A step as written: its kind, and its keys with variables still in them."""
+    """A step as written: its kind and its keys, with variables not yet replaced."""
 
     kind: type[Step]
     values: Mapping[str, Any]
 
     def variables(self) -> dict[KeyPath, str]:
-        """Names of the variables by their keys, such as ``("until", "bias_sigma_below_dph")``."""
-        return dict(_variables_below(self.values, ()))
+        """Names of the variables by key path, such as ``("until", "bias_sigma_below_dph")``."""
+        return dict(_variables_in(self.values, ()))
 
 
 def _checked_value(value: Any) -> Value:
@@ -98,20 +98,20 @@ def _checked_value(value: Any) -> Value:
 
 
 def _checked_variable(name: Any) -> Any:
-    """Raise ValueError if a variable can't have this name."""
+    """Return the name; raises ValueError if a variable can't have it."""
     if isinstance(name, str) and re.fullmatch("[a-z][a-z0-9_]*", name):
         return name
     raise ValueError("the name of a variable has lower-case letters, digits and underscores")
 
 
 class Repeat(StrictModel):
-    """Steps done once for every combination of values, the first variable outermost."""
+    """Steps performed once for each combination of values; the first variable is the outermost loop."""
 
     over: dict[
         Annotated[str, Field(pattern="^[a-z][a-z0-9_]*$"), BeforeValidator(_checked_variable)],
         Annotated[list[Annotated[Value, PlainValidator(_checked_value)]], Field(min_length=1)],
     ] = Field(min_length=1, description="values of each loop variable")
-    steps: list[_Entry] = Field(min_length=1, description="what to do with them")
+    steps: list[_Entry] = Field(min_length=1, description="steps to repeat for each combination of values")
 
 
 class Procedure(StrictModel):
@@ -151,7 +151,7 @@ class Procedure(StrictModel):
     max_repeats_total: int = Field(
         default=12, ge=0, le=10_000, description="how many dwells are repeated in the whole run"
     )
-    steps: list[_Entry] = Field(min_length=1, description="what to do, in order")
+    steps: list[_Entry] = Field(min_length=1, description="steps in order")
 
 
 def _checked_entry(entry: Any) -> StepTemplate | Repeat:
@@ -169,32 +169,32 @@ def _checked_entry(entry: Any) -> StepTemplate | Repeat:
         raise PydanticCustomError("unknown_key", message)
     if values is not None and not isinstance(values, dict):
         raise ValueError(f"expected the keys of '{name}', written as 'key: value'")
-    return _loop(values or {}) if name == "repeat" else _template(STEP_KINDS[name], values or {})
+    return _parse_loop(values or {}) if name == "repeat" else _parse_step(STEP_KINDS[name], values or {})
 
 
-def _loop(values: dict[str, Any]) -> Repeat:
+def _parse_loop(values: dict[str, Any]) -> Repeat:
     try:
         return Repeat.model_validate(values)
     except ValidationError as error:
-        raise _error_below("repeat", error.errors()) from error
+        raise _error_under_key("repeat", error.errors()) from error
 
 
-def _template(kind: type[Step], values: dict[str, Any]) -> StepTemplate:
+def _parse_step(kind: type[Step], values: dict[str, Any]) -> StepTemplate:
     try:
         kind.model_validate(values)
     except ValidationError as error:
-        details = [detail for detail in error.errors() if not _is_about_a_variable(detail)]
+        details = [detail for detail in error.errors() if not _is_about_variable(detail)]
         if details:
-            raise _error_below(kind.name, details) from error
+            raise _error_under_key(kind.name, details) from error
     return StepTemplate(kind, values)
 
 
-def _is_about_a_variable(detail: ErrorDetails) -> bool:
+def _is_about_variable(detail: ErrorDetails) -> bool:
     return detail["type"] != "unknown_key" and variable_in(detail["input"]) is not None
 
 
-def _error_below(key: str, details: Sequence[ErrorDetails]) -> ValidationError:
-    """Put errors of a value under its key."""
+def _error_under_key(key: str, details: Sequence[ErrorDetails]) -> ValidationError:
+    """Return the errors of a value with its key prepended to their locations."""
     lines = [
         InitErrorDetails(
             type=PydanticCustomError(detail["type"], detail["msg"]),
@@ -222,7 +222,7 @@ def checked_procedure(document: Document) -> Procedure:
     procedure = validate(document, Procedure)
     problems = [*_scope_problems(procedure.steps, ("steps",), ())]
     if problems:
-        if _count(procedure.steps) <= MAX_STEPS:
+        if _count_steps(procedure.steps) <= MAX_STEPS:
             further: list[DocumentProblem] = []
             list(_resolve(procedure.steps, ("steps",), {}, {}, further))
             problems += further
@@ -236,83 +236,85 @@ def variable_in(value: Any) -> str | None:
     return match[1] if match else None
 
 
-def _entry_location(entry: StepTemplate | Repeat, at: KeyPath) -> KeyPath:
-    """Place of the keys of the entry at ``at``."""
-    return (*at, "repeat" if isinstance(entry, Repeat) else entry.kind.name)
+def _entry_location(entry: StepTemplate | Repeat, path: KeyPath) -> KeyPath:
+    """Path of the keys of the entry at ``path``."""
+    return (*path, "repeat" if isinstance(entry, Repeat) else entry.kind.name)
 
 
 def _scope_problems(
-    entries: Sequence[StepTemplate | Repeat], at: KeyPath, scope: tuple[str, ...]
+    entries: Sequence[StepTemplate | Repeat], path: KeyPath, scope: tuple[str, ...]
 ) -> Iterator[DocumentProblem]:
     for index, entry in enumerate(entries):
-        here = _entry_location(entry, (*at, index))
+        entry_path = _entry_location(entry, (*path, index))
         if isinstance(entry, Repeat):
-            yield from _loop_problems(entry, (*here, "over"), scope)
-            yield from _scope_problems(entry.steps, (*here, "steps"), (*scope, *entry.over))
+            yield from _loop_problems(entry, (*entry_path, "over"), scope)
+            yield from _scope_problems(entry.steps, (*entry_path, "steps"), (*scope, *entry.over))
             continue
         for keys, name in entry.variables().items():
             if name not in scope:
                 defined = ", ".join(f"${known}" for known in scope) or "none"
                 yield DocumentProblem(
-                    (*here, *keys), f"no variable ${name}{did_you_mean(name, scope)}; defined here: {defined}"
+                    (*entry_path, *keys),
+                    f"no variable ${name}{did_you_mean(name, scope)}; defined here: {defined}",
                 )
 
 
-def _loop_problems(loop: Repeat, at: KeyPath, scope: tuple[str, ...]) -> Iterator[DocumentProblem]:
+def _loop_problems(loop: Repeat, path: KeyPath, scope: tuple[str, ...]) -> Iterator[DocumentProblem]:
     used = _free_variables(loop.steps)
-    is_one_mistyped = not used <= {*scope, *loop.over}  # reported at its step; may mean the one unused here
+    # An undefined variable is reported at its step; it may be a mistyped name of the one unused here.
+    uses_undefined = not used <= {*scope, *loop.over}
     for name, values in loop.over.items():
         if name in scope:
             yield DocumentProblem(
-                (*at, name), f"{name} is a variable of an enclosing repeat already. Use another name"
+                (*path, name), f"{name} is a variable of an enclosing repeat already. Use another name"
             )
-        # Others may just count repetitions, and cycles are held out by their name.
-        intended = difflib.get_close_matches(name, ["cycle"], cutoff=_MISTYPED)
-        is_meant = name in _STEP_KEYS or not _counts(values) or bool(intended)
-        if name not in (*used, *scope, "cycle") and is_meant and not is_one_mistyped:
+        # Other variables may only number repetitions; ``cycle`` also selects the cycles held out.
+        likely_names = difflib.get_close_matches(name, ["cycle"], cutoff=_MISTYPED_SIMILARITY)
+        must_be_used = name in _STEP_KEYS or not _are_repetition_numbers(values) or bool(likely_names)
+        if name not in (*used, *scope, "cycle") and must_be_used and not uses_undefined:
             yield DocumentProblem(
-                (*at, name),
-                f"no step in the loop uses its variable ${name}{did_you_mean(name, intended)}. Use it in a "
-                "step, or leave it out; to repeat the steps, number the passes: repetition: [1, 2, 3]",
+                (*path, name),
+                f"no step in the loop uses its variable ${name}{did_you_mean(name, likely_names)}. Use it in "
+                "a step, or leave it out; to repeat the steps, number the passes: repetition: [1, 2, 3]",
             )
         for index, value in enumerate(values):
             if name == "cycle" and (not isinstance(value, int) or value < 1):
                 yield DocumentProblem(
-                    (*at, name, index), f"a cycle is a whole number from 1; found {json.dumps(value)}"
+                    (*path, name, index), f"a cycle is a whole number from 1; found {json.dumps(value)}"
                 )
             if name == "cycle" and value in values[:index]:
                 numbers = ", ".join(map(str, range(1, len(values) + 1)))
                 yield DocumentProblem(
-                    (*at, name, index),
+                    (*path, name, index),
                     f"the cycle {json.dumps(value)} is given twice, and both passes would count as one. Give "
                     f"each pass its own number: cycle: [{numbers}]",
                 )
             if name == "position" and index and value == values[index - 1]:
                 yield DocumentProblem(
-                    (*at, name, index), f"the position {value} is given twice in succession"
+                    (*path, name, index), f"the position {value} is given twice in succession"
                 )
 
 
-def _counts(values: Sequence[Value]) -> bool:
-    """Whether values are numbers of repetitions, as 1, 2, 3 or 1, 1, 1."""
-    is_counted = all(
+def _are_repetition_numbers(values: Sequence[Value]) -> bool:
+    """Whether the values number repetitions, as 1, 2, 3 or 1, 1, 1."""
+    are_steps_of_one = all(
         isinstance(low, int) and isinstance(high, int) and 0 <= high - low <= 1
         for low, high in itertools.pairwise(values)
     )
-    return is_counted and (len(values) > 1 or values[0] in (0, 1))
+    return are_steps_of_one and (len(values) > 1 or values[0] in (0, 1))
 
 
-def _variables_below(values: Mapping[str, Any], at: KeyPath) -> Iterator[tuple[KeyPath, str]]:
+def _variables_in(values: Mapping[str, Any], path: KeyPath) -> Iterator[tuple[KeyPath, str]]:
     for key, value in values.items():
         name = variable_in(value)
         if name is not None:
-            yield (*at, key), name
+            yield (*path, key), name
         elif isinstance(value, dict):
-            yield from _variables_below(value, (*at, key))
+            yield from _variables_in(value, (*path, key))
 
 
 def _free_variables(entries: Sequence[StepTemplate | Repeat]) -> set[str]:
-    """Variables that steps use and no loop among them defines."""
+    """Names of variables that the entries use but do not define."""
     names: set[str] = set()
     for entry in entries:
         if isinstance(entry, Repeat):
@@ -326,8 +328,8 @@ MAX_STEPS = 100_000
 
 
 @dataclass(frozen=True)
-class _Bound:
-    """The value of a loop variable and its place."""
+class _LoopValue:
+    """The value of a loop variable and its place in the procedure file."""
 
     value: Value
     place: KeyPath
@@ -340,16 +342,16 @@ class ResolvedStep:
     location: KeyPath  #: Place of the step's keys in the procedure file.
     step: Step
     cycle: int | None  #: Loop variable ``cycle``, if there is one.
-    #: Places of the values that came from loop variables, by their keys.
+    #: Places of the values that came from loop variables, by key path in the step.
     value_places: Mapping[KeyPath, KeyPath]
 
 
 def resolve(document: Document, procedure: Procedure) -> list[ResolvedStep]:
-    """Unroll the loops of a procedure and put the values in place of the variables.
+    """Unroll the loops of a procedure and replace the variables with their values.
 
     Raises DocumentError if the loops give too many steps, or a variable has a value that its step can't take.
     """
-    _refuse_too_many(document, procedure.steps)
+    _check_step_count(document, procedure.steps)
     problems: list[DocumentProblem] = []
     steps = list(_resolve(procedure.steps, ("steps",), {}, {}, problems))
     if problems:
@@ -357,75 +359,82 @@ def resolve(document: Document, procedure: Procedure) -> list[ResolvedStep]:
     return steps
 
 
-def _refuse_too_many(document: Document, entries: Sequence[StepTemplate | Repeat]) -> None:
-    count = _count(entries)
+def _check_step_count(document: Document, entries: Sequence[StepTemplate | Repeat]) -> None:
+    count = _count_steps(entries)
     if count > MAX_STEPS:
-        worst = max(range(len(entries)), key=lambda index: _count(entries[index : index + 1]))
+        largest = max(range(len(entries)), key=lambda index: _count_steps(entries[index : index + 1]))
         message = f"the loops give {count} steps; allowed: at most {MAX_STEPS}"
-        raise document.error([DocumentProblem(("steps", worst), message)])
+        raise document.error([DocumentProblem(("steps", largest), message)])
 
 
-def _count(entries: Sequence[StepTemplate | Repeat]) -> int:
+def _count_steps(entries: Sequence[StepTemplate | Repeat]) -> int:
     return sum(
-        math.prod(map(len, entry.over.values())) * _count(entry.steps) if isinstance(entry, Repeat) else 1
+        math.prod(map(len, entry.over.values())) * _count_steps(entry.steps)
+        if isinstance(entry, Repeat)
+        else 1
         for entry in entries
     )
 
 
 def _resolve(
     entries: Sequence[StepTemplate | Repeat],
-    at: KeyPath,
-    scope: Mapping[str, _Bound],
-    known: dict[tuple[type[Step], str], Step],
+    path: KeyPath,
+    scope: Mapping[str, _LoopValue],
+    validated: dict[tuple[type[Step], str], Step],
     problems: list[DocumentProblem],
 ) -> Iterator[ResolvedStep]:
-    """Steps of some entries; ``known``: by kind and values, since thousands of steps have the same."""
+    """Resolved steps of the entries; ``validated`` caches steps by kind and values: many are equal."""
     for index, entry in enumerate(entries):
-        here = _entry_location(entry, (*at, index))
+        entry_path = _entry_location(entry, (*path, index))
         if isinstance(entry, Repeat):
-            for values in _combinations(entry, (*here, "over")):
-                yield from _resolve(entry.steps, (*here, "steps"), {**scope, **values}, known, problems)
+            for values in _combinations(entry, (*entry_path, "over")):
+                yield from _resolve(
+                    entry.steps, (*entry_path, "steps"), {**scope, **values}, validated, problems
+                )
             continue
         if not scope.keys() >= {*entry.variables().values()}:
-            continue  # one is undefined, which is reported
+            continue  # undefined variables are reported by _scope_problems
         try:
-            yield _step(entry, here, scope, known)
+            yield _resolve_step(entry, entry_path, scope, validated)
         except ValidationError as error:
-            problems += _traced(error, entry, here, scope)
+            problems += _problems_at_loop_values(error, entry, entry_path, scope)
 
 
-def _combinations(loop: Repeat, at: KeyPath) -> Iterator[dict[str, _Bound]]:
-    bound = [
-        [_Bound(value, (*at, name, index)) for index, value in enumerate(values)]
+def _combinations(loop: Repeat, path: KeyPath) -> Iterator[dict[str, _LoopValue]]:
+    loop_values = [
+        [_LoopValue(value, (*path, name, index)) for index, value in enumerate(values)]
         for name, values in loop.over.items()
     ]
-    for values in itertools.product(*bound):
+    for values in itertools.product(*loop_values):
         yield dict(zip(loop.over, values, strict=True))
 
 
-def _step(
-    entry: StepTemplate, at: KeyPath, scope: Mapping[str, _Bound], known: dict[tuple[type[Step], str], Step]
+def _resolve_step(
+    entry: StepTemplate,
+    path: KeyPath,
+    scope: Mapping[str, _LoopValue],
+    validated: dict[tuple[type[Step], str], Step],
 ) -> ResolvedStep:
-    values = _filled(entry.values, scope)
+    values = _substitute(entry.values, scope)
     key = entry.kind, repr(values)
-    step = known.get(key) or known.setdefault(key, entry.kind.model_validate(values))
+    step = validated.get(key) or validated.setdefault(key, entry.kind.model_validate(values))
     cycle = scope["cycle"].value if "cycle" in scope else None
     places = {keys: scope[name].place for keys, name in entry.variables().items()}
-    return ResolvedStep(at, step, cycle if isinstance(cycle, int) else None, places)
+    return ResolvedStep(path, step, cycle if isinstance(cycle, int) else None, places)
 
 
-def _filled(value: Any, scope: Mapping[str, _Bound]) -> Any:
-    """Put the values in place of the variables."""
+def _substitute(value: Any, scope: Mapping[str, _LoopValue]) -> Any:
+    """Replace the variables with their values."""
     if isinstance(value, Mapping):
-        return {key: _filled(inner, scope) for key, inner in value.items()}
+        return {key: _substitute(item, scope) for key, item in value.items()}
     name = variable_in(value)
     return value if name is None else scope[name].value
 
 
-def _traced(
-    error: ValidationError, entry: StepTemplate, at: KeyPath, scope: Mapping[str, _Bound]
+def _problems_at_loop_values(
+    error: ValidationError, entry: StepTemplate, path: KeyPath, scope: Mapping[str, _LoopValue]
 ) -> Iterator[DocumentProblem]:
-    """Place problems of a value that came from a loop at that value."""
+    """Problems of a step; one with a value from a loop is placed at that value."""
     variables = entry.variables()
     for problem in problems_of(error):
         keys = next((keys for keys in variables if keys == problem.location[: len(keys)]), None)
@@ -433,4 +442,4 @@ def _traced(
             place = scope[variables[keys]].place
             yield DocumentProblem(place, f"{problem.message} (for {keys[-1]} of {entry.kind.name})")
         else:
-            yield DocumentProblem((*at, *problem.location), problem.message)
+            yield DocumentProblem((*path, *problem.location), problem.message)

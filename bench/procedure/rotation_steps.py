@@ -17,9 +17,9 @@ from gyrobench.bench.procedure.steps import Duration, DurationOrZero, Step, Tabl
 #: A change of the angles of outer and inner axis, deg.
 Move = tuple[float, float]
 
-#: Most rotations of a step, and most whole turns in one direction.
+#: Maximum number of rotations in a step, and of whole turns in one direction.
 _MAX_ROTATIONS, _MAX_TURNS = 500, 100
-#: What accelerating, braking, the command and the reading add to a rotation, s.
+#: Time that accelerating, braking, the command and the reading add to a rotation, s.
 _MOTION_S = 3.0
 
 
@@ -31,7 +31,7 @@ class Rotation(StrictModel):
 
     @field_validator("angle_deg")
     @classmethod
-    def _rotates(cls, angle_deg: float) -> float:
+    def _check_angle(cls, angle_deg: float) -> float:
         if angle_deg == 0.0:
             raise ValueError("a rotation by zero has no effect")
         return angle_deg
@@ -60,7 +60,7 @@ class RotatingStep(Step):
 
 
 def counted_moves(steps: Sequence[Step]) -> str:
-    """How many rotations and whole turns the steps of a dwell make."""
+    """Describe how many rotations and whole turns the steps of a dwell make."""
     rotations = sum(len(step.moves()) for step in steps if isinstance(step, Rotate))
     turns = sum(step.turns * len(step.moves()) for step in steps if isinstance(step, Spin))
     counts = ((rotations, "rotation"), (turns, "whole turn"))

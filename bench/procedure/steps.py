@@ -1,4 +1,4 @@
-"""The kinds of step of a procedure: data, and answers about themselves without being run."""
+"""The kinds of step of a procedure, with their expected durations, effects on the bench and descriptions."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from gyrobench.bench.foundations.text import did_you_mean
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.estimate import BenchEstimate
 
-#: A step of more than a week is taken for a mistake.
+#: A step of more than a week counts as a mistake.
 _MAX_STEP_S = 604_800.0
 
 _TIMEOUT_FACTOR = 1.5
 _TIMEOUT_MARGIN_S = 60.0
 
 
-def _known_position(name: str) -> str:
+def _checked_position(name: str) -> str:
     if name in POSITIONS:
         return name
     raise ValueError(
@@ -36,7 +36,7 @@ DurationOrZero = Annotated[float, Field(ge=0.0, le=_MAX_STEP_S)]
 Celsius = Annotated[float, Field(gt=-273.15, le=1000.0)]
 TableRate = Annotated[float, Field(ge=0.001, le=10_000.0)]
 KnownPosition = Annotated[
-    str, Field(json_schema_extra={"enum": [*POSITIONS]}), AfterValidator(_known_position)
+    str, Field(json_schema_extra={"enum": [*POSITIONS]}), AfterValidator(_checked_position)
 ]
 
 
@@ -45,7 +45,7 @@ class Step(StrictModel):
 
     #: Name of the kind in procedure files.
     name: ClassVar[str]
-    #: Whether the step belongs to one position rather than to the temperature as a whole.
+    #: Whether the step belongs to one position rather than to the whole plateau.
     at_position: ClassVar[bool] = False
 
     timeout_s: Duration | None = Field(
@@ -56,28 +56,28 @@ class Step(StrictModel):
     )
 
     def expected_s(self, bench: BenchEstimate) -> float:  # noqa: ARG002
-        """Expected duration, starting from ``bench``."""
+        """Expected duration, s, starting in the state ``bench``."""
         return 0.0
 
     def after(self, bench: BenchEstimate, elapsed_s: float) -> BenchEstimate:
-        """Expected bench ``elapsed_s`` after the step began on ``bench``."""
+        """Expected state of the bench ``elapsed_s`` after the step began in the state ``bench``."""
         return bench.passed(elapsed_s)
 
     def time_limit_s(self, expected_s: float) -> float:
-        """Time after which the step has failed, given its expected duration."""
+        """Time after which the step has failed, s, given its expected duration."""
         return self.timeout_s or self.usual_time_limit_s(expected_s)
 
     def usual_time_limit_s(self, expected_s: float) -> float:
-        """Time limit if the procedure gives none."""
+        """Time limit, s, if the procedure gives none."""
         return _TIMEOUT_FACTOR * expected_s + _TIMEOUT_MARGIN_S
 
     def describe(self) -> str:
-        """One line of text."""
+        """Describe the step in one line."""
         return self.name.replace("_", " ")
 
 
 def span(duration_s: float) -> str:
-    """Write a duration: "45 s", "10 min", "2.5 h"."""
+    """Format a duration: "45 s", "10 min", "2.5 h"."""
     if duration_s < 120.0:
         return f"{duration_s:.4g} s"
     if duration_s < 7200.0:
@@ -101,16 +101,16 @@ class SetChamber(Step):
 
     @override
     def expected_s(self, bench: BenchEstimate) -> float:
-        ramp_s = self._commanded(bench).ramp_left_s()
+        ramp_s = self._with_command(bench).ramp_left_s()
         air_lag_s = bench.thermal.air_lag_s
-        behind_c = self.ramp_c_per_min / 60.0 * min(ramp_s, air_lag_s)
-        if self.within_c > behind_c:  # near enough while the set point still moves
-            return max(0.0, ramp_s - (self.within_c - behind_c) / self.ramp_c_per_min * 60.0)
-        return ramp_s + air_lag_s * math.log(behind_c / self.within_c)
+        lag_c = self.ramp_c_per_min / 60.0 * min(ramp_s, air_lag_s)
+        if self.within_c > lag_c:  # near enough while the set point still moves
+            return max(0.0, ramp_s - (self.within_c - lag_c) / self.ramp_c_per_min * 60.0)
+        return ramp_s + air_lag_s * math.log(lag_c / self.within_c)
 
     @override
     def after(self, bench: BenchEstimate, elapsed_s: float) -> BenchEstimate:
-        return self._commanded(bench).passed(elapsed_s)
+        return self._with_command(bench).passed(elapsed_s)
 
     @override
     def usual_time_limit_s(self, expected_s: float) -> float:
@@ -120,7 +120,7 @@ class SetChamber(Step):
     def describe(self) -> str:
         return f"chamber to {self.temperature_c:g} degC at {self.ramp_c_per_min:g} degC/min"
 
-    def _commanded(self, bench: BenchEstimate) -> BenchEstimate:
+    def _with_command(self, bench: BenchEstimate) -> BenchEstimate:
         return replace(bench, set_point_c=self.temperature_c, ramp_c_per_s=self.ramp_c_per_min / 60.0)
 
 
@@ -153,7 +153,7 @@ class Soak(Step):
     at_most_s: Duration = Field(default=_MAX_SOAK_S, description="continue after this time in any case, s")
 
     @model_validator(mode="after")
-    def _one_kind_of_soak(self) -> Self:
+    def _check_keys(self) -> Self:
         if (self.for_s is None) == (self.until_gyro_rate_below_c_per_h is None):
             raise ValueError("give either for_s or until_gyro_rate_below_c_per_h")
         if self.for_s is not None and {"at_least_s", "at_most_s"} & self.model_fields_set:
@@ -213,7 +213,7 @@ class Align(Step):
     )
 
     @model_validator(mode="after")
-    def _ends(self) -> Self:
+    def _check_end(self) -> Self:
         if self.duration_s is None and not self.until_fine:
             raise ValueError("give duration_s, or until_fine: true with at_most_s")
         if self.until_fine != (self.at_most_s is not None):
@@ -282,7 +282,7 @@ class Navigate(Step):
     )
 
     @model_validator(mode="after")
-    def _ends(self) -> Self:
+    def _check_end(self) -> Self:
         if (self.duration_s is None) == (self.until is None):
             raise ValueError("give either duration_s, or until with at_most_s")
         if self.until is None and {"at_least_s", "at_most_s"} & self.model_fields_set:
@@ -330,7 +330,7 @@ class Turn(Step):
 
     @field_validator("angle_deg")
     @classmethod
-    def _turns(cls, angle_deg: float) -> float:
+    def _check_angle(cls, angle_deg: float) -> float:
         if angle_deg == 0.0:
             raise ValueError("a turn by zero has no effect")
         return angle_deg
@@ -349,12 +349,12 @@ class Turn(Step):
         return f"turn {self.angle_deg:g} deg"
 
 
-_BOOT_S = 300.0
+_MAX_BOOT_S = 300.0
 _ANSWER_S = 60.0
 _MAX_ANSWER_S = 3600.0
-_USUAL_WAY_DEG = 180.0
+_USUAL_TRAVEL_DEG = 180.0
 #: Turns in one sense leave an axis up to two circles from the next position.
-_MAX_WAY_DEG = 720.0
+_MAX_TRAVEL_DEG = 720.0
 
 
 class PowerOn(Step):
@@ -373,7 +373,7 @@ class PowerOn(Step):
 
     @override
     def usual_time_limit_s(self, expected_s: float) -> float:
-        return expected_s + _BOOT_S
+        return expected_s + _MAX_BOOT_S
 
     @override
     def describe(self) -> str:
@@ -402,16 +402,16 @@ class GoTo(Step):
 
     @override
     def expected_s(self, bench: BenchEstimate) -> float:
-        return _USUAL_WAY_DEG / self.rate_dps + self.settle_s
+        return _USUAL_TRAVEL_DEG / self.rate_dps + self.settle_s
 
     @override
     def after(self, bench: BenchEstimate, elapsed_s: float) -> BenchEstimate:
-        there = replace(bench, aligned=False, position=self.position, azimuth_deg=self.azimuth_deg)
-        return there.passed(elapsed_s)
+        at_position_now = replace(bench, aligned=False, position=self.position, azimuth_deg=self.azimuth_deg)
+        return at_position_now.passed(elapsed_s)
 
     @override
     def usual_time_limit_s(self, expected_s: float) -> float:
-        return super().usual_time_limit_s(_MAX_WAY_DEG / self.rate_dps + self.settle_s)
+        return super().usual_time_limit_s(_MAX_TRAVEL_DEG / self.rate_dps + self.settle_s)
 
     @override
     def describe(self) -> str:
@@ -446,7 +446,7 @@ class AskOperator(Step):
 
     @field_validator("answers")
     @classmethod
-    def _different(cls, answers: list[str]) -> list[str]:
+    def _check_answers(cls, answers: list[str]) -> list[str]:
         if len(set(answers)) < len(answers):
             raise ValueError("the answers must differ")
         return answers

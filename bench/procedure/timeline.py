@@ -15,7 +15,7 @@ from gyrobench.bench.foundations.text import hours_minutes
 from gyrobench.bench.procedure.plan import DwellPurpose, Plan, PlannedStep
 from gyrobench.bench.procedure.steps import Align, GoTo, Soak, span
 
-#: In place of a position where the table rotates.
+#: Name in place of a position while the table rotates.
 ROTATIONS = "rotations"
 _INTERVAL_S = 60.0
 _MAX_SAMPLES = 200
@@ -23,12 +23,12 @@ _MAX_SAMPLES = 200
 
 @dataclass(frozen=True)
 class TimelineRow:
-    """Steps at one temperature of one cycle: on the way to it, or in its positions."""
+    """Steps of one plateau: those on the way to it, or those in its positions."""
 
     start_s: float
     duration_s: float
-    what: str  #: Each different step once, with its count per dwell.
-    where: str  #: Cycle, temperature and positions in order, with azimuths other than 0.
+    steps_text: str  #: Each different step once, with its count per dwell.
+    positions_text: str  #: Cycle, temperature and positions in order, with azimuths other than 0.
     dwells: int
 
     @property
@@ -43,12 +43,12 @@ class TimelineRow:
 
 
 def timeline_rows(plan: Plan) -> list[TimelineRow]:
-    """One row for the way to each temperature, one for all its positions."""
-    return [_row(list(group)) for _, group in itertools.groupby(plan.steps, _plateau_and_part)]
+    """Two rows for each plateau: one for the way to it, one for all its positions."""
+    return [_row(list(group)) for _, group in itertools.groupby(plan.steps, _plateau_and_placement)]
 
 
 def unsettled_soaks(plan: Plan) -> list[str]:
-    """Which soaks are expected to end by their time before the gyros have settled."""
+    """Describe the soaks that are expected to end by their time limit before the gyros have settled."""
     return [
         f"{planned.plateau or 'room'}: {planned.after.settling_c_per_h:.2g} degC/h after "
         f"{span(step.at_most_s)}, limit {limit_c_per_h:g} degC/h"
@@ -64,15 +64,15 @@ def is_cycle_unnumbered(plan: Plan) -> bool:
 
     A profile up and down in one cycle repeats all but its ends.
     """
-    starts = [
+    dwells = [
         each
         for each in plan.steps
         if each.dwell and isinstance(each.step, Align) and each.purpose is DwellPurpose.CALIBRATION
     ]
-    places = [(each.before.set_point_c, each.before.position, each.before.azimuth_deg) for each in starts]
-    plateaus = itertools.groupby(places, key=lambda condition: condition[0])
+    conditions = [(each.before.set_point_c, each.before.position, each.before.azimuth_deg) for each in dwells]
+    plateaus = itertools.groupby(conditions, key=lambda condition: condition[0])
     visits = Counter(condition for _, plateau in plateaus for condition in {*plateau})
-    return len({each.cycle for each in starts}) == 1 and min(visits.values()) > 1
+    return len({each.cycle for each in dwells}) == 1 and min(visits.values()) > 1
 
 
 def temperature_profile(plan: Plan) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -88,23 +88,23 @@ def temperature_profile(plan: Plan) -> tuple[FloatArray, FloatArray, FloatArray]
 
 
 def position_spans(plan: Plan) -> list[tuple[float, float, str]]:
-    """Start, end and name of each stay in a position, from its go_to to the last step that belongs to it.
+    """Start, end and name of each visit to a position, from its go_to to the last step that belongs to it.
 
-    The name of one with rotations, which leave the position, is :data:`ROTATIONS`.
+    A visit with rotations, which leave the position, has the name :data:`ROTATIONS`.
     """
-    visits = itertools.accumulate(int(isinstance(planned.step, GoTo)) for planned in plan.steps)
-    of_position = [pair for pair in zip(visits, plan.steps, strict=True) if pair[1].in_position]
+    visit_numbers = itertools.accumulate(int(isinstance(planned.step, GoTo)) for planned in plan.steps)
+    in_position = [pair for pair in zip(visit_numbers, plan.steps, strict=True) if pair[1].in_position]
     spans = []
-    for _, pairs in itertools.groupby(of_position, key=lambda pair: pair[0]):
-        stay = [planned for _, planned in pairs]
-        position = stay[0].after.position
+    for _, pairs in itertools.groupby(in_position, key=lambda pair: pair[0]):
+        visit = [planned for _, planned in pairs]
+        position = visit[0].after.position
         if position is not None:
-            is_rotated = any(planned.purpose is DwellPurpose.ROTATIONS for planned in stay)
-            spans.append((stay[0].start_s, stay[-1].end_s, ROTATIONS if is_rotated else position))
+            is_rotated = any(planned.purpose is DwellPurpose.ROTATIONS for planned in visit)
+            spans.append((visit[0].start_s, visit[-1].end_s, ROTATIONS if is_rotated else position))
     return spans
 
 
-def _plateau_and_part(planned: PlannedStep) -> tuple[str, bool]:
+def _plateau_and_placement(planned: PlannedStep) -> tuple[str, bool]:
     return planned.plateau, planned.in_position
 
 
@@ -112,26 +112,26 @@ def _row(group: Sequence[PlannedStep]) -> TimelineRow:
     first, last = group[0], group[-1]
     moves = [planned.step for planned in group if isinstance(planned.step, GoTo)]
     others = [planned for planned in group if not isinstance(planned.step, GoTo)]
-    where = [first.plateau, *_places(moves)]
+    positions_text = [first.plateau, *_position_texts(moves)]
     return TimelineRow(
         start_s=first.start_s,
         duration_s=last.end_s - first.start_s,
-        what="; ".join(_different(others or group)),
-        where=", ".join(part for part in where if part),
+        steps_text="; ".join(_distinct_steps(others or group)),
+        positions_text=", ".join(part for part in positions_text if part),
         dwells=len({planned.dwell for planned in group} - {None}),
     )
 
 
-def _different(group: Sequence[PlannedStep]) -> Iterator[str]:
+def _distinct_steps(group: Sequence[PlannedStep]) -> Iterator[str]:
     """Each different step once, with its largest count in a dwell."""
-    most: dict[str, int] = {}
-    for (dwell, what), count in Counter((each.dwell, each.step.describe()) for each in group).items():
-        most[what] = max(most.get(what, 1), count if dwell else 1)
-    for what, count in most.items():
-        yield f"{count} x {what}" if count > 1 else what
+    max_counts: dict[str, int] = {}
+    for (dwell, description), count in Counter((each.dwell, each.step.describe()) for each in group).items():
+        max_counts[description] = max(max_counts.get(description, 1), count if dwell else 1)
+    for description, count in max_counts.items():
+        yield f"{count} x {description}" if count > 1 else description
 
 
-def _places(moves: Sequence[GoTo]) -> Iterator[str]:
+def _position_texts(moves: Sequence[GoTo]) -> Iterator[str]:
     """Each position once for all visits in succession: "z_up, y_up 0/180 deg"."""
     for position, visits in itertools.groupby(moves, key=lambda move: move.position):
         azimuths_deg = dict.fromkeys(visit.azimuth_deg for visit in visits)

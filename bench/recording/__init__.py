@@ -1,1 +1,1 @@
-"""Recordings of what instruments exchange with the bench, their replay, and served emulators."""
+"""Recordings of the bytes exchanged with instruments, their replay, and served emulators."""

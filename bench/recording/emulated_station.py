@@ -1,7 +1,7 @@
-"""Served emulators: a child process with them, their station file, and the printed guide to their ports.
+"""Served emulators: their child process, their station file, and the printed guide to their ports.
 
-A child process, because the emulators read no station files and the bench does not import the
-emulators. The child receives options and prints the addresses as one line of JSON.
+The emulators run in a child process, because they read no station files and the bench does not import them.
+The child receives options and prints the addresses as one line of JSON.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from gyrobench.drivers import ins
 #: The emulated chamber controller's output that powers the INS.
 _UNIT_POWER_EVENT = 2
 
-#: python-can's wait for a restarting adapter; this one is running.
+#: Shortens python-can's wait for a restarting adapter: this one is running.
 _SLCAN_OPTIONS = {"sleep_after_open": 0.05}
-#: slcan stamps frames when they are read: poll at least once an epoch of the INS, s.
+#: slcan stamps frames when they are read: poll at least once per epoch of the INS, s.
 _MAX_POLL_PERIOD_S = 0.1
-#: Real readings take time: at a longer period one late reading would be stale, s.
+#: Readings take real time: with a longer period a single late reading would trip an interlock, s.
 _MAX_INSTRUMENTS_PERIOD_S = 5.0
 _WIDTH = 110
 
@@ -65,7 +65,7 @@ def write_station_file(path: Path, station: Station, urls: Mapping[str, str], sp
 def _station_text(station: Station, urls: Mapping[str, str], speed: float) -> str:
     """YAML of the station with these addresses, on a wall clock."""
     data = yaml.safe_load(station.path.read_text(encoding="utf-8"))
-    first = {
+    overrides = {
         "station": data.pop("station"),
         "description": f"Emulators of the station {station.file.station}, served by `gyrobench emulate`.",
         "clock": "wall",
@@ -73,11 +73,11 @@ def _station_text(station: Station, urls: Mapping[str, str], speed: float) -> st
         "poll_period_s": min(station.file.poll_period_s, _MAX_POLL_PERIOD_S),
         "instruments_period_s": min(station.file.instruments_period_s, _MAX_INSTRUMENTS_PERIOD_S),
     }
-    data = first | {key: value for key, value in data.items() if key not in first}
+    data = overrides | {key: value for key, value in data.items() if key not in overrides}
     data["rate_table"] |= {"port": urls["table"]}
     data["chamber"] |= {"port": urls["chamber"]}
     data["ins"] = _ins_section(data["ins"], urls["ins"]) | {"dbc": f"{emulated_dbc(station)}.dbc"}
-    for entry, (_, url) in zip(data.get("units", []), _units(urls), strict=False):
+    for entry, (_, url) in zip(data.get("units", []), _numbered_units(urls), strict=False):
         entry |= _ins_section(entry, url) | {"identifier_offset": 0}
     body = yaml.safe_dump(data, sort_keys=False, width=_WIDTH, allow_unicode=True, default_flow_style=None)
     return (
@@ -86,7 +86,7 @@ def _station_text(station: Station, urls: Mapping[str, str], speed: float) -> st
     )
 
 
-def _units(urls: Mapping[str, str]) -> list[tuple[int, str]]:
+def _numbered_units(urls: Mapping[str, str]) -> list[tuple[int, str]]:
     """Number and address of each unit, in order."""
     numbered = {int(name.partition("-")[2] or 1): url for name, url in urls.items() if name.startswith("ins")}
     return sorted(numbered.items())
@@ -94,16 +94,16 @@ def _units(urls: Mapping[str, str]) -> list[tuple[int, str]]:
 
 def _ins_section(section: dict[str, Any], url: str) -> dict[str, Any]:
     rest = {key: value for key, value in section.items() if key not in ("interface", "channel", "options")}
-    where = urlsplit(url)
-    if where.scheme != "socketcand":
+    parts = urlsplit(url)
+    if parts.scheme != "socketcand":
         return {"interface": "slcan", "channel": url, "options": _SLCAN_OPTIONS} | rest
     rest.pop("bitrate", None)  # the daemon sets it
-    options = {"host": where.hostname, "port": where.port}
-    return {"interface": "socketcand", "channel": where.path.strip("/"), "options": options} | rest
+    options = {"host": parts.hostname, "port": parts.port}
+    return {"interface": "socketcand", "channel": parts.path.strip("/"), "options": options} | rest
 
 
 def guide(urls: Mapping[str, str], station: Station, speed: float, station_path: Path | None) -> str:
-    """Text with the address of each instrument, and a command to reach it.
+    """Text with the address of each instrument and a command to reach it.
 
     Parameters
     ----------
@@ -115,56 +115,58 @@ def guide(urls: Mapping[str, str], station: Station, speed: float, station_path:
         The station file that was written for them.
     """
     pace = "in real time" if speed == 1.0 else f"{speed:g} times as fast as real time"
-    file, table, chamber, units = station.file, urls["table"], urls["chamber"], _units(urls)
+    file, table, chamber, units = station.file, urls["table"], urls["chamber"], _numbered_units(urls)
     frames = f"{emulated_dbc(station) or _DEFAULT_FRAMES}.dbc"
     events = {number: unit.power_event or file.unit.power_event for number, unit in enumerate(file.units, 1)}
     lines = [
         f"The emulated bench runs {pace} until Ctrl-C.",
-        *_entry("Table", f"{table}  {file.rate_table.dialect}", _serial_terminal(table)),
-        *_entry("Chamber", f"{chamber}  {file.chamber.dialect}", *_chamber_clients(file, chamber)),
+        *_guide_entry("Table", f"{table}  {file.rate_table.dialect}", _serial_terminal(table)),
+        *_guide_entry("Chamber", f"{chamber}  {file.chamber.dialect}", *_chamber_clients(file, chamber)),
     ]
     for number, url in units:
         event = events.get(number, _UNIT_POWER_EVENT + number - 1)
         lines += [
-            *_entry(f"INS {number}" if len(units) > 1 else "INS", f"{url}  {frames}", *_can_clients(url)),
+            *_guide_entry(
+                f"INS {number}" if len(units) > 1 else "INS", f"{url}  {frames}", *_can_clients(url)
+            ),
             f"    It sends frames while event output {event} of the chamber is on.",
         ]
     if emulated_dbc(station) is None:
         lines += ["", f"No emulated INS sends the frames of {station.dbc_path.name}: decode with {frames}."]
     if station_path:
         command = f"gyrobench run ten_minute_check --station {station_path}"
-        lines += _entry("Bench", f"{station_path}  station file", command)
+        lines += _guide_entry("Bench", f"{station_path}  station file", command)
     return "\n".join(lines)
 
 
-def _entry(title: str, where: str, *commands: str) -> list[str]:
-    return ["", f"{title:<9}{where}", *(f"    {command}" for command in commands)]
+def _guide_entry(title: str, address: str, *commands: str) -> list[str]:
+    return ["", f"{title:<9}{address}", *(f"    {command}" for command in commands)]
 
 
 def _chamber_clients(file: StationFile, url: str) -> list[str]:
     if file.chamber.dialect != "watlow_f4":
         return [_serial_terminal(url)]
-    where = urlsplit(url)
-    if where.scheme == "socket":
-        client = f'ModbusTcpClient("{where.hostname}", port={where.port}, framer=FramerType.RTU)'
+    parts = urlsplit(url)
+    if parts.scheme == "socket":
+        client = f'ModbusTcpClient("{parts.hostname}", port={parts.port}, framer=FramerType.RTU)'
         return [f"{client} of pymodbus"]
     return [f"mbpoll -m rtu -a {getattr(file.chamber, 'address', 1)} -b 9600 -P none -0 -r 100 -c 2 {url}"]
 
 
 def _serial_terminal(url: str) -> str:
-    where = urlsplit(url)
-    if where.scheme == "socket":
-        return f"nc -C {where.hostname} {where.port}"
+    parts = urlsplit(url)
+    if parts.scheme == "socket":
+        return f"nc -C {parts.hostname} {parts.port}"
     return f"picocom --omap crcrlf {url}"
 
 
 def _can_clients(url: str) -> list[str]:
-    where = urlsplit(url)
-    if where.scheme != "socketcand":
+    parts = urlsplit(url)
+    if parts.scheme != "socketcand":
         return [f"python -m can.viewer -i slcan -c {url}"]
     return [
-        f"python -m can.viewer -i socketcand -c {where.path.strip('/')} \\",
-        f"    --bus-kwargs host={where.hostname} port={where.port}",
+        f"python -m can.viewer -i socketcand -c {parts.path.strip('/')} \\",
+        f"    --bus-kwargs host={parts.hostname} port={parts.port}",
     ]
 
 
@@ -177,7 +179,7 @@ _LOOPBACK = ("127.0.0.1", "localhost")
 
 @dataclass(frozen=True)
 class EmulationSettings:
-    """Settings of the emulated bench; None leaves a setting to the emulators."""
+    """Settings of the emulated bench; None means the emulators' default."""
 
     world: str | None = None  #: World file, or the name of a shipped one.
     seed: int | None = None  #: Seed of all random numbers.
@@ -187,7 +189,7 @@ class EmulationSettings:
     for_s: float | None = None  #: Real time after which the emulators end, s.
 
     def options(self) -> list[str]:
-        """Options of :mod:`gyrobench.drivers.emulators.serve` by the same names."""
+        """Options of :mod:`gyrobench.drivers.emulators.serve` with the same names."""
         values = vars(self).items()
         return [f"--{name.replace('_', '-')}={value}" for name, value in values if value is not None]
 
@@ -228,7 +230,7 @@ class EmulatorProcess:
             stream.close()
 
     def wait(self) -> int:
-        """Wait for their end, or end them at Ctrl-C; returns their exit code."""
+        """Wait until the emulators end, or end them at Ctrl-C; returns their exit code."""
         try:
             return self._process.wait()
         except KeyboardInterrupt:
@@ -237,7 +239,7 @@ class EmulatorProcess:
 
 
 def end_at_sigterm() -> None:
-    """Make SIGTERM end this process as Ctrl-C does."""
+    """Make SIGTERM end this process like Ctrl-C."""
     signal.signal(signal.SIGTERM, _interrupt)
 
 
@@ -246,7 +248,7 @@ def _interrupt(number: int, frame: FrameType | None) -> NoReturn:  # noqa: ARG00
 
 
 def emulated_dbc(station: Station) -> str | None:
-    """Name of the shipped DBC file that equals the station's, or None."""
+    """Name of the shipped DBC file with the same content as the station's, or None."""
     content = station.dbc_path.read_bytes()
     shipped = Path(ins.__file__).parent.glob("*.dbc")
     return next((path.stem for path in shipped if path.read_bytes() == content), None)
@@ -274,24 +276,24 @@ def serve_options(
         World, speed and so on; the emulators' defaults without it.
     """
     file = station.file
-    named = _addresses(file)
-    if can not in (None, _can(file)):
-        del named["ins"]
-    own = {name: _port(address) for name, address in named.items()}
+    addresses = _addresses(file)
+    if can not in (None, _can_interface(file)):
+        del addresses["ins"]
+    own_ports = {name: _servable_port(address) for name, address in addresses.items()}
     if tcp:
-        own = {name: port for name, port in own.items() if port.isdecimal()}
-    chosen = {name: port or own.get(name, "") for name, port in ports.items()}
-    options = [f"--{name}-port={port}" for name, port in chosen.items() if port]
+        own_ports = {name: port for name, port in own_ports.items() if port.isdecimal()}
+    selected = {name: port or own_ports.get(name, "") for name, port in ports.items()}
+    options = [f"--{name}-port={port}" for name, port in selected.items() if port]
     options += [f"--table-dialect={file.rate_table.dialect}", f"--chamber-dialect={file.chamber.dialect}"]
     options += [f"--frames={frames}"] if (frames := emulated_dbc(station)) else []
     if len(station.units) > 1:
         events = [f"--power-event={unit.file.unit.power_event}" for unit in station.units]
         options += [f"--units={len(events)}", *events]
     options += settings.options() if settings else []
-    return [*options, f"--can={can or _can(file)}", *(["--tcp"] if tcp else [])]
+    return [*options, f"--can={can or _can_interface(file)}", *(["--tcp"] if tcp else [])]
 
 
-def _can(file: StationFile) -> str:
+def _can_interface(file: StationFile) -> str:
     return "socketcand" if file.ins.interface == "socketcand" else "slcan"
 
 
@@ -302,7 +304,7 @@ def _addresses(file: StationFile) -> dict[str, str]:
     return {"table": file.rate_table.port, "chamber": file.chamber.port, "ins": ins}
 
 
-def _port(address: str) -> str:
+def _servable_port(address: str) -> str:
     url = urlsplit(address)
     if url.scheme == "socket" and url.hostname in _LOOPBACK and url.port:
         return str(url.port)

@@ -1,4 +1,4 @@
-"""Recording the instruments of a station: by queries, through a proxy, or as a log of CAN frames."""
+"""Records the instruments of a station: by queries, through a proxy, or as a log of CAN frames."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ from gyrobench.drivers.served_ports import Port, PseudoTerminal, TcpPort
 
 Instrument = Literal["table", "chamber", "ins"]
 
-#: Name in errors, what opens it, and queries that neither move nor heat anything.
+#: Name in errors, function that opens it, and queries that neither move nor heat anything.
 _QUERIED: Mapping[
     Instrument, tuple[str, Callable[[Station, Clock, Emulation], RateTable | Chamber], Sequence[Call]]
 ] = {"table": (RATE_TABLE, open_table, TABLE_QUERIES), "chamber": (CHAMBER, open_chamber, CHAMBER_QUERIES)}
@@ -92,23 +92,23 @@ class Recorder:
 
     @contextlib.contextmanager
     def lines(self, folder: Path) -> Iterator[None]:
-        """Record every line to table and chamber that is opened meanwhile, into a folder."""
-        before = set(folder.glob("*.rec"))
+        """Record every serial line to table and chamber opened in this context, in a folder."""
+        existing = set(folder.glob("*.rec"))
         headers = {name: _header(self._station, each, self._note) for each, (name, *_) in _QUERIED.items()}
         with recording_lines(folder, headers):
             try:
                 yield
             finally:
-                made = sorted(set(folder.glob("*.rec")) - before)
-                self._report(f"Recorded {', '.join(map(str, made)) or 'nothing: no line was opened'}")
+                recorded = sorted(set(folder.glob("*.rec")) - existing)
+                self._report(f"Recorded {', '.join(map(str, recorded)) or 'nothing: no line was opened'}")
 
     def record(self, instrument: Instrument, path: Path, duration_s: float | None) -> None:
         """Record the replies to queries that move nothing; of the INS, ``duration_s`` of CAN frames.
 
         Raises BenchInUseError if another process holds the bench. Raises DocumentError if the file exists, or
-        a CAN log can't have that suffix. Raises InstrumentError if the instrument can't be reached, or gave
-        no reply that lets the driver continue; what it sent until then is recorded. Raises RunFolderError if
-        the file can't be written.
+        a CAN log can't have its suffix. Raises InstrumentError if the instrument can't be reached, or its
+        replies prevent the driver from continuing; the bytes until then are recorded. Raises RunFolderError
+        if the file can't be written.
         """
         _check_absent(path)
         clock = self._station.new_clock()
@@ -140,19 +140,19 @@ class Recorder:
         _check_absent(path)
         clock = WallClock()
         header, url = _serial_port(self._station, instrument, self._note)
-        with BenchLock(self._station, path.parent, clock), contextlib.ExitStack() as opened:
+        with BenchLock(self._station, path.parent, clock), contextlib.ExitStack() as resources:
             try:
                 port = open_port(url, clock, header.baudrate or 0, header.parity or "N")
             except (OSError, ValueError) as error:
                 raise ConnectionFailedError(
                     instrument, f"can't open {url}: {error}. Check the cable."
                 ) from error
-            opened.callback(port.close)
+            resources.callback(port.close)
             served = _serve_port(where)
-            opened.callback(served.unplug)
+            resources.callback(served.unplug)
             make_folder(path.parent)
             file = RecordingFile(path, header, clock)
-            opened.callback(file.close)
+            resources.callback(file.close)
             self._report(f"The {instrument} is at {served.url}; Ctrl-C ends the recording.")
             try:
                 Proxy(served, port, file, clock).run(duration_s)
@@ -163,24 +163,24 @@ class Recorder:
         self._report(f"Recorded {path}")
 
     def _record_queries(self, instrument: Instrument, path: Path, clock: Clock) -> list[Call]:
-        """Send the queries and write the recording, also of replies that the driver can't parse."""
-        name, open_it, queries = _QUERIED[instrument]
+        """Send the queries and write the recording, including replies that the driver can't parse."""
+        name, open_driver, queries = _QUERIED[instrument]
         calls: list[Call] = []
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary)
             try:
                 with (
                     recording_lines(folder, {name: _header(self._station, instrument, self._note)}),
-                    contextlib.closing(open_it(self._station, clock, self._emulation)) as driver,
+                    contextlib.closing(open_driver(self._station, clock, self._emulation)) as driver,
                 ):
                     calls += list(call_driver(driver, queries))
             finally:
-                for part in sorted(folder.iterdir())[:1]:
-                    _write_recording(path, part, calls)
+                for recording in sorted(folder.iterdir())[:1]:
+                    _write_recording(path, recording, calls)
         return calls
 
     def _record_can(self, path: Path, clock: Clock, duration_s: float) -> str:
-        """Log frames, with an INS that is off switched on meanwhile; returns what was recorded, in words."""
+        """Log frames, switching on an INS that is off; returns a description of the recording."""
         if path.suffix not in _CAN_LOG_SUFFIXES:
             raise DocumentError(
                 f"{path}: a CAN log is named {', '.join(f'*{suffix}' for suffix in _CAN_LOG_SUFFIXES)}"
@@ -190,16 +190,16 @@ class Recorder:
             contextlib.closing(open_ins(self._station, clock, self._emulation)) as ins,
             Outputs(self._station, clock, self._emulation) as outputs,
         ):
-            switched = _switch_on(self._station, outputs, ins)
+            is_switched_on = _switch_on(self._station, outputs, ins)
             try:
                 return _log_frames(ins, path, clock, duration_s)
             finally:
-                if switched:
+                if is_switched_on:
                     outputs.power_unit(False)
 
 
 class Proxy:
-    """Passes everything between a served port and the open port of an instrument, and records it."""
+    """Passes all bytes between a served port and the open port of an instrument, and records them."""
 
     def __init__(self, served: Port, instrument: serial.Serial, file: RecordingFile, clock: Clock) -> None:
         self._served = served
@@ -209,7 +209,7 @@ class Proxy:
         self._unsent = b""
 
     def run(self, duration_s: float | None = None) -> None:
-        """Pass bytes for a time, or without end.
+        """Pass bytes for ``duration_s``, or without end.
 
         Raises OSError if the instrument's port went away; pyserial's SerialException is an OSError.
         """
@@ -220,7 +220,7 @@ class Proxy:
                 self._clock.sleep(_PROXY_PERIOD_S)
 
     def _exchange(self) -> bool:
-        """Pass the bytes that are there; False if there are none."""
+        """Pass the bytes that have arrived; returns whether there were any."""
         request = self._served.read()
         if request:
             self._file.add(True, request)
@@ -274,8 +274,11 @@ def _serial_port(station: Station, instrument: Instrument, note: str) -> tuple[R
         header = RecordingHeader(instrument="ins", note=note, baudrate=baudrate, parity="N")
         return header, ins.channel
     section = _section(station, instrument)
-    usual = section.installed_dialect.line
-    settings = {"baudrate": section.baudrate or usual.baudrate, "parity": section.parity or usual.parity}
+    defaults = section.installed_dialect.line
+    settings = {
+        "baudrate": section.baudrate or defaults.baudrate,
+        "parity": section.parity or defaults.parity,
+    }
     return _header(station, instrument, note).model_copy(update=settings), section.port
 
 
@@ -291,8 +294,8 @@ def _check_absent(path: Path) -> None:
         raise DocumentError(f"{path}: exists already; choose another name or remove it")
 
 
-def _write_recording(path: Path, part: Path, calls: list[Call]) -> None:
-    recorded = read_recording(part)
+def _write_recording(path: Path, source: Path, calls: list[Call]) -> None:
+    recorded = read_recording(source)
     identity = calls[0].gives or "" if calls else ""
     header = recorded.header.model_copy(update={"calls": calls, "identity": identity.strip("'")})
     make_folder(path.parent)
@@ -300,7 +303,7 @@ def _write_recording(path: Path, part: Path, calls: list[Call]) -> None:
 
 
 def _log_frames(ins: CanIns, path: Path, clock: Clock, duration_s: float) -> str:
-    before = ins.frames
+    first_count = ins.frames
     try:
         with can.Logger(path) as log:
 
@@ -319,11 +322,11 @@ def _log_frames(ins: CanIns, path: Path, clock: Clock, duration_s: float) -> str
         if isinstance(error, NoReplyError):
             raise
         raise write_error(path, error) from error
-    return f"{ins.frames - before} frames in {duration_s:g} s; {identity}"
+    return f"{ins.frames - first_count} frames in {duration_s:g} s; {identity}"
 
 
 def _switch_on(station: Station, outputs: Outputs, ins: CanIns) -> bool:
-    """Wait for the first frame, if need be with the INS switched on; returns whether it was."""
+    """Wait for the first frame, switching the INS on if necessary; returns whether it was switched on."""
     if ins.sends_frames(_FIRST_FRAME_S):
         return False
     if station.file.unit.power != "chamber_event":

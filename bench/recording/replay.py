@@ -1,4 +1,4 @@
-"""The calls of a recording: made to a driver, checked, and replayed to the driver of the dialect."""
+"""Calls of a recording: made to a driver, checked, and replayed."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _DEFAULT_BAUDRATE, _DEFAULT_PARITY = 9600, "N"
 
 
 def replay(path: Path) -> tuple[Recording, list[Call]]:
-    """Make the recorded calls to the driver again, in virtual time.
+    """Make the recorded calls again to the driver of the dialect, on virtual time.
 
     Raises DocumentError if the recording is wrong, or its dialect is not installed. Raises
     ConnectionFailedError if the driver sends other bytes than recorded while it is opened.
@@ -53,21 +53,21 @@ def replay(path: Path) -> tuple[Recording, list[Call]]:
 
 
 def call_driver(driver: RateTable | Chamber, calls: Iterable[Call]) -> Iterator[Call]:
-    """Make calls to a driver; yields each with its result or the kind of its error."""
+    """Make calls to a driver; yields each call with its result or the type of its error."""
     for call in calls:
-        made = call.model_copy(update={"gives": None, "fails": None})
+        outcome = call.model_copy(update={"gives": None, "fails": None})
         try:
             result = getattr(driver, call.ask)(**call.arguments)
         except InstrumentError as error:
-            yield made.model_copy(update={"fails": type(error).__name__})
+            yield outcome.model_copy(update={"fails": type(error).__name__})
         else:
-            yield made.model_copy(update={"gives": repr(result)})
+            yield outcome.model_copy(update={"gives": repr(result)})
 
 
 def checked_calls(recording: Recording) -> list[Call]:
-    """Calls of a recording, which may be written by hand, with arguments of the methods' types.
+    """Calls of a recording, which may be hand-written, with arguments converted to the methods' types.
 
-    Raises DocumentError if a call can't be made; lists all such calls with their places.
+    Raises DocumentError with all calls that can't be made, and their places.
     """
     header = recording.header
     if header.instrument == "ins":
@@ -75,12 +75,12 @@ def checked_calls(recording: Recording) -> list[Call]:
     protocol: type[RateTable | Chamber] = RateTable if header.instrument == "table" else Chamber
     calls, problems = [], []
     for index, call in enumerate(header.calls):
-        found = _checked_arguments(protocol, call.ask, call.arguments, header.axes or _DEFAULT_AXES)
-        if isinstance(found, DocumentProblem):
-            message = f"call {index + 1} of {len(header.calls)}: {found.message}"
-            problems.append(DocumentProblem(("calls", index, *found.location), message))
+        arguments = _checked_arguments(protocol, call.ask, call.arguments, header.axes or _DEFAULT_AXES)
+        if isinstance(arguments, DocumentProblem):
+            message = f"call {index + 1} of {len(header.calls)}: {arguments.message}"
+            problems.append(DocumentProblem(("calls", index, *arguments.location), message))
         else:
-            calls.append(call.model_copy(update={"arguments": found}))
+            calls.append(call.model_copy(update={"arguments": arguments}))
     if problems:
         raise recording.document.error(problems)
     return calls
@@ -89,7 +89,7 @@ def checked_calls(recording: Recording) -> list[Call]:
 def _checked_arguments(
     protocol: type[RateTable | Chamber], ask: str, arguments: Mapping[str, Any], axes: Sequence[int]
 ) -> dict[str, Any] | DocumentProblem:
-    """Arguments of a call with their types, or what is wrong, located within the call."""
+    """Arguments of a call converted to their types, or a problem located within the call."""
     methods = dict(_methods(protocol))
     if ask not in methods:
         return DocumentProblem(

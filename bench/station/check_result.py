@@ -7,7 +7,7 @@ from enum import StrEnum
 
 
 class CheckVerdict(StrEnum):
-    """Result; skipped where the check was not possible."""
+    """Verdict of a check; skipped if the check was not possible."""
 
     PASS = "pass"  # noqa: S105 - no password
     FAIL = "FAIL"
@@ -16,13 +16,13 @@ class CheckVerdict(StrEnum):
 
 @dataclass(frozen=True)
 class Check:
-    """One check."""
+    """Result of one check."""
 
-    #: subject, what: Instrument or part of the bench, and what was checked, in a few words.
+    #: subject, what: Instrument or part of the bench, and the property that was checked.
     subject: str
     what: str
     verdict: CheckVerdict
-    #: found, advice: What was found, or why the check was not possible; what to do, empty if nothing.
+    #: found, advice: Finding, or why the check was not possible; what to do, empty if nothing.
     found: str
     advice: str = ""
 
@@ -34,6 +34,6 @@ class Check:
         return cls(subject, what, CheckVerdict.FAIL, found, advice)
 
     @classmethod
-    def skipped(cls, subject: str, what: str, why: str, advice: str = "") -> Check:
+    def skipped(cls, subject: str, what: str, reason: str, advice: str = "") -> Check:
         """A check that was not possible."""
-        return cls(subject, what, CheckVerdict.SKIPPED, why, advice)
+        return cls(subject, what, CheckVerdict.SKIPPED, reason, advice)

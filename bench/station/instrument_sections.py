@@ -27,31 +27,31 @@ from gyrobench.bench.foundations.text import plain_name
 from gyrobench.drivers.chamber import ChamberDialect
 from gyrobench.drivers.rate_table import TableDialect
 
-#: Beyond these no quantity of a bench is meant, and squares of it overflow.
+#: Range of the values of any quantity of a bench; squares of larger values could overflow.
 _SMALLEST, _LARGEST = 1e-9, 1e9
 
 
-def _sizeable(value: float) -> float:
+def _checked_size(value: float) -> float:
     if 0.0 < value < _SMALLEST:
         raise ValueError(f"a number of at least {_SMALLEST:g} is expected")
     return value
 
 
-Positive = Annotated[float, Field(gt=0.0, le=_LARGEST), AfterValidator(_sizeable)]
-NotNegative = Annotated[float, Field(ge=0.0, le=_LARGEST), AfterValidator(_sizeable)]
+Positive = Annotated[float, Field(gt=0.0, le=_LARGEST), AfterValidator(_checked_size)]
+NotNegative = Annotated[float, Field(ge=0.0, le=_LARGEST), AfterValidator(_checked_size)]
 Direction = Literal["east", "north", "up", "west", "south", "down"]
 
 _USER_IN_ADDRESS = re.compile(r"://[^/?#]*@")
 
 
-def _low_first(ends: list[float]) -> list[float]:
+def _checked_range(ends: list[float]) -> list[float]:
     if ends[0] >= ends[1]:
         raise ValueError("the lower end comes first")
     return ends
 
 
 def without_password(address: str) -> str:
-    """Refuse ``scheme://user:password@host``: the station file is copied into every run folder."""
+    """Raise ValueError for ``scheme://user:password@host``: run folders have a copy of the station file."""
     if _USER_IN_ADDRESS.search(address):
         raise ValueError(
             "an address can't hold a user or password: every run folder has a copy of this file. "
@@ -60,7 +60,7 @@ def without_password(address: str) -> str:
     return address
 
 
-Range = Annotated[list[float], Field(min_length=2, max_length=2), AfterValidator(_low_first)]
+Range = Annotated[list[float], Field(min_length=2, max_length=2), AfterValidator(_checked_range)]
 SerialPort = Annotated[
     str, Field(min_length=1, description="serial device or pyserial URL"), AfterValidator(without_password)
 ]
@@ -105,19 +105,21 @@ class DialectSection(StrictModel):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _with_the_keys_of_its_dialect(cls, data: Any, handler: Any) -> Self:
+    def _with_dialect_keys(cls, data: Any, handler: Any) -> Self:
         is_complete = "dialect" in cls.model_fields and cls.model_fields["dialect"].annotation is not str
         if is_complete or not isinstance(data, dict):
             return cast(Self, handler(data))
         if "dialect" not in data:
-            raise _wrong(cls, "missing", f"the key 'dialect' is missing; {_installed(cls)}", data)
+            raise _dialect_error(
+                cls, "missing", f"the key 'dialect' is missing; {_installed_text(cls)}", data
+            )
         name = data["dialect"]
         if not isinstance(name, str):
-            raise _wrong(cls, "dialect", f"a dialect is a name; {_installed(cls)}", name)
+            raise _dialect_error(cls, "dialect", f"a dialect is a name; {_installed_text(cls)}", name)
         try:
             complete = section_of(cls, name)
         except DocumentError as error:
-            raise _wrong(cls, "dialect", str(error), name) from error
+            raise _dialect_error(cls, "dialect", str(error), name) from error
         return cast(Self, complete.model_validate(data))
 
     @classmethod
@@ -132,15 +134,15 @@ class DialectSection(StrictModel):
 
 @cache
 def section_of(section: type[DialectSection], name: str) -> type[DialectSection]:
-    """Class of a section with the keys of one dialect added.
+    """Class of a section with the keys of a dialect added.
 
     Raises DocumentError if there is no such dialect, or its keys can't be added.
     """
     options: type[StrictModel] = load(section.group, name, section.kind).options
-    taken = sorted(options.model_fields.keys() & section.model_fields.keys())
-    if taken:
+    conflicting = sorted(options.model_fields.keys() & section.model_fields.keys())
+    if conflicting:
         raise DocumentError(
-            f"the dialect {name!r} has keys that every such section has ({', '.join(taken)}). "
+            f"the dialect {name!r} has keys that every such section has ({', '.join(conflicting)}). "
             "Report this to the package's author"
         )
     dialect: Any = (Literal[name], Field(description="command language"))
@@ -160,15 +162,15 @@ def _loadable(section: type[DialectSection]) -> list[str]:
     return names
 
 
-def _installed(section: type[DialectSection]) -> str:
+def _installed_text(section: type[DialectSection]) -> str:
     return f"installed: {', '.join(installed(section.group))}"
 
 
-def _wrong(section: type[DialectSection], kind: str, message: str, found: Any) -> ValidationError:
-    # A message may have braces, which the error would take for places of its context.
+def _dialect_error(section: type[DialectSection], kind: str, message: str, value: Any) -> ValidationError:
+    # The error would interpret braces in a message as placeholders.
     escaped = message.replace("{", "{{").replace("}", "}}")
     detail = InitErrorDetails(
-        type=PydanticCustomError(cast(Any, kind), cast(Any, escaped)), loc=("dialect",), input=found
+        type=PydanticCustomError(cast(Any, kind), cast(Any, escaped)), loc=("dialect",), input=value
     )
     return ValidationError.from_exception_data(section.__name__, [detail])
 
@@ -213,8 +215,8 @@ class RateTableSection(DialectSection):
     mounting: Mounting = Field(description="directions of the unit's body axes, angles at zero")
     reference_mounting: Mounting | None = Field(
         None,
-        description="mounting for which the positions in procedures hold, where another unit on the table "
-        "has the positions; by default `mounting`",
+        description="mounting to which the positions in procedures refer, if another unit on the table "
+        "defines them; by default `mounting`",
     )
     limits: TableLimits = Field(description="limits of the table")
     repeatability_arcsec: NotNegative = Field(
@@ -222,7 +224,7 @@ class RateTableSection(DialectSection):
     )
 
     @model_validator(mode="after")
-    def _one_or_two_axes(self) -> Self:
+    def _check_axes(self) -> Self:
         if self.is_single_axis:
             if self.limits.outer_deg is not None or "outer_axis_number" in self.model_fields_set:
                 raise ValueError(
@@ -255,12 +257,12 @@ class RateTableSection(DialectSection):
 
     @property
     def outer_limits_deg(self) -> tuple[float, float]:
-        """Range of the outer axis; zero alone where there is none."""
+        """Range of the outer axis, deg; (0, 0) if there is none."""
         return _NO_OUTER_DEG if self.limits.outer_deg is None else _pair(self.limits.outer_deg)
 
     @property
     def inner_limits_deg(self) -> tuple[float, float]:
-        """Range of the inner axis."""
+        """Range of the inner axis, deg."""
         return _pair(self.limits.inner_deg)
 
 
@@ -277,7 +279,7 @@ class ChamberLimits(StrictModel):
     ramp_c_per_min: Positive = Field(description="fastest ramp, degC/min")
 
     @model_validator(mode="after")
-    def _in_order(self) -> Self:
+    def _check_range(self) -> Self:
         if self.low_c >= self.high_c:
             raise ValueError(f"low_c ({self.low_c:g}) must be below high_c ({self.high_c:g})")
         return self
@@ -358,12 +360,12 @@ class Traceability(StrictModel):
     reference_clock: CalibratedInstrument | None = Field(None, description="clock of the measurement")
 
     def instruments(self) -> Iterator[tuple[str, CalibratedInstrument]]:
-        """Names and calibrations of the instruments that have one."""
-        found = ((name, getattr(self, name)) for name in type(self).model_fields)
-        yield from ((name, each) for name, each in found if each is not None)
+        """Names and calibrations of the instruments that have a calibration."""
+        fields = ((name, getattr(self, name)) for name in type(self).model_fields)
+        yield from ((name, each) for name, each in fields if each is not None)
 
     def past_due(self, today: date) -> dict[str, str]:
-        """What is past due on a day: name of each instrument, and since when."""
+        """Instruments that are past due on a day: description by name."""
         return {
             name: f"calibration of the {plain_name(name)} {each.serial_number} was due on {each.due}, "
             f"{(today - each.due).days} days ago"

@@ -44,7 +44,7 @@ _POLL_S = 0.25
 _ResultT = TypeVar("_ResultT")
 
 
-def within(
+def call_within(
     clock: Clock,
     limit_s: float,
     instrument: str,
@@ -66,7 +66,7 @@ def within(
     def perform() -> None:
         try:
             result = action()
-        except BaseException as error:  # noqa: BLE001 - raised again where the result is waited for
+        except BaseException as error:  # noqa: BLE001 - raised again in the waiting thread
             with contextlib.suppress(InvalidStateError):
                 outcome.set_exception(error)
             return
@@ -104,7 +104,7 @@ _DriverT = TypeVar("_DriverT", bound=RateTable | Chamber | CanIns)
 
 @dataclass(frozen=True)
 class Emulation:
-    """Simulated world behind emulated instruments, which alone read it; real ones ignore it."""
+    """Simulated world of emulated instruments; real instruments ignore it."""
 
     #: world, faults: World file and list of faults (empty: none), by path or shipped name. Paths become
     #: absolute: a run is resumed and verified from any folder.
@@ -120,10 +120,10 @@ class Emulation:
 
     @classmethod
     def of(cls, station: str, world: str | None = None, seed: int = 0, faults: str | None = None) -> Self:
-        """That of a station, as it was given; without a world :func:`world_for` selects it by that name.
+        """Emulation for a station; without a world :func:`world_for` selects it by the station's name.
 
-        Raises DocumentError if world or faults are given for a station without any emulated instrument: who
-        gives them expects that nothing real moves.
+        Raises DocumentError if world or faults are given for a station without any emulated instrument: the
+        caller then expects that nothing real moves.
         """
         if world or faults:
             path = find_document("stations", station)
@@ -143,9 +143,9 @@ class Emulation:
 class Outputs:
     """Rate table and chamber, whose outputs can do harm; a context manager that closes them.
 
-    Each is opened at its first use, independently of the other. If its port can't be opened, that use
-    raises, and the next one tries again. So it does where another instrument answers than ``known`` states,
-    by name, or its section of the station file; one that does not answer may be the right one.
+    Each is opened at its first use, independently of the other. If its port can't be opened, that use raises,
+    and the next one tries again. The same holds if the instrument that answers has another identity than in
+    ``identities``, by name, or in the station file. An instrument that does not answer may be the right one.
     """
 
     def __init__(
@@ -153,13 +153,13 @@ class Outputs:
         station: Station,
         clock: Clock,
         emulation: Emulation | None = None,
-        known: Mapping[str, str] | None = None,
+        identities: Mapping[str, str] | None = None,
     ) -> None:
         self.clock = clock
         self._station = station
         self._emulation = emulation or Emulation()
-        self._drivers: dict[str, Any] = {}  # those opened so far
-        self._identities = dict(known or {})
+        self._drivers: dict[str, Any] = {}  # opened so far
+        self._identities = dict(identities or {})
 
     def __enter__(self) -> Self:
         return self
@@ -179,18 +179,18 @@ class Outputs:
 
     @property
     def is_ramping(self) -> bool:
-        """Whether the chamber's set point is being moved along a ramp that its controller lacks."""
+        """Whether the bench moves the chamber's set point along a ramp, as its controller has no ramps."""
         chamber = self._drivers.get(CHAMBER)
         return isinstance(chamber, SoftwareRamp) and chamber.is_ramping
 
     def advance_ramp(self) -> None:
-        """Move the chamber's set point on along such a ramp; to be called at every tick."""
+        """Move the chamber's set point along such a ramp; call at every tick."""
         chamber = self._drivers.get(CHAMBER)
         if isinstance(chamber, SoftwareRamp):
             chamber.advance()
 
     def require_no_profile(self) -> None:
-        """Raise RefusedError if the chamber runs a profile that the station file does not let a run end."""
+        """Raise RefusedError if the chamber runs a profile that the station file forbids to end."""
         if getattr(self._station.file.chamber, "running_profile", "refuse") == "refuse" and (
             profile := running_profile(self.chamber)
         ):
@@ -207,36 +207,36 @@ class Outputs:
                 self.chamber.switch_event(event, on)
 
     def identify(self, instrument: str) -> str:
-        """Identification of the rate table or the chamber, which is noted for :meth:`reopen`.
+        """Identification of the rate table or the chamber; stored for :meth:`reopen`.
 
-        Raises ConnectionFailedError if it is another one than known.
+        Raises ConnectionFailedError if it differs from the expected one.
         """
-        found = self._identified(instrument, self._driver(instrument))
-        return self._identities.setdefault(instrument, found)
+        identity = self._checked_identity(instrument, self._driver(instrument))
+        return self._identities.setdefault(instrument, identity)
 
     def reopen(self, instrument: str) -> None:
         """Close and reopen the port of one instrument, named as in errors; after a failure it stays closed.
 
-        Raises ConnectionFailedError if it can't be opened, does not answer, or is another one than before:
-        adapters that come back may have exchanged their names.
+        Raises ConnectionFailedError if it can't be opened, does not answer, or has another identity than
+        before: adapters that were reconnected may have exchanged their names.
         """
         if instrument not in (RATE_TABLE, CHAMBER):
             raise ValueError(f"no instrument is called {instrument!r}")
-        before = self._drivers.get(instrument)
+        previous = self._drivers.get(instrument)
 
-        def reopened() -> RateTable | Chamber:
-            if before is not None:
-                before.close()
-            return self._newly_opened(instrument)
+        def open_again() -> RateTable | Chamber:
+            if previous is not None:
+                previous.close()
+            return self._open_driver(instrument)
 
         try:
-            self._drivers[instrument] = driver = self._in_time(instrument, reopened)
+            self._drivers[instrument] = driver = self._within_time_limit(instrument, open_again)
         except ConnectionFailedError:
             raise
         except InstrumentError as error:
             raise ConnectionFailedError(instrument, f"its port is open, but {error.message}") from error
-        if isinstance(before, SoftwareRamp) and isinstance(driver, SoftwareRamp):
-            driver.continue_from(before)
+        if isinstance(previous, SoftwareRamp) and isinstance(driver, SoftwareRamp):
+            driver.continue_from(previous)
 
     def close(self) -> None:
         """Close the ports; table and chamber keep their state."""
@@ -245,59 +245,65 @@ class Outputs:
 
     def _driver(self, instrument: str) -> Any:
         if instrument not in self._drivers:
-            self._drivers[instrument] = self._in_time(instrument, partial(self._newly_opened, instrument))
+            self._drivers[instrument] = self._within_time_limit(
+                instrument, partial(self._open_driver, instrument)
+            )
         return self._drivers[instrument]
 
-    def _newly_opened(self, instrument: str) -> RateTable | Chamber:
-        open_it = open_table if instrument == RATE_TABLE else open_chamber
-        driver: RateTable | Chamber = open_it(self._station, self.clock, self._emulation)
-        if instrument in self._identities or self._identity_text(instrument):
+    def _open_driver(self, instrument: str) -> RateTable | Chamber:
+        open_instrument = open_table if instrument == RATE_TABLE else open_chamber
+        driver: RateTable | Chamber = open_instrument(self._station, self.clock, self._emulation)
+        if instrument in self._identities or self._required_identity(instrument):
             try:
-                self._identified(instrument, driver)
+                self._checked_identity(instrument, driver)
             except (NoReplyError, ReplyError, RefusedError):
-                pass  # may be the right one, and is to be stopped all the same
+                pass  # may be the right one, and has to be stopped in any case
             except InstrumentError:
                 driver.close()
                 raise
         return driver
 
-    def _identity_text(self, instrument: str) -> str:
-        """What the station file states that its identification contains."""
+    def _required_identity(self, instrument: str) -> str:
+        """Text that the identification must contain according to the station file."""
         section = self._station.file
         return (section.rate_table if instrument == RATE_TABLE else section.chamber).identity
 
-    def _identified(self, instrument: str, driver: RateTable | Chamber) -> str:
-        """Ask an instrument what it is; raises ConnectionFailedError if it is another one than known."""
-        text, known = self._identity_text(instrument), self._identities.get(instrument)
+    def _checked_identity(self, instrument: str, driver: RateTable | Chamber) -> str:
+        """Identify an instrument; raises ConnectionFailedError if it is not the expected one."""
+        required, expected = self._required_identity(instrument), self._identities.get(instrument)
 
-        def problem(found: str) -> tuple[str, str] | None:
-            if text not in found:
-                return f"{found}, which lacks {text!r}", "else correct `identity` in the station file"
-            if known in (None, found):
+        def problem(identity: str) -> tuple[str, str] | None:
+            if required not in identity:
+                return f"{identity}, which lacks {required!r}", "else correct `identity` in the station file"
+            if expected in (None, identity):
                 return None
             advice = "if it was replaced, resume the run with --other-instruments"
-            return f"{found} in place of {known}", advice
+            return f"{identity} in place of {expected}", advice
 
-        found = driver.identify()
-        if problem(found) and (other := problem(found := driver.identify())):  # a damaged reply comes once
+        identity = driver.identify()
+        if problem(identity) and (
+            mismatch := problem(identity := driver.identify())
+        ):  # a damaged reply does not come twice
             raise ConnectionFailedError(
                 instrument,
-                f"another instrument answers on its port: {other[0]}. Check cables and names of adapters "
-                f"(those in /dev/serial/by-id stay); {other[1]}.",
+                f"another instrument answers on its port: {mismatch[0]}. Check cables and names of adapters "
+                f"(those in /dev/serial/by-id stay); {mismatch[1]}.",
             )
-        return found
+        return identity
 
-    def _in_time(self, instrument: str, open_it: Callable[[], _DriverT]) -> _DriverT:
-        return within(self.clock, _opening_time_s(self.clock), instrument, open_it, lambda late: late.close())
+    def _within_time_limit(self, instrument: str, open_it: Callable[[], _DriverT]) -> _DriverT:
+        return call_within(
+            self.clock, _opening_time_s(self.clock), instrument, open_it, lambda late: late.close()
+        )
 
 
 class Instruments(Outputs):
     """All instruments of a bench, opened; a context manager that closes them.
 
     ``may_be_absent``: whether an instrument that can't be opened, or a table or chamber that does not answer,
-    is left out, if another answers. It then reads nothing and refuses commands. ``dropped``: numbers of units
-    that are not opened. Raises ConnectionFailedError if one can't be opened, or none, which names all; the
-    others are closed again.
+    is left out if another one answers. It then reads nothing and refuses commands. ``dropped``: numbers of
+    units that are not opened. Raises ConnectionFailedError if an instrument can't be opened or, with
+    ``may_be_absent``, if none can; the others are closed again.
     """
 
     def __init__(
@@ -307,47 +313,53 @@ class Instruments(Outputs):
         emulation: Emulation,
         may_be_absent: bool = False,
         dropped: Collection[str] = (),
-        known: Mapping[str, str] | None = None,
+        identities: Mapping[str, str] | None = None,
     ) -> None:
-        super().__init__(station, clock, emulation, known)
-        #: Instruments that are left out, and why.
+        super().__init__(station, clock, emulation, identities)
+        #: Instruments that are left out, with their errors.
         self.absent: dict[str, InstrumentError] = {}
         #: The INS of each unit, by its name in messages, in the order of the station file.
         self.units: dict[str, CanIns] = {}
         self._stations = {unit.instrument: unit for unit in station.units if unit.number not in dropped}
-        with contextlib.ExitStack() as opened:
-            opened.callback(super().close)
-            unknown = (math.nan,) * len(station.file.rate_table.axis_numbers)
-            self._open(RATE_TABLE, may_be_absent, TableReading(unknown, unknown, is_servoed=False, faults=()))
+        with contextlib.ExitStack() as resources:
+            resources.callback(super().close)
+            nan_values = (math.nan,) * len(station.file.rate_table.axis_numbers)
+            self._open(
+                RATE_TABLE, may_be_absent, TableReading(nan_values, nan_values, is_servoed=False, faults=())
+            )
             self._open(CHAMBER, may_be_absent, ChamberReading(math.nan, alarms=()))
             for name, unit in self._stations.items():
                 try:
-                    self.units[name] = self._in_time(name, partial(open_ins, unit, clock, emulation, station))
+                    self.units[name] = self._within_time_limit(
+                        name, partial(open_ins, unit, clock, emulation, station)
+                    )
                 except InstrumentError as error:
                     self._leave_out(error, may_be_absent)
-                    self.units[name] = _silent_ins(unit, clock)
-                opened.callback(self.units[name].close)
+                    self.units[name] = _disconnected_ins(unit, clock)
+                resources.callback(self.units[name].close)
             if len(self.absent) == len({RATE_TABLE, CHAMBER, *self.units}):
                 causes = "\n  ".join(map(str, self.absent.values()))
                 raise ConnectionFailedError("bench", f"no instrument answers:\n  {causes}")
-            opened.pop_all()
+            resources.pop_all()
 
     @property
     def ins(self) -> CanIns:
         """The INS of the first unit."""
         return next(iter(self.units.values()))
 
-    def _open(self, instrument: str, may_be_absent: bool, nothing: TableReading | ChamberReading) -> None:
-        """Open table or chamber; one that may be absent and does not answer reads ``nothing``."""
+    def _open(
+        self, instrument: str, may_be_absent: bool, empty_reading: TableReading | ChamberReading
+    ) -> None:
+        """Open table or chamber; if it may be absent and does not answer, it reads ``empty_reading``."""
         try:
             if may_be_absent:
-                _await_answer(lambda: self._driver(instrument).read(), self.clock)
+                _require_answer(lambda: self._driver(instrument).read(), self.clock)
             self._driver(instrument)
         except InstrumentError as error:
             self._leave_out(error, may_be_absent)
             if instrument in self._drivers:
                 self._drivers[instrument].close()
-            self._drivers[instrument] = _Absent(error, nothing)
+            self._drivers[instrument] = _AbsentInstrument(error, empty_reading)
 
     def _leave_out(self, error: InstrumentError, may_be: bool) -> None:
         if not may_be:
@@ -355,7 +367,7 @@ class Instruments(Outputs):
         self.absent[error.instrument] = error
 
     def reopen(self, instrument: str) -> None:
-        """Close and reopen one instrument, also the INS; see :meth:`Outputs.reopen`.
+        """Close and reopen one instrument, including the INS; see :meth:`Outputs.reopen`.
 
         The INS stays the same object, on a new bus, with the data received before.
         """
@@ -364,12 +376,12 @@ class Instruments(Outputs):
             super().reopen(instrument)
             return
 
-        def reopened() -> can.BusABC:
-            ins.close()  # first: closing the channel later would close it for both
+        def open_again() -> can.BusABC:
+            ins.close()  # first: closing the channel later would also close the new bus
             return _open_ins_bus(self._stations[instrument], self.clock, self._emulation, self._station)
 
         ins.replace_bus(
-            within(self.clock, _opening_time_s(self.clock), instrument, reopened, discard=close_bus)
+            call_within(self.clock, _opening_time_s(self.clock), instrument, open_again, discard=close_bus)
         )
 
     def close(self) -> None:
@@ -379,7 +391,7 @@ class Instruments(Outputs):
         super().close()
 
 
-def _await_answer(read: Callable[[], object], clock: Clock) -> None:
+def _require_answer(read: Callable[[], object], clock: Clock) -> None:
     """Read an instrument; raises InstrumentError if its port can't be opened, or it does not answer twice."""
     for is_last in (False, True):
         try:
@@ -394,11 +406,11 @@ def _await_answer(read: Callable[[], object], clock: Clock) -> None:
             return
 
 
-class _Absent:
-    """In place of a table or chamber that does not answer: reads nothing and refuses every command."""
+class _AbsentInstrument:
+    """Replaces a table or chamber that does not answer: reads nothing and refuses every command."""
 
-    def __init__(self, error: InstrumentError, nothing: TableReading | ChamberReading) -> None:
-        self._instrument, self._nothing = error.instrument, nothing
+    def __init__(self, error: InstrumentError, empty_reading: TableReading | ChamberReading) -> None:
+        self._instrument, self._empty_reading = error.instrument, empty_reading
 
     def __getattr__(self, name: str) -> Callable[..., Any]:
         def refuse(*_: object, **__: object) -> None:
@@ -410,14 +422,14 @@ class _Absent:
 
     def read(self) -> TableReading | ChamberReading:
         """Read nothing."""
-        return self._nothing
+        return self._empty_reading
 
     def close(self) -> None:
         """Do nothing: it has no port."""
 
 
-def _silent_ins(station: Station, clock: Clock) -> CanIns:
-    """The INS on a bus of this process, on which no other sends."""
+def _disconnected_ins(station: Station, clock: Clock) -> CanIns:
+    """An INS on a virtual bus inside this process, on which no node sends."""
     section = station.file.ins
     bus = open_bus("virtual", f"absent INS {uuid4()}", clock)
     return CanIns(bus, section.signals, station.database(), clock, section.commands, name=station.instrument)
@@ -427,7 +439,7 @@ def open_table(station: Station, clock: Clock, emulation: Emulation) -> RateTabl
     """Open the rate table; raises InstrumentError if it can't be opened."""
     section = station.file.rate_table
     dialect = load(RATE_TABLES, section.dialect, TableDialect)
-    with _silent_line(RATE_TABLE, section, station, clock, emulation) as line:
+    with _open_silent_line(RATE_TABLE, section, station, clock, emulation) as line:
         return dialect.open(line, section.axis_numbers, section)
 
 
@@ -435,16 +447,16 @@ def open_chamber(station: Station, clock: Clock, emulation: Emulation) -> Chambe
     """Open the chamber, with ramps; raises InstrumentError if it can't be opened or does not answer."""
     section = station.file.chamber
     dialect = load(CHAMBERS, section.dialect, ChamberDialect)
-    with _silent_line(CHAMBER, section, station, clock, emulation) as line:
+    with _open_silent_line(CHAMBER, section, station, clock, emulation) as line:
         driver = dialect.open(line, section)
     return driver if getattr(driver, "can_ramp", True) else cast(Chamber, SoftwareRamp(driver, clock))
 
 
 def open_ins(station: Station, clock: Clock, emulation: Emulation, bench: Station | None = None) -> CanIns:
-    """Open the INS on its bus; ``bench`` is the station with all units, where there are several.
+    """Open the INS on its bus; ``bench`` is the station with all units, if there are several.
 
     Raises ConnectionFailedError if it can't be opened. Raises DocumentError if the maps of the station file
-    do not fit the DBC file, or an emulated INS does not send as they say.
+    do not fit the DBC file, or an emulated INS does not send as they describe.
     """
     section, database = station.file.ins, station.database()
     is_shared = bench is not None and bench.shares_bus(station)
@@ -457,11 +469,11 @@ def open_ins(station: Station, clock: Clock, emulation: Emulation, bench: Statio
 
 
 def _open_ins_bus(station: Station, clock: Clock, emulation: Emulation, bench: Station | None) -> can.BusABC:
-    """Open the bus alone, as :func:`open_ins`."""
+    """Open only the bus; arguments as for :func:`open_ins`."""
     section = station.file.ins
     options: dict[str, str | int | float | bool] = dict(section.options)
     if section.interface == _EMULATOR:
-        options.update(_emulated_bench(bench or station, emulation))
+        options.update(_emulation_parameters(bench or station, emulation))
         options["epoch_period_s"] = section.signals.epoch_period_s
         if section.identifier_offset:
             options["identifier_offset"] = section.identifier_offset
@@ -476,15 +488,15 @@ def _opening_time_s(clock: Clock) -> float:
 
 
 @contextlib.contextmanager
-def _silent_line(
+def _open_silent_line(
     instrument: str, section: DialectSection, station: Station, clock: Clock, emulation: Emulation
 ) -> Iterator[SerialLine]:
     """Open a line and wait until it is silent; an error of the driver closes it."""
-    usual, url = section.installed_dialect.line, section.port
+    defaults, url = section.installed_dialect.line, section.port
     if url.startswith(f"{_EMULATOR}://") and "?" not in url:
-        url += f"?{urlencode({'clock': clock.name, **_emulated_bench(station, emulation)})}"
-    baudrate, parity = section.baudrate or usual.baudrate, section.parity or usual.parity
-    line = SerialLine(instrument, usual.complete_url(url), clock, baudrate, parity)
+        url += f"?{urlencode({'clock': clock.name, **_emulation_parameters(station, emulation)})}"
+    baudrate, parity = section.baudrate or defaults.baudrate, section.parity or defaults.parity
+    line = SerialLine(instrument, defaults.complete_url(url), clock, baudrate, parity)
     try:
         line.await_silence(_LATE_REPLY_S, _opening_time_s(clock) / 2.0)
         yield line
@@ -493,7 +505,7 @@ def _silent_line(
         raise
 
 
-def _emulated_bench(station: Station, emulation: Emulation) -> dict[str, str | int]:
+def _emulation_parameters(station: Station, emulation: Emulation) -> dict[str, str | int]:
     """Parameters of the emulated bench in an address: its world, and the dialects of table and chamber."""
     sections = {"table": station.file.rate_table, "chamber": station.file.chamber}
     dialects = {

@@ -1,6 +1,6 @@
-"""The station file's section `interlocks`: what trips, and how the run resumes after a trip.
+"""The station file's section `interlocks`: trip limits, and how the run resumes after a trip.
 
-Every interlock has defaults; a station file gives only what differs.
+Every interlock has defaults; a station file gives only values that differ.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from gyrobench.bench.station.instrument_sections import NotNegative, Positive
 from gyrobench.drivers.ins.ins_status import InsStatus
 from gyrobench.drivers.ins.signal_map import SignalMap
 
-#: Margins of the defaults beyond the limits of the station.
+#: Margins of the default trip limits beyond the limits of the station.
 _AIR_MARGIN_C = 5.0
 _ANGLE_MARGIN_DEG = 1.0
 _TABLE_RATE_FACTOR, _TABLE_RATE_MARGIN_DPS = 1.1, 0.5
@@ -25,11 +25,11 @@ _SILENCE_S, _SILENT_READINGS = 30.0, 4
 
 _WIDEN = "Widen the interlock or narrow the limits"
 _RESUME = "person: an operator has to confirm that the run may resume; automatic: it resumes by itself"
-_RESUME_AFTER = "how long the value must be good again before the run may resume, s"
+_RESUME_AFTER = "time without a violation after which the run may resume, s"
 _MAX_RESUMES = "how often in a run it resumes by itself after this trip; then an operator is needed"
 
 
-def _given(value: float | None, default: float) -> float:
+def _value_or_default(value: float | None, default: float) -> float:
     return default if value is None else value
 
 
@@ -63,7 +63,7 @@ class TemperatureInterlock(InterlockRule):
     high_c: float = Field(95.0, description="highest temperature, degC")
 
     @model_validator(mode="after")
-    def _in_order(self) -> Self:
+    def _check_range(self) -> Self:
         _check_order("c", self.low_c, self.high_c)
         return self
 
@@ -79,14 +79,16 @@ class ChamberAirInterlock(InterlockRule):
     )
 
     @model_validator(mode="after")
-    def _in_order(self) -> Self:
+    def _check_range(self) -> Self:
         _check_order("c", self.low_c, self.high_c)
         return self
 
     def range_c(self, limits_c: Sequence[float]) -> tuple[float, float]:
-        """Allowed range, where the chamber has these limits."""
+        """Allowed range for a chamber with these limits."""
         low_c, high_c = limits_c
-        return _given(self.low_c, low_c - _AIR_MARGIN_C), _given(self.high_c, high_c + _AIR_MARGIN_C)
+        return _value_or_default(self.low_c, low_c - _AIR_MARGIN_C), _value_or_default(
+            self.high_c, high_c + _AIR_MARGIN_C
+        )
 
 
 class TemperatureRateInterlock(PassingRule):
@@ -98,8 +100,8 @@ class TemperatureRateInterlock(PassingRule):
     window_s: Positive = Field(60.0, description="time over which the change is taken, s")
 
     def limit_or_default_c_per_min(self, ramp_c_per_min: float) -> float:
-        """Fastest change, where ``ramp_c_per_min`` is the chamber's fastest ramp."""
-        return _given(self.limit_c_per_min, ramp_c_per_min * _RAMP_FACTOR + _RAMP_MARGIN_C_PER_MIN)
+        """Fastest change for a chamber whose fastest ramp is ``ramp_c_per_min``."""
+        return _value_or_default(self.limit_c_per_min, ramp_c_per_min * _RAMP_FACTOR + _RAMP_MARGIN_C_PER_MIN)
 
 
 class TableRateInterlock(InterlockRule):
@@ -110,8 +112,8 @@ class TableRateInterlock(InterlockRule):
     )
 
     def limit_or_default_dps(self, rate_dps: float) -> float:
-        """Fastest turn, where the table has this limit."""
-        return _given(self.limit_dps, rate_dps * _TABLE_RATE_FACTOR + _TABLE_RATE_MARGIN_DPS)
+        """Fastest turn for a table with this limit."""
+        return _value_or_default(self.limit_dps, rate_dps * _TABLE_RATE_FACTOR + _TABLE_RATE_MARGIN_DPS)
 
 
 class TableAccelerationInterlock(InterlockRule):
@@ -122,8 +124,8 @@ class TableAccelerationInterlock(InterlockRule):
     )
 
     def limit_or_default_dps2(self, acceleration_dps2: float) -> float:
-        """Largest acceleration, where the table has this limit."""
-        return _given(self.limit_dps2, acceleration_dps2 * _ACCELERATION_FACTOR)
+        """Largest acceleration for a table with this limit."""
+        return _value_or_default(self.limit_dps2, acceleration_dps2 * _ACCELERATION_FACTOR)
 
 
 class AngleInterlock(InterlockRule):
@@ -137,14 +139,14 @@ class AngleInterlock(InterlockRule):
     )
 
     @model_validator(mode="after")
-    def _in_order(self) -> Self:
+    def _check_range(self) -> Self:
         _check_order("deg", self.low_deg, self.high_deg)
         return self
 
     def range_deg(self, limits_deg: Sequence[float]) -> tuple[float, float]:
-        """Allowed range, where the axis has these limits."""
+        """Allowed range for an axis with these limits."""
         low_deg, high_deg = limits_deg
-        return _given(self.low_deg, low_deg - _ANGLE_MARGIN_DEG), _given(
+        return _value_or_default(self.low_deg, low_deg - _ANGLE_MARGIN_DEG), _value_or_default(
             self.high_deg, high_deg + _ANGLE_MARGIN_DEG
         )
 
@@ -157,8 +159,8 @@ class SilenceInterlock(PassingRule):
     )
 
     def limit_or_default_s(self, period_s: float) -> float:
-        """Oldest reply, where the instrument is read every ``period_s``."""
-        return _given(self.limit_s, max(_SILENCE_S, _SILENT_READINGS * period_s))
+        """Maximum age of a reply of an instrument that is read every ``period_s``."""
+        return _value_or_default(self.limit_s, max(_SILENCE_S, _SILENT_READINGS * period_s))
 
 
 class InsSilenceInterlock(PassingRule):
@@ -241,7 +243,7 @@ class Interlocks(StrictModel):
     )
     chamber_deviation: ChamberDeviationInterlock = Field(
         ChamberDeviationInterlock(),
-        description="the chamber had reached its set point, and its air does not stay there",
+        description="the chamber has reached its set point, but its air does not stay there",
     )
     chamber_sensor: ChamberSensorInterlock = Field(
         ChamberSensorInterlock(),
@@ -257,9 +259,9 @@ class Interlocks(StrictModel):
     ins_fault: InterlockRule = Field(InterlockRule(), description="the INS reports a fault")
 
     def rules(self) -> dict[str, InterlockRule]:
-        """Every interlock by its key."""
-        found = ((name, getattr(self, name)) for name in type(self).model_fields)
-        return {name: rule for name, rule in found if isinstance(rule, InterlockRule)}
+        """All interlocks by their keys."""
+        fields = ((name, getattr(self, name)) for name in type(self).model_fields)
+        return {name: rule for name, rule in fields if isinstance(rule, InterlockRule)}
 
     def ins_temperatures(self, signals: SignalMap) -> Iterator[InsTemperature]:
         """Yield the temperatures in a signal map."""
@@ -284,13 +286,13 @@ class Interlocks(StrictModel):
         outer_deg: Sequence[float],
         inner_deg: Sequence[float],
     ) -> list[str]:
-        """Messages on the interlocks that would trip within the limits of chamber and table."""
+        """Describe the interlocks that would trip within the limits of chamber and table."""
         ranges = (
             ("chamber_air", self.chamber_air.range_c(chamber_c), chamber_c, "degC"),
             ("outer_angle", self.outer_angle.range_deg(outer_deg), outer_deg, "deg"),
             ("inner_angle", self.inner_angle.range_deg(inner_deg), inner_deg, "deg"),
         )
-        highest = (
+        upper_limits = (
             ("chamber_air_rate", self.chamber_air_rate.limit_c_per_min, ramp_c_per_min, "degC/min"),
             ("table_rate", self.table_rate.limit_dps, rate_dps, "deg/s"),
         )
@@ -300,9 +302,9 @@ class Interlocks(StrictModel):
             for name, (low, high), limits, unit in ranges
             if low > limits[0] or high < limits[1]
         ] + [
-            f"interlocks.{name} trips above {trips:g} {unit}, within the limit of {limit:g} {unit}. {_WIDEN}"
-            for name, trips, limit, unit in highest
-            if trips is not None and trips < limit
+            f"interlocks.{name} trips above {trip:g} {unit}, within the limit of {limit:g} {unit}. {_WIDEN}"
+            for name, trip, limit, unit in upper_limits
+            if trip is not None and trip < limit
         ]
 
 

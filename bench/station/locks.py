@@ -1,10 +1,10 @@
 """Locks: one run at a time holds a bench, and one process at a time writes a run folder.
 
-A lock is the operating system's (by filelock) on a small file, so that it ends with the process that
-holds it, however that ends. The file names the holder. A bench has one file for each port, in a folder
-that all users of the machine share: ``/run/lock`` where all may write, else ``/tmp``, or the folder in
-the environment variable GYROBENCH_LOCK_DIR. A bench that several machines reach, for instance over TCP,
-is locked on each machine separately.
+A lock is the operating system's lock (by filelock) on a small file, so that it is released at any end of the
+process that holds it. The file contains the holder's identity. A bench has one file for each port, in a
+folder that all users of the machine share: ``/run/lock`` if all may write there, otherwise ``/tmp``, or the
+folder in the environment variable GYROBENCH_LOCK_DIR. A bench that several machines reach, for instance over
+TCP, is locked on each machine separately.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _WRITABLE_BY_ALL = stat.S_ISVTX | stat.S_IRWXO
 _MAX_BYTES = 16384
 _MAX_COMMAND_CHARACTERS, _MAX_PATH_CHARACTERS = 300, 1500
 _EMULATED = "emulator"
-#: A process that only checks whether a lock is held takes it for an instant.
+#: A process that only checks whether a lock is held may take it for less than this time.
 _MAX_CHECK_S = 0.3
 _POLL_S = 0.05
 #: Flags that not all systems have.
@@ -55,7 +55,7 @@ _FLAGS = sum(getattr(os, name, 0) for name in ("O_NOFOLLOW", "O_CLOEXEC", "O_NON
 
 @dataclass(frozen=True)
 class Holder:
-    """Process that holds a lock: its command line, run folder, and when it took the lock (UTC, ISO 8601)."""
+    """Process that holds a lock: its command line, run folder, and time of locking (UTC, ISO 8601)."""
 
     pid: int
     user: str
@@ -65,14 +65,14 @@ class Holder:
     started: str
 
     def describe(self) -> str:
-        """All of it in one phrase."""
+        """Describe the holder in one phrase."""
         return (
             f"run {self.run} (process {self.pid} of {self.user} on {self.host}, since {self.started}: "
             f"{self.command})"
         )
 
 
-def _in_progress(run: str) -> str:
+def _run_in_progress_text(run: str) -> str:
     quoted = shlex.quote(run)
     return (
         f"That run is still in progress: watch it with `gyrobench monitor {quoted}`, or end it with "
@@ -84,28 +84,28 @@ class _LockFile:
     """A locked file with its holder's identity in it."""
 
     def __init__(self, path: Path, mode: int) -> None:
-        self._descriptor = _opened(path, mode)
+        self._descriptor = _open_lock_file(path, mode)
         self.held = False
 
     def take(self) -> bool:
         """Take the lock if it is free."""
-        self.held = _locked(self._descriptor)
+        self.held = _try_lock(self._descriptor)
         return self.held
 
     def holder(self) -> Holder | None:
-        """The last holder that did not release the lock; None where the lock was released."""
+        """The last holder that did not release the lock; None if the lock was released."""
         with contextlib.suppress(OSError):
-            return _parsed(os.pread(self._descriptor, _MAX_BYTES, 0))
+            return _parse_holder(os.pread(self._descriptor, _MAX_BYTES, 0))
         return None
 
     def sign(self, holder: Holder) -> None:
-        """Write the holder into the file; on a full disk the lock holds without it."""
+        """Write the holder to the file; on a full disk the lock is held without it."""
         with contextlib.suppress(OSError):
             os.ftruncate(self._descriptor, 0)
             os.pwrite(self._descriptor, json.dumps(asdict(holder)).encode(), 0)
 
     def release(self) -> None:
-        """Release the lock; the file stays, since another process may be opening it."""
+        """Release the lock; the file remains, since another process may be opening it."""
         if self.held:
             with contextlib.suppress(OSError):
                 os.ftruncate(self._descriptor, 0)
@@ -115,7 +115,7 @@ class _LockFile:
 class _Lock:
     """Locks on several files, taken all or none; a context manager."""
 
-    #: Of the files: the next user of a bench writes into its locks.
+    #: Mode of the files: the next user of a bench writes to them.
     _mode = 0o666
 
     def __init__(
@@ -126,39 +126,39 @@ class _Lock:
         self._clock = clock
         self._files: list[_LockFile] = []
         self._patience_s = max(patience_s, _MAX_CHECK_S)
-        self._taken = ExitStack()
-        #: One note for each holder that ended without releasing its locks.
+        self._resources = ExitStack()
+        #: A note for each holder that ended without releasing its locks.
         self.taken_over: list[str] = []
 
     def __enter__(self) -> Self:
         identity = self._identity()
-        left_by: dict[Holder, list[str]] = {}
-        with ExitStack() as taken:
-            for what, path in sorted(self._paths.items(), key=lambda item: item[1]):
+        names_by_holder: dict[Holder, list[str]] = {}
+        with ExitStack() as resources:
+            for name, path in sorted(self._paths.items(), key=lambda item: item[1]):
                 file = _LockFile(path, self._mode)
-                taken.callback(file.release)
-                self._take(what, file)
-                if (former := file.holder()) is not None:
-                    left_by.setdefault(former, []).append(what)
+                resources.callback(file.release)
+                self._take(name, file)
+                if (previous_holder := file.holder()) is not None:
+                    names_by_holder.setdefault(previous_holder, []).append(name)
                 file.sign(identity)
                 self._files.append(file)
-            self._taken = taken.pop_all()
+            self._resources = resources.pop_all()
         self.taken_over = [
-            f"took over locks left by {former.describe()}, which did not release them: {', '.join(what)}"
-            for former, what in left_by.items()
+            f"took over locks left by {holder.describe()}, which did not release them: {', '.join(names)}"
+            for holder, names in names_by_holder.items()
         ]
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._taken.close()
+        self._resources.close()
 
-    def _take(self, what: str, file: _LockFile) -> None:
+    def _take(self, name: str, file: _LockFile) -> None:
         deadline = Deadline(self._clock, self._patience_s)
         while not file.take():
             if deadline.expired():
                 holder = file.holder()
-                by = "an unidentified process" if holder is None else holder.describe()
-                raise BenchInUseError(f"{what} is in use by {by}. {self._advice(holder)}")
+                holder_text = "an unidentified process" if holder is None else holder.describe()
+                raise BenchInUseError(f"{name} is in use by {holder_text}. {self._advice(holder)}")
             self._clock.sleep(_POLL_S)
 
     def _advice(self, holder: Holder | None) -> str:
@@ -168,10 +168,10 @@ class _Lock:
 class BenchLock(_Lock):
     """Holds every port of a bench; a context manager.
 
-    Emulated ports live inside one process and need no lock. Names of one device, such as a link under
-    ``/dev/serial/by-id`` or two names of a host, lead to the same lock. ``run_path`` is the run folder, or
-    where it will be. ``command`` is by default the command line, and ``patience_s`` how long to wait for
-    another holder's release. Raises BenchInUseError when entered if another process holds a port, and
+    Emulated ports exist inside one process and need no lock. All names of one device, such as a link under
+    ``/dev/serial/by-id`` or two names of a host, give the same lock. ``run_path`` is the present or future
+    path of the run folder. ``command`` is by default the command line, and ``patience_s`` the time to wait
+    for another holder's release. When entered, raises BenchInUseError if another process holds a port, and
     GyrobenchError if a lock file can't be opened.
     """
 
@@ -187,7 +187,7 @@ class BenchLock(_Lock):
         self._command = command
 
     def sign(self, run_path: Path) -> None:
-        """Write the run folder into the locks, once it is there."""
+        """Write the run folder to the lock files, once it exists."""
         for file in self._files:
             file.sign(_identity(run_path, self._command))
 
@@ -210,14 +210,14 @@ class RunLock(_Lock):
         super().__init__(paths, lambda: _identity(run_path, command), clock)
 
     def _advice(self, holder: Holder | None) -> str:
-        return _in_progress("RUN" if holder is None else holder.run)
+        return _run_in_progress_text("RUN" if holder is None else holder.run)
 
 
 def require_no_holder(run_path: Path) -> None:
-    """Raise BenchInUseError where a process holds a run folder."""
+    """Raise BenchInUseError if a process holds a run folder."""
     if (holder := holder_of(run_path)) is not None:
         raise BenchInUseError(
-            f"the run folder {run_path} is in use by {holder.describe()}. {_in_progress(holder.run)}"
+            f"the run folder {run_path} is in use by {holder.describe()}. {_run_in_progress_text(holder.run)}"
         )
 
 
@@ -227,24 +227,24 @@ def holder_of(run_path: Path) -> Holder | None:
 
 
 def is_held_by(run_path: Path, pid: int) -> bool:
-    """Whether the kernel lists that process as the holder of a run folder.
+    """Whether the kernel lists a process as the holder of a run folder.
 
-    Without such a list, whether no other user may have written the lock.
+    On a system without such a list: whether no other user can have written the lock.
     """
     status = (run_path / LOCK).stat()
     try:
-        held = [line.split() for line in Path("/proc/locks").read_text().splitlines()]
+        entries = [line.split() for line in Path("/proc/locks").read_text().splitlines()]
     except OSError:
         return pid > 1 and status.st_uid == os.geteuid() and not status.st_mode & 0o022
     return pid > 1 and any(
-        fields[1] == "FLOCK" and fields[4] == str(pid) and fields[5].endswith(f":{status.st_ino}")
-        for fields in held
-        if len(fields) > 5 and fields[1] != "->"
+        entry[1] == "FLOCK" and entry[4] == str(pid) and entry[5].endswith(f":{status.st_ino}")
+        for entry in entries
+        if len(entry) > 5 and entry[1] != "->"
     )
 
 
 def bench_holders(station: Station) -> list[Holder]:
-    """Find the processes that hold ports of a bench, each once."""
+    """Find the processes that hold ports of a bench, without duplicates."""
     holders = (_present_holder(path) for path in _port_files(station).values())
     return list(dict.fromkeys(holder for holder in holders if holder is not None))
 
@@ -255,13 +255,13 @@ def _present_holder(path: Path) -> Holder | None:
     except OSError:
         return None
     try:
-        return None if _is_free(descriptor) else _parsed(os.pread(descriptor, _MAX_BYTES, 0))
+        return None if _is_free(descriptor) else _parse_holder(os.pread(descriptor, _MAX_BYTES, 0))
     finally:
         os.close(descriptor)
 
 
-def _locked(descriptor: int) -> bool:
-    """Take the lock on an open file if it is free; a system without locks gives it to all."""
+def _try_lock(descriptor: int) -> bool:
+    """Take the lock on an open file if it is free; always succeeds on a system without locks."""
     try:
         return lock_descriptor(descriptor, blocking=False)
     except OSError as error:
@@ -271,11 +271,11 @@ def _locked(descriptor: int) -> bool:
 
 
 def _is_free(descriptor: int) -> bool:
-    """Whether no process holds the lock; a shared lock, so that checks never take each other for a holder."""
+    """Whether no process holds the lock; takes a shared lock, so that checks do not see each other."""
     try:
         import fcntl
     except ImportError:  # a system without shared locks
-        return _locked(descriptor)
+        return _try_lock(descriptor)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except OSError as error:
@@ -286,51 +286,51 @@ def _is_free(descriptor: int) -> bool:
 def _port_files(station: Station) -> dict[str, Path]:
     """Lock file of each port, by the port's name in messages."""
     folder = _lock_folder()
-    # Two names of one port have one file, so that a station that gives it twice does not lock itself out.
-    files = {_file_name(port): what for what, port in _ports(station)}
-    return {what: folder / name for name, what in files.items()}
+    # Two names of a port have one file: a station that gives a port twice does not block itself.
+    files = {_file_name(port): name for name, port in _lock_names(station)}
+    return {name: folder / file_name for file_name, name in files.items()}
 
 
-def _ports(station: Station) -> Iterator[tuple[str, str]]:
+def _lock_names(station: Station) -> Iterator[tuple[str, str]]:
     file = station.file
     for what, section in (("rate table", file.rate_table), ("chamber", file.chamber)):
         url = section.installed_dialect.line.complete_url(section.port)
         if not url.startswith(f"{_EMULATED}://"):
-            yield f"the {what}'s port {section.port}", _same_for_one_port(url)
+            yield f"the {what}'s port {section.port}", _canonical_port(url)
     for unit in station.units:
-        yield from _bus_port(unit.file.ins)
+        yield from _bus_lock_name(unit.file.ins)
 
 
-def _bus_port(ins: InsSection) -> Iterator[tuple[str, str]]:
+def _bus_lock_name(ins: InsSection) -> Iterator[tuple[str, str]]:
     if ins.interface != _EMULATED:
         name = f"the INS's port {ins.interface} {ins.channel}"
         if ins.interface == "slcan":
-            yield name, _same_for_one_port(ins.channel.partition("@")[0])
+            yield name, _canonical_port(ins.channel.partition("@")[0])
         else:
-            host = [_same_for_one_host(str(ins.options["host"]))] if "host" in ins.options else []
+            host = [_canonical_host(str(ins.options["host"]))] if "host" in ins.options else []
             port = [str(ins.options["port"])] if "port" in ins.options else []
             yield name, ":".join([ins.interface, *host, *port, ins.channel])
 
 
-def _same_for_one_port(url: str) -> str:
+def _canonical_port(url: str) -> str:
     scheme, separator, rest = url.partition("://")
     address = rest.partition("?")[0] if separator else url
     if separator and scheme not in ("spy", "alt"):  # those two are serial devices
         host, colon, port = address.lower().rpartition(":")
-        return f"{_same_for_one_host(host)}:{port}" if colon else _same_for_one_host(address)
+        return f"{_canonical_host(host)}:{port}" if colon else _canonical_host(address)
     return os.path.realpath(address)
 
 
-def _same_for_one_host(name: str) -> str:
-    """Lowest address of a host, one for all names of this machine; the name where it can't be resolved."""
+def _canonical_host(name: str) -> str:
+    """Lowest address of a host, "localhost" for this machine; the name if it can't be resolved."""
     name = name.lower().strip("[]")
     try:
-        found = {ip_address(str(each[4][0])) for each in socket.getaddrinfo(name, None)}
+        addresses = {ip_address(str(each[4][0])) for each in socket.getaddrinfo(name, None)}
     except (OSError, ValueError):
         return name
-    if any(each.is_loopback or each.is_unspecified for each in found):
+    if any(each.is_loopback or each.is_unspecified for each in addresses):
         return "localhost"
-    return min(map(str, found))
+    return min(map(str, addresses))
 
 
 def _file_name(port: str) -> str:
@@ -339,9 +339,9 @@ def _file_name(port: str) -> str:
 
 
 def _lock_folder() -> Path:
-    given = os.environ.get(LOCK_DIR_VARIABLE)
-    if given:
-        return Path(given)
+    configured = os.environ.get(LOCK_DIR_VARIABLE)
+    if configured:
+        return Path(configured)
     for folder in _SHARED_FOLDERS:
         with contextlib.suppress(OSError):
             if folder.stat().st_mode & _WRITABLE_BY_ALL == _WRITABLE_BY_ALL:
@@ -349,31 +349,32 @@ def _lock_folder() -> Path:
     return _SHARED_FOLDERS[-1]
 
 
-def _opened(path: Path, mode: int) -> int:
-    """Open a lock file, or make it with this mode; never through a link that another user planted."""
+def _open_lock_file(path: Path, mode: int) -> int:
+    """Open a lock file, or create it with ``mode``; follows no link, which another user may have made."""
     flags = os.O_RDWR | _FLAGS
     try:
-        for more in (0, os.O_CREAT | os.O_EXCL, 0):
-            # Not O_CREAT alone: the kernel may refuse that for files of other users in shared folders.
-            with contextlib.suppress(FileNotFoundError if not more else FileExistsError):
-                descriptor = os.open(path, flags | more, mode)
+        for extra_flags in (0, os.O_CREAT | os.O_EXCL, 0):
+            # Not only O_CREAT: the kernel may refuse it for files of other users in shared folders.
+            with contextlib.suppress(FileNotFoundError if not extra_flags else FileExistsError):
+                descriptor = os.open(path, flags | extra_flags, mode)
                 break
         else:
             raise FileNotFoundError(errno.ENOENT, "appears and disappears", str(path))
     except OSError as error:
-        raise _can_not_lock(path, error.strerror or str(error)) from error
+        raise _lock_error(path, error.strerror or str(error)) from error
     status = os.fstat(descriptor)
-    if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:  # a second name may be a trap as well
+    if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:  # a second hard link may be an attack as well
         os.close(descriptor)
-        raise _can_not_lock(path, "it is not an ordinary file")
-    if more or (status.st_uid == os.geteuid() and status.st_mode & ~mode & 0o777):
+        raise _lock_error(path, "it is not an ordinary file")
+    if extra_flags or (status.st_uid == os.geteuid() and status.st_mode & ~mode & 0o777):
         os.fchmod(descriptor, mode)
     return descriptor
 
 
-def _can_not_lock(path: Path, why: str) -> GyrobenchError:
+def _lock_error(path: Path, reason: str) -> GyrobenchError:
     return GyrobenchError(
-        f"{path}: can't be used as a lock: {why}. Remove it, or name another folder in {LOCK_DIR_VARIABLE}."
+        f"{path}: can't be used as a lock: {reason}. Remove it, or name another folder in "
+        f"{LOCK_DIR_VARIABLE}."
     )
 
 
@@ -392,11 +393,11 @@ def _user() -> str:
         return str(os.getuid())
 
 
-def _parsed(data: bytes) -> Holder | None:
-    """Holder from a lock file's content, which any user may have written."""
+def _parse_holder(data: bytes) -> Holder | None:
+    """Parse a lock file's content, which any user may have written; None if it is invalid."""
     try:
-        found = json.loads(data)
-        values = {field.name: found[field.name] for field in fields(Holder)}
+        content = json.loads(data)
+        values = {field.name: content[field.name] for field in fields(Holder)}
     except (ValueError, KeyError, TypeError):
         return None
     pid = values.pop("pid")

@@ -78,10 +78,10 @@ class _Receiver(StrictModel):
     on: list[EventName] = Field(
         _ALL,
         min_length=1,
-        description="events that cause a message. ends: of the run; holds: until all values are good again; "
-        "resumes: after a hold; needs_person: holds until an operator confirms or answers a question; "
-        "unit_dropped: one of several units is left out of the rest; dwells_flagged: three dwells of a unit "
-        "in a row. A message is sent in any case when the guard brought the bench to its safe state",
+        description="events that cause a message. ends: the run ends; holds: it holds until all values are "
+        "good again; resumes: it resumes after a hold; needs_person: it waits for an operator's confirmation "
+        "or answer; unit_dropped: one of several units is dropped; dwells_flagged: three successive dwells "
+        "of a unit are flagged. A message is always sent after the guard brought the bench to its safe state",
     )
     max_per_hour: int = Field(6, ge=1, le=60, description="messages per hour about the same event")
     secret_env: str | None = Field(
@@ -102,7 +102,7 @@ class _Receiver(StrictModel):
         return self.secret_env is not None or self.secret_file is not None
 
     @model_validator(mode="after")
-    def _one_secret(self) -> Self:
+    def _check_secret(self) -> Self:
         if self.secret_env is not None and self.secret_file is not None:
             raise ValueError("give one of secret_env and secret_file")
         if SECRET in self.address and not self.has_secret:
@@ -114,7 +114,7 @@ class _HttpReceiver(_Receiver):
     """A receiver reached by HTTP."""
 
     @model_validator(mode="after")
-    def _no_secret_in_clear(self) -> Self:
+    def _check_encryption(self) -> Self:
         parts = urlsplit(self.address)
         if self.has_secret and parts.scheme != "https" and parts.hostname not in _LOOPBACK:
             raise ValueError("a secret is sent over https:// only")
@@ -126,7 +126,7 @@ class Webhook(_HttpReceiver):
 
     kind: Literal["webhook"]
     address: HttpAddress = Field(
-        description=f"address for the POST of JSON; a secret replaces {SECRET} in it, else goes into "
+        description=f"address for the POST of JSON; a secret replaces {SECRET} in it, otherwise it goes to "
         "the header Authorization: Bearer"
     )
 
@@ -141,7 +141,7 @@ class Ntfy(_HttpReceiver):
     )
 
     @model_validator(mode="after")
-    def _names_a_topic(self) -> Self:
+    def _check_topic(self) -> Self:
         if not urlsplit(self.address).path.strip("/"):
             raise ValueError("the address lacks the topic: https://HOST/TOPIC")
         return self
@@ -163,7 +163,7 @@ class Email(_Receiver):
     )
 
     @model_validator(mode="after")
-    def _logs_in_with_both(self) -> Self:
+    def _check_login(self) -> Self:
         if (self.user is not None) != self.has_secret:
             raise ValueError("a login needs user, and secret_file or secret_env for its password")
         if self.user is not None and self.security == "none" and self.server not in _LOOPBACK:

@@ -1,4 +1,4 @@
-"""The safe state, in which the bench is left at any end of a run."""
+"""The safe state, to which the bench is brought at any end of a run."""
 
 from __future__ import annotations
 
@@ -8,28 +8,28 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from gyrobench.bench.foundations.errors import ConnectionFailedError, InstrumentError, RefusedError
-from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE, Outputs, within
+from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE, Outputs, call_within
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.chamber import Chamber
 
-#: Time limits, far beyond what healthy instruments need. A release waits for rest.
+#: Time limits, far longer than healthy instruments need. A release waits until the table is at rest.
 _EXCHANGE_TIME_S = 20.0
 _RELEASE_TIME_S = 60.0
 
 #: Period at which the chamber's set point is moved to its safe value, s.
 RAMP_PERIOD_S = 1.0
-#: Meanwhile, period at which an action that failed is repeated.
+#: Period at which a failed action is repeated during the ramp, s.
 _REPEAT_PERIOD_S = 5.0
-#: A chamber that does not answer for longer has failed.
+#: A chamber that does not answer for this long has failed.
 _SILENCE_S = 60.0
-#: Begin of why the action of a chamber failed that was switched off instead.
+#: Start of the problem text of a chamber that was switched off, as it refused its set point.
 _REFUSED = "it was commanded off, as it refuses its set point"
-#: A set point so close is the safe value: controllers may have whole degrees.
+#: A set point this close counts as the safe value: controllers may have whole degrees.
 _RESOLUTION_C = 0.6
 
 
 class SafePart(StrEnum):
-    """What an action makes safe."""
+    """Part of the bench that an action makes safe."""
 
     TABLE_AT_REST = "table at rest"
     TABLE_RELEASED = "table released"
@@ -43,21 +43,21 @@ _CHAMBER = (SafePart.CHAMBER, SafePart.CHAMBER_OFF)
 
 @dataclass(frozen=True)
 class SafeAction:
-    """One action on the way to the safe state."""
+    """One action that brings the bench to its safe state."""
 
     what: str
     part: SafePart
-    problem: str = ""  #: Why it failed; empty if not.
-    first_problem: str = ""  #: Why its first attempt failed; empty if not.
+    problem: str = ""  #: Why it failed; empty if it succeeded.
+    first_problem: str = ""  #: Why its first attempt failed; empty if it succeeded.
 
     @property
     def instrument(self) -> str:
-        """Instrument that it commands."""
+        """Instrument that the action commands."""
         return RATE_TABLE if self.part in (SafePart.TABLE_AT_REST, SafePart.TABLE_RELEASED) else CHAMBER
 
     @property
     def has_switched_off(self) -> bool:
-        """Whether the chamber was switched off in an attempt, as it refused its set point."""
+        """Whether the chamber was switched off in an attempt because it refused its set point."""
         return any(_REFUSED in problem for problem in (self.problem, self.first_problem))
 
     @property
@@ -68,7 +68,7 @@ class SafeAction:
 
 @dataclass(frozen=True)
 class _Step:
-    action: SafeAction  #: If it succeeds.
+    action: SafeAction  #: Result if it succeeds.
     limit_s: float
     apply: Callable[[], object]
 
@@ -83,22 +83,22 @@ def make_safe(
 ) -> list[SafeAction]:
     """Stop the table, bring chamber and unit to their safe state, release the table.
 
-    In this order, because a table is released only at rest. Each action is attempted regardless of the ones
-    before, within its time limit, and a second time if it failed, through a reopened port if the port was
-    lost or does not respond. None raises. ``release_table`` opens the servos too, which is not needed before
-    the first step. ``only`` has the ``what`` of the actions to take, by default all; ``meanwhile`` is called
-    repeatedly while waiting. ``chamber_off``: the chamber is switched off too, as one that does not control
-    its air.
+    The order matters, because a table is released only at rest. Each action is attempted regardless of the
+    earlier ones, within its time limit, and a second time if it failed, through a reopened port if the port
+    was lost or does not respond. No action raises. ``release_table`` opens the servos too, which is not
+    needed before the first step. ``only`` selects actions by their ``what``, by default all. ``meanwhile`` is
+    called repeatedly while waiting. ``chamber_off``: also switch off the chamber, as for one that does not
+    control its air.
     """
     steps = _steps(station, instruments, release_table, chamber_off)
-    chosen = (step for step in steps if only is None or step.action.what in only)
-    return [_taken(step, instruments, meanwhile) for step in chosen]
+    selected = (step for step in steps if only is None or step.action.what in only)
+    return [_perform(step, instruments, meanwhile) for step in selected]
 
 
 def repeat(
     station: Station, instruments: Outputs, failed: Collection[SafeAction], meanwhile: Callable[[], object]
 ) -> list[SafeAction]:
-    """Take actions again that failed, as :func:`make_safe`."""
+    """Repeat failed actions; see :func:`make_safe`."""
     return make_safe(
         station,
         instruments,
@@ -114,12 +114,12 @@ def finish_ramp(
     actions: Iterable[SafeAction],
     meanwhile: Callable[[], object] = lambda: None,
 ) -> Iterator[list[SafeAction]]:
-    """Move the chamber's set point to its safe value where its controller does not ramp; may take an hour.
+    """Move the chamber's set point to its safe value if its controller does not ramp; may take an hour.
 
-    Yields the actions that were taken since, with ``RAMP_PERIOD_S`` to be waited at each yield: that of the
-    set point, which counts as failed until the ramp has ended well, and ``actions`` that had failed, which
-    are repeated. Yields nothing where there is no ramp. ``meanwhile`` is called during an exchange that takes
-    long.
+    Yields the actions performed since the last yield; the caller waits ``RAMP_PERIOD_S`` each time. They are
+    the action of the set point, which counts as failed until the ramp has ended at its value, and repeats of
+    those in ``actions`` that had failed. Yields nothing if there is no ramp. ``meanwhile`` is called during a
+    long exchange.
     """
     if not instruments.is_ramping:
         return
@@ -129,26 +129,29 @@ def finish_ramp(
     failed = [action for action in actions if action.problem and action.part is not chamber.action.part]
 
     def check_end() -> None:
-        held_c = instruments.chamber.set_point_c()
-        if safe_c is None or abs(held_c - safe_c) > _RESOLUTION_C:
-            raise RefusedError(CHAMBER, f"its set point is {held_c:g} degC instead. Check its panel.")
+        set_point_c = instruments.chamber.set_point_c()
+        if safe_c is None or abs(set_point_c - safe_c) > _RESOLUTION_C:
+            raise RefusedError(CHAMBER, f"its set point is {set_point_c:g} degC instead. Check its panel.")
 
-    moved, repeated = chamber.action, list[SafeAction]()
+    ramp_action, repeated = chamber.action, list[SafeAction]()
     answered_s = repeated_s = clock.now()
     while instruments.is_ramping and clock.now() - answered_s < _SILENCE_S:
-        yield [replace(moved, problem=moved.problem or "is still on its way there"), *repeated]
-        moved, repeated = _taken(replace(chamber, apply=instruments.advance_ramp), instruments, meanwhile), []
-        if not moved.problem:
+        yield [replace(ramp_action, problem=ramp_action.problem or "is still being ramped"), *repeated]
+        ramp_step = replace(chamber, apply=instruments.advance_ramp)
+        ramp_action, repeated = _perform(ramp_step, instruments, meanwhile), []
+        if not ramp_action.problem:
             answered_s = clock.now()
         if failed and clock.now() - repeated_s >= _REPEAT_PERIOD_S:
             repeated = repeat(station, instruments, failed, meanwhile)
             failed = [action for action in repeated if action.problem]
             repeated_s = clock.now()
-    if not moved.problem:
-        ended = _taken(replace(chamber, apply=check_end), instruments, meanwhile)
-        # A ramp that was refused has no second attempt, and its reason says more.
-        moved = replace(ended, problem=ended.problem and (moved.first_problem or ended.problem))
-    yield [moved, *repeated]
+    if not ramp_action.problem:
+        end_action = _perform(replace(chamber, apply=check_end), instruments, meanwhile)
+        # A refused ramp is not attempted again, and its reason is more specific.
+        ramp_action = replace(
+            end_action, problem=end_action.problem and (ramp_action.first_problem or end_action.problem)
+        )
+    yield [ramp_action, *repeated]
 
 
 def _steps(
@@ -183,35 +186,39 @@ def _steps(
 
 
 def _set_or_off(chamber: Chamber, temperature_c: float, ramp_c_per_min: float) -> None:
-    """Command a set point; a chamber that refuses it is switched off and not reported safe."""
+    """Command a set point; a chamber that refuses it is switched off and reported as not safe."""
     try:
         chamber.set_temperature(temperature_c, ramp_c_per_min)
     except RefusedError as error:
-        with suppress(RefusedError):  # off, but a profile that runs may switch it on again
+        with suppress(RefusedError):  # a running profile may switch it on again
             chamber.switch(False)
         raise RefusedError(CHAMBER, f"{_REFUSED}: {error.message}") from error
 
 
-def _taken(step: _Step, instruments: Outputs, meanwhile: Callable[[], object]) -> SafeAction:
-    first = _problem(step, instruments, step.apply, meanwhile)
-    if first is None:
+def _perform(step: _Step, instruments: Outputs, meanwhile: Callable[[], object]) -> SafeAction:
+    first_error = _error_of(step, instruments, step.apply, meanwhile)
+    if first_error is None:
         return step.action
 
-    def again() -> None:
-        if isinstance(first, ConnectionFailedError):
+    def repeat_step() -> None:
+        if isinstance(first_error, ConnectionFailedError):
             instruments.reopen(step.action.instrument)
         step.apply()
 
-    second = _problem(step, instruments, again, meanwhile)
-    return replace(step.action, problem="" if second is None else _text(second), first_problem=_text(first))
+    second_error = _error_of(step, instruments, repeat_step, meanwhile)
+    return replace(
+        step.action,
+        problem="" if second_error is None else _text(second_error),
+        first_problem=_text(first_error),
+    )
 
 
-def _problem(
+def _error_of(
     step: _Step, instruments: Outputs, apply: Callable[[], object], meanwhile: Callable[[], object]
 ) -> Exception | None:
     try:
-        within(instruments.clock, step.limit_s, step.action.instrument, apply, meanwhile=meanwhile)
-    except Exception as error:  # noqa: BLE001 - nothing may keep the next action from being tried
+        call_within(instruments.clock, step.limit_s, step.action.instrument, apply, meanwhile=meanwhile)
+    except Exception as error:  # noqa: BLE001 - the next action must be attempted in any case
         return error
     return None
 

@@ -1,4 +1,4 @@
-"""A station: its file, and what follows from it: kinematics, limits, measurement set-up."""
+"""A station: its file, and the kinematics, limits and measurement set-up derived from it."""
 
 from __future__ import annotations
 
@@ -42,19 +42,19 @@ _DIRECTIONS: dict[Direction, tuple[float, float, float]] = {
 }
 
 
-#: A text that begins so is to be filled in.
+#: Start of a text that is a placeholder.
 FILL_IN = "fill_in"
 
 
 class Station:
-    """A bench as its file describes it."""
+    """A bench as described by its station file."""
 
     def __init__(self, path: Path, number: str = "") -> None:
-        self.path = path  #: Where it was read from; file names in it are relative to its folder.
-        self.number = number  #: Serial number of its unit, of several; else empty.
+        self.path = path  #: Path of the file; file names in it are relative to its folder.
+        self.number = number  #: Serial number of its only unit, if the bench has several; otherwise empty.
         self._document, self.file = load_station_file(path)  #: The file's content.
         if number:
-            self._document = _of_unit(self._document, number)
+            self._document = _document_of_unit(self._document, number)
             self.file = validate(self._document, StationFile)
         port = self.file.rate_table.port
         if port == self.file.chamber.port and not port.startswith(FILL_IN):
@@ -71,12 +71,12 @@ class Station:
 
     @property
     def not_filled_in(self) -> list[str]:
-        """Keys whose value is a placeholder still: ``chamber.port``."""
+        """Keys whose value is still a placeholder, such as ``chamber.port``."""
         return [".".join(map(str, keys)) for keys in _placeholders(self._document.data, ())]
 
     @cached_property
     def units(self) -> tuple[Station, ...]:
-        """The bench with each of its units alone; with a single unit the bench itself."""
+        """One station for each unit of the bench; the station itself if there is a single unit."""
         return tuple(Station(self.path, unit.number) for unit in self.file.units) or (self,)
 
     @property
@@ -86,61 +86,65 @@ class Station:
 
     @property
     def text(self) -> str:
-        """Text of its file."""
+        """Text of the station file."""
         return self._document.text
 
     @property
     def power_events(self) -> tuple[int, ...]:
-        """Event outputs of the chamber that feed its units; none where they are not switched by it."""
+        """Event outputs of the chamber that supply the units; empty if the chamber does not switch them."""
         if self.file.unit.power != "chamber_event":
             return ()
         return tuple(sorted({station.file.unit.power_event for station in self.units}))
 
     def shares_bus(self, unit: Station) -> bool:
-        """Whether another unit is on the same bus as one of its units."""
+        """Whether another unit is on the same bus as ``unit``."""
         return sum(each.bus == unit.bus for each in self.units) > 1
 
     @property
     def bus(self) -> tuple[str, ...]:
-        """What identifies the CAN bus of its unit."""
+        """Identification of the CAN bus of its unit."""
         ins = self.file.ins
         return ins.interface, ins.channel, *(str(ins.options.get(key, "")) for key in ("host", "port"))
 
     def position_of_unit(self, position: str, azimuth_deg: float) -> tuple[PositionName, float]:
-        """Position and azimuth, deg, of its unit where a procedure has these: mountings may differ."""
+        """Position and azimuth, deg, of its unit for those in a procedure: mountings may differ."""
         reference = self.file.rate_table.reference_mounting
-        at_zero = POSITIONS[position].C_nb()
-        C_nb = at_zero if reference is None else at_zero @ _mounted(reference).T @ self.table.C_mount
+        C_nb_reference = POSITIONS[position].C_nb()
+        C_nb = (
+            C_nb_reference
+            if reference is None
+            else C_nb_reference @ _mounting_attitude(reference).T @ self.table.C_mount
+        )
         for name, each in POSITIONS.items():
-            turned = C_nb @ each.C_nb().T
-            if np.isclose(turned[2, 2], 1.0):
-                offset_deg = round(np.rad2deg(np.arctan2(turned[1, 0], turned[0, 0])).item(), 9)
+            C_rotation = C_nb @ each.C_nb().T
+            if np.isclose(C_rotation[2, 2], 1.0):
+                offset_deg = round(np.rad2deg(np.arctan2(C_rotation[1, 0], C_rotation[0, 0])).item(), 9)
                 return cast(PositionName, name), (azimuth_deg + offset_deg) % 360.0
         raise AssertionError("mountings have axes along directions")
 
     @property
     def is_virtual(self) -> bool:
-        """Whether it runs in virtual time, without an operator."""
+        """Whether the bench runs on virtual time, without an operator."""
         return self.file.clock == "virtual"
 
     def new_clock(self) -> Clock:
-        """A new clock of the kind in the file, from zero."""
+        """Create a clock of the kind in the file, starting at zero."""
         return VirtualClock() if self.is_virtual else WallClock(speed=self.file.speed)
 
     @cached_property
     def site(self) -> Site:
-        """Where the bench is."""
+        """Location of the bench."""
         return self.file.location.site
 
     @property
     def gravity_and_sigma(self) -> tuple[float | None, float]:
-        """Local gravity, m/s^2, None where it is not known, and its standard uncertainty."""
-        place = self.file.location
-        return place.gravity_mps2, place.gravity_sigma
+        """Local gravity, m/s^2, None if it is not known, and its standard uncertainty."""
+        location = self.file.location
+        return location.gravity_mps2, location.gravity_sigma
 
     @cached_property
     def dbc_path(self) -> Path:
-        """The DBC file: beside the station file, or shipped with the INS driver.
+        """Path of the DBC file: next to the station file, or shipped with the INS driver.
 
         Raises DocumentError if there is no such file.
         """
@@ -149,7 +153,7 @@ class Station:
     def check_dbc(self) -> None:
         """Check signals and commands of the INS against the DBC file.
 
-        A DocumentError lists all problems, one at several places once.
+        Raises DocumentError with all problems; a problem at several places is listed once.
         """
         try:
             codecs = [DbcCodec(unit.database()) for unit in self.units]
@@ -157,8 +161,8 @@ class Station:
             raise self._document.error([DocumentProblem(("ins", "dbc"), str(error))]) from error
         codec = codecs[0]
         identifiers: dict[tuple[object, ...], Station] = {}
-        for unit, own in zip(self.units, codecs, strict=True):
-            for identifier in own.arbitration_ids().tolist():
+        for unit, unit_codec in zip(self.units, codecs, strict=True):
+            for identifier in unit_codec.arbitration_ids().tolist():
                 other = identifiers.setdefault((*unit.bus, identifier), unit)
                 if other is not unit:
                     raise self._document.error(
@@ -182,20 +186,20 @@ class Station:
             *check_commands(self.file.ins.commands, codec, ("ins", "commands")),
         ]
         if problems:
-            first: dict[str, DocumentProblem] = {}
+            by_message: dict[str, DocumentProblem] = {}
             for each in problems:
-                first.setdefault(each.message, each)
-            raise self._document.error(list(first.values()))
+                by_message.setdefault(each.message, each)
+            raise self._document.error(list(by_message.values()))
 
     def database(self) -> Database:
-        """Read the DBC file, with the offset of its unit's identifiers.
+        """Read the DBC file, with the identifier offset of the unit.
 
         Raises DocumentError if the file is missing or wrong.
         """
         return load_dbc(self.dbc_path, self.file.ins.identifier_offset)
 
     def noise(self, velocity_lsb_mps: float, heading_lsb_rad: float) -> NoiseModel | None:
-        """Declared noise of the INS, with the output's resolution; None where it is to be estimated."""
+        """Declared noise of the INS, with the output's resolution; None if it is to be estimated."""
         declared = self.file.ins.noise
         if declared == "estimated":
             return None
@@ -216,28 +220,28 @@ class Station:
         )
 
     def plan(self, document: Document, procedure: Procedure, bench: BenchEstimate | None = None) -> Plan:
-        """Plan a checked procedure; a DocumentError lists all that this station can't run, with places.
+        """Plan a checked procedure; raises DocumentError with all that this station can't run, and places.
 
         ``bench``: state at the start; by default at rest.
         """
-        is_moved = self.file.rate_table.reference_mounting is not None
-        adapt = self._in_unit_position if is_moved else None
+        has_reference = self.file.rate_table.reference_mounting is not None
+        adapt = self._adapted_to_unit if has_reference else None
         plan = expand(document, procedure, bench or self.bench_at_rest(), adapt)
         check_plan(document, plan, self.limits())
         return plan
 
     def plan_document(self, document: Document) -> Plan:
-        """Check and plan a procedure; a DocumentError lists all that is wrong with it or can't be run."""
+        """Check and plan a procedure; raises DocumentError with all its problems."""
         return self.plan(document, checked_procedure(document))
 
-    def _in_unit_position(self, step: Step) -> Step:
+    def _adapted_to_unit(self, step: Step) -> Step:
         if not isinstance(step, GoTo):
             return step
         position, azimuth_deg = self.position_of_unit(step.position, step.azimuth_deg)
         return step.model_copy(update={"position": position, "azimuth_deg": azimuth_deg})
 
     def bench_at_rest(self) -> BenchEstimate:
-        """The bench before a run, for estimates of duration."""
+        """State of the bench before a run, for estimates of duration."""
         thermal = self.file.unit.thermal
         return BenchEstimate.at_rest(
             ThermalEstimate(
@@ -255,21 +259,21 @@ class Station:
             chamber_high_c=chamber.high_c,
             ramp_max_c_per_min=chamber.ramp_c_per_min,
             table_rate_max_dps=self.file.rate_table.limits.rate_dps,
-            reachable=self._why_unreachable,
+            unreachable_reason=self._unreachable_reason,
             gyro_low_c=gyro.low_c,
             gyro_high_c=gyro.high_c,
             ins_commands=frozenset(name for name, command in self.file.ins.commands if command is not None),
         )
 
     def by_axis_number(self, angles: Angles) -> dict[int, float]:
-        """Angles by the controller's axis numbers."""
+        """Outer and inner angle by the controller's axis numbers."""
         section = self.file.rate_table
         if section.is_single_axis:
             return {section.inner_axis_number: angles[1]}
         return {section.outer_axis_number: angles[0], section.inner_axis_number: angles[1]}
 
     def table_axes_of(self, values: Sequence[float]) -> Angles:
-        """Outer (0 with a single axis) and inner value, from values in the order of the axis numbers."""
+        """Outer and inner value from those in the order of axis numbers; outer is 0 with a single axis."""
         section = self.file.rate_table
         if section.is_single_axis:
             (inner,) = values
@@ -277,7 +281,7 @@ class Station:
         first, second = values
         return (first, second) if section.outer_axis_number < section.inner_axis_number else (second, first)
 
-    def _why_unreachable(
+    def _unreachable_reason(
         self, position: str, azimuth_deg: float, turns_deg: tuple[TurnOrMove, ...]
     ) -> str | None:
         try:
@@ -288,7 +292,7 @@ class Station:
 
     def _table(self) -> TwoAxisTable:
         section = self.file.rate_table
-        C_mount = _mounted(section.mounting)
+        C_mount = _mounting_attitude(section.mounting)
         inner_axis = _vector(section.inner_axis)
         if section.outer_axis is None:
             return SingleAxisTable.about(inner_axis, C_mount, section.inner_limits_deg)
@@ -301,21 +305,21 @@ class Station:
         )
 
 
-def _placeholders(value: Any, at: KeyPath) -> Iterator[KeyPath]:
+def _placeholders(value: Any, path: KeyPath) -> Iterator[KeyPath]:
     if isinstance(value, str) and value.startswith(FILL_IN):
-        yield at
+        yield path
     items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for key, each in items:
-        yield from _placeholders(each, (*at, key))
+        yield from _placeholders(each, (*path, key))
 
 
-def _mounted(mounting: Mounting) -> FloatArray:
-    """Attitude ``C_nb``, shape (3, 3), of a unit with this mounting, both angles of the table at zero."""
+def _mounting_attitude(mounting: Mounting) -> FloatArray:
+    """Attitude ``C_nb``, shape (3, 3), of a unit with this mounting with the table's angles at zero."""
     return np.stack([_vector(axis) for axis in (mounting.x, mounting.y, mounting.z)], axis=1)
 
 
-def _of_unit(document: Document, number: str) -> Document:
-    """Station file of a bench with one of its units alone."""
+def _document_of_unit(document: Document, number: str) -> Document:
+    """Station file reduced to one of the units."""
     data = {key: value for key, value in document.data.items() if key not in ("units", "drop_units")}
     (entry,) = (entry for entry in document.data["units"] if str(entry["number"]) == number)
     for section, keys in UNIT_KEYS.items():

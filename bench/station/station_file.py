@@ -38,11 +38,11 @@ from gyrobench.drivers.ins.signal_map import SignalMap
 
 _LOOPBACK = ("127.0.0.1", "localhost", "::1")
 _SERVED_INTERFACES = ("slcan", "socketcand", "emulator")
-_SCHEMES_HERE = ("emulator", "replay")
+_LOCAL_SCHEMES = ("emulator", "replay")
 
 
-def _why_not_fast(addresses: Iterable[str], interface: str, host: str) -> str:
-    """Name the address that is not of an emulated bench on this computer; empty if all are.
+def _fast_clock_problem(addresses: Iterable[str], interface: str, host: str) -> str:
+    """Describe an address that is not of an emulated bench on this computer; empty if all are.
 
     ``addresses`` are the ports of table and chamber and the CAN channel, ``host`` that of the bus's options.
     """
@@ -54,12 +54,12 @@ def _why_not_fast(addresses: Iterable[str], interface: str, host: str) -> str:
         if address.startswith("/dev/") and not address.startswith("/dev/pts/"):
             return f"{address} is a real port"
         url = urlsplit(address)
-        if url.scheme and url.scheme not in _SCHEMES_HERE and url.hostname not in _LOOPBACK:
+        if url.scheme and url.scheme not in _LOCAL_SCHEMES and url.hostname not in _LOOPBACK:
             return f"{address} is not an address of this computer"
     return ""
 
 
-def _no_secret(key: str) -> str:
+def _option_key(key: str) -> str:
     if _SECRET.search(key):
         raise ValueError(f"'{key}' looks like a secret, and every run folder has a copy of this file")
     return key
@@ -89,16 +89,16 @@ _WRITE_NOISE = "write `estimated` (from the output of the INS in each dwell), or
 )
 
 
-def _kind_of_noise(value: Any) -> str | None:
+def _noise_tag(value: Any) -> str | None:
     if isinstance(value, dict | InsNoise):
         return "declared"
     return _ESTIMATED if value == _ESTIMATED else None
 
 
-#: Distinguished first, so that a mistake in one kind is not reported for the other.
+#: Discriminated union, so that a mistake in one kind is not reported for the other.
 Noise = Annotated[
     Annotated[InsNoise, Tag("declared")] | Annotated[Literal["estimated"], Tag(_ESTIMATED)],
-    Discriminator(_kind_of_noise, custom_error_type="no_such_noise", custom_error_message=_WRITE_NOISE),
+    Discriminator(_noise_tag, custom_error_type="no_such_noise", custom_error_message=_WRITE_NOISE),
 ]
 
 
@@ -115,7 +115,7 @@ class InsUncertainty(StrictModel):
         0.0, description="change of each accelerometer's bias with the temperature of the case, ug/K"
     )
     accelerometer_transient_ug: NotNegative = Field(
-        20.0, description="what a turn changes of each accelerometer's bias until that has decayed, ug"
+        20.0, description="transient of each accelerometer's bias after a turn, ug"
     )
     accelerometer_misalignment_arcsec: NotNegative = Field(
         5.0, description="misalignment of each accelerometer, arcsec; for dwells solved together"
@@ -150,13 +150,13 @@ class InsSection(StrictModel):
     channel: Annotated[str, AfterValidator(without_password)] = Field(
         min_length=1, description="python-can channel"
     )
-    bitrate: int | None = Field(None, gt=0, description="bit/s, where the interface sets it")
-    options: dict[Annotated[str, AfterValidator(_no_secret)], str | int | float | bool] = Field(
+    bitrate: int | None = Field(None, gt=0, description="bit/s, if the interface sets it")
+    options: dict[Annotated[str, AfterValidator(_option_key)], str | int | float | bool] = Field(
         {}, description="further options of the python-can interface"
     )
     dbc: str = Field(
         pattern=_DBC_PATTERN,
-        description="name of a DBC file, NAME.dbc, beside the station file, or of a shipped one",
+        description="name of a DBC file, NAME.dbc, next to the station file, or of a shipped one",
     )
     identifier_offset: int = Field(0, description=_IDENTIFIER_OFFSET)
     identity: Identity = ""
@@ -186,7 +186,7 @@ class UnitSection(StrictModel):
     )
 
 
-def _off(value: Any) -> Any:
+def _off_to_none(value: Any) -> Any:
     return None if value == "off" else value
 
 
@@ -194,7 +194,7 @@ class SafeState(StrictModel):
     """State of the bench at any end."""
 
     chamber_c: Annotated[
-        float | None, BeforeValidator(_off, json_schema_input_type=float | Literal["off"] | None)
+        float | None, BeforeValidator(_off_to_none, json_schema_input_type=float | Literal["off"] | None)
     ] = Field(description="safe set point, degC, or off")
     unit: Literal["keep", "off"] = Field(description="leave the INS powered as it is, or switch it off")
     on_pause: Literal["keep", "safe"] = Field(
@@ -230,7 +230,7 @@ class UnitEntry(StrictModel):
         None, min_length=1, description="as in `ins`"
     )
     bitrate: int | None = Field(None, gt=0, description="as in `ins`")
-    options: dict[Annotated[str, AfterValidator(_no_secret)], str | int | float | bool] | None = Field(
+    options: dict[Annotated[str, AfterValidator(_option_key)], str | int | float | bool] | None = Field(
         None, description="as in `ins`"
     )
     identifier_offset: int | None = Field(None, description=_IDENTIFIER_OFFSET)
@@ -241,7 +241,7 @@ class UnitEntry(StrictModel):
     power_event: int | None = Field(None, ge=1, le=8, description="as in `unit`")
 
 
-#: Keys of a unit by the section that they replace keys of.
+#: Keys of a unit, by the section whose keys they replace.
 UNIT_KEYS = {
     "ins": (
         "interface", "channel", "bitrate", "options", "identifier_offset", "identity", "noise", "uncertainty"
@@ -268,10 +268,10 @@ class StationFile(StrictModel):
     location: Location = Field(description="where the bench is")
     tick_s: Annotated[float, Field(ge=0.1, le=10.0)] = Field(1.0, description="period of the engine, s")
     poll_period_s: Annotated[float, Field(ge=0.01, le=10.0)] = Field(
-        0.1, description="how often the CAN bus is emptied, s; on virtual time with each reading"
+        0.1, description="period at which the CAN bus is read, s; on virtual time with each reading"
     )
     instruments_period_s: Annotated[float, Field(ge=0.5, le=60.0)] = Field(
-        5.0, description="how often table, chamber and INS status are read, s"
+        5.0, description="period at which table, chamber and INS status are read, s"
     )
     rate_table: RateTableSection = Field(description="the rate table")
     chamber: ChamberSection = Field(description="the thermal chamber")
@@ -282,8 +282,8 @@ class StationFile(StrictModel):
     )
     drop_units: bool = Field(
         True,
-        description="whether a unit that fails, one of several, is left out of the rest of the run; else the "
-        "run holds for all",
+        description="whether one of several units that fails is dropped for the rest of the run; otherwise "
+        "the run holds for all",
     )
     safe_state: SafeState = Field(description="state of the bench at any end of a run")
     block_approval: Literal["ask", "auto"] = Field(
@@ -306,7 +306,7 @@ class StationFile(StrictModel):
     )
 
     @model_validator(mode="after")
-    def _safe_within_limits(self) -> Self:
+    def _check_safe_state(self) -> Self:
         limits, safe_c = self.chamber.limits, self.safe_state.chamber_c
         if safe_c is not None and not limits.low_c <= safe_c <= limits.high_c:
             raise ValueError(
@@ -320,7 +320,7 @@ class StationFile(StrictModel):
         return self
 
     @model_validator(mode="after")
-    def _interlocks_beyond_limits(self) -> Self:
+    def _check_interlocks(self) -> Self:
         """Interlocks must not trip within the limits, against which procedures are checked."""
         problems = self.interlocks.inside_limits(
             chamber_c=(self.chamber.limits.low_c, self.chamber.limits.high_c),
@@ -334,37 +334,39 @@ class StationFile(StrictModel):
         return self
 
     @model_validator(mode="after")
-    def _virtual_only_where_emulated(self) -> Self:
+    def _check_virtual_clock(self) -> Self:
         if self.clock == "virtual" and not self.is_emulated():
             raise ValueError("clock: virtual requires emulated instruments only; real ones need clock: wall")
         return self
 
     @model_validator(mode="after")
-    def _fast_only_where_emulated(self) -> Self:
+    def _check_speed(self) -> Self:
         ports = (self.rate_table.port, self.chamber.port)
         reasons = [
-            _why_not_fast((*ports, ins.channel), ins.interface, str(ins.options.get("host", "")))
+            _fast_clock_problem((*ports, ins.channel), ins.interface, str(ins.options.get("host", "")))
             for ins in self.ins_sections
         ]
-        why_not = next(filter(None, reasons), "") if self.speed != 1.0 else ""
+        problem = next(filter(None, reasons), "") if self.speed != 1.0 else ""
         if self.speed != 1.0 and self.clock == "virtual":
-            why_not = "clock: virtual is as fast as possible; use clock: wall"
-        if why_not:
-            raise ValueError(f"speed: {self.speed:g} is for an emulated bench on this computer; {why_not}")
+            problem = "clock: virtual is as fast as possible; use clock: wall"
+        if problem:
+            raise ValueError(f"speed: {self.speed:g} is for an emulated bench on this computer; {problem}")
         return self
 
     @model_validator(mode="after")
-    def _distinct_units(self) -> Self:
+    def _check_units(self) -> Self:
         numbers = [unit.number for unit in self.units]
         if len(set(numbers)) < len(numbers):
             raise ValueError(f"units: two have the same number; found {', '.join(numbers)}")
-        places: dict[str, str] = {}
+        bus_addresses: dict[str, str] = {}
         for unit, ins in zip(self.units, self.ins_sections, strict=False):
-            place = f"{ins.interface} {ins.channel}, identifier_offset {ins.identifier_offset}"
-            if (other := places.setdefault(f"{place} {ins.options}", unit.number)) != unit.number:
+            bus_address = f"{ins.interface} {ins.channel}, identifier_offset {ins.identifier_offset}"
+            if (
+                other_number := bus_addresses.setdefault(f"{bus_address} {ins.options}", unit.number)
+            ) != unit.number:
                 raise ValueError(
-                    f"units: {other} and {unit.number} are at the same place of one bus ({place}); give each "
-                    "its channel, or its identifier_offset"
+                    f"units: {other_number} and {unit.number} are at the same place of one bus "
+                    f"({bus_address}); give each its channel, or its identifier_offset"
                 )
             if unit.power_event is not None and self.unit.power != "chamber_event":
                 raise ValueError(f"units: power_event is not possible with unit.power: {self.unit.power}")
@@ -372,7 +374,7 @@ class StationFile(StrictModel):
 
     @property
     def ins_sections(self) -> list[InsSection]:
-        """The section ``ins`` of each unit, with its own keys; of a single unit the file's."""
+        """The section ``ins`` of each unit, with the unit's keys; for a single unit the file's section."""
         return [
             self.ins.model_copy(
                 update={key: value for key in UNIT_KEYS["ins"] if (value := getattr(unit, key)) is not None}
@@ -383,8 +385,8 @@ class StationFile(StrictModel):
     def emulated_instruments(self) -> list[bool]:
         """Whether each instrument is emulated inside this process: table, chamber, bus of each unit."""
         ports = (self.rate_table.port, self.chamber.port)
-        are_buses = (ins.interface == "emulator" for ins in self.ins_sections)
-        return [*(port.startswith("emulator://") for port in ports), *are_buses]
+        are_buses_emulated = (ins.interface == "emulator" for ins in self.ins_sections)
+        return [*(port.startswith("emulator://") for port in ports), *are_buses_emulated]
 
     def is_emulated(self) -> bool:
         """Whether every instrument is emulated inside this process."""
@@ -398,7 +400,7 @@ def load_station_file(path: Path) -> tuple[Document, StationFile]:
 
 
 def find_dbc(station: Path, name: str) -> Path:
-    """The DBC file of that name: beside the station file, or shipped with the INS driver.
+    """Path of the DBC file with this name: next to the station file, or shipped with the INS driver.
 
     Raises DocumentError if there is no such file.
     """

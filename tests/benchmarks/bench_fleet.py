@@ -18,7 +18,7 @@ from pathlib import Path
 import psutil
 
 from gyrobench.bench.fleet.jobs import FleetRecord, JobKind
-from gyrobench.bench.fleet.workers import Workers, connected, work_through
+from gyrobench.bench.fleet.workers import Workers, connect_workers, work_through
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.runs.index.store import runs_named
 from tests.benchmarks.fleet_runs import make_runs
@@ -55,7 +55,7 @@ def usage():
 def measure(kind, paths, workers, are_threads, folder):
     """Do the job with all runs once, workers warm from one run each."""
     clock = WallClock()
-    with connected(Workers(workers, are_threads)) as pool:
+    with connect_workers(Workers(workers, are_threads)) as pool:
         warm = FleetRecord(JobKind(kind), folder / "warm")
         list(work_through(pool, warm, paths[: 2 * workers]))
         start_s = clock.now()

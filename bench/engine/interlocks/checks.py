@@ -1,7 +1,7 @@
-"""What the interlocks check on rate table, chamber and INS, and what they report.
+"""The interlocks' checks of rate table, chamber and INS, and their findings.
 
-Nothing is found wrong later than it is now until a reading or a command changes, or the time of a check's
-``good_until_s`` is reached: a check that depends on the time in another way must say so there.
+Findings change only if a reading or a command changes, or the time ``untripped_until_s`` of a check is
+reached: a check that depends on the time must include that in its ``untripped_until_s``.
 """
 
 from __future__ import annotations
@@ -28,27 +28,27 @@ _CHECK_CONTROL = (
 )
 _CHECK_SENSOR = "Check the sensor and the signal map"
 _COOL_DOWN = f"{_CHECK_SENSOR}; let the unit return to room temperature."
-#: The acceleration is not computed from readings closer than this: their times are too uncertain.
+#: Minimum time between readings for an acceleration: their times are uncertain.
 _MIN_SPAN_S = 0.4
-#: The air changes by less between two readings, unless a door is opened.
+#: Maximum change of the air between two readings, unless a door is opened.
 _JUMP_C = 2.0
-#: A table at rest turns no faster, with the noise of its reading.
+#: Maximum rate reading of a table at rest, with noise.
 _REST_DPS = 0.05
-#: Share of its time constant for which a unit's inside may continue as before a ramp; time for which its case
-#: may, and between its temperatures.
-_LAG, _CASE_LAG_S, _UNIT_PERIOD_S = 0.25, 60.0, 15.0
-#: A unit that changes by less stays where it is.
-_MOVES_C_PER_MIN = 0.1
-#: Interlocks that show that the chamber does not control its air: a set point does not make it safe.
+#: Time for which a unit may continue its drift from before a ramp: fraction of its time constant for the
+#: inside, and seconds for the case. Period at which its temperatures are sampled.
+_LAG_FRACTION, _CASE_LAG_S, _UNIT_PERIOD_S = 0.25, 60.0, 15.0
+#: The temperature of a unit that changes by less counts as constant.
+_MIN_CHANGE_C_PER_MIN = 0.1
+#: Interlocks that trip if the chamber does not control its air: a safe set point is then not enough.
 CHAMBER_OUT_OF_CONTROL = frozenset({"chamber_air", "chamber_sensor"})
-#: A rate needs two periods between readings, and a margin for late ones.
+#: Minimum window of a rate in periods between readings: two, and a margin for late readings.
 _MIN_PERIODS = 2.5
 
 
 class InterlockFinding(NamedTuple):
     """A violation; ``interlock`` is its key in the station file.
 
-    ``problem`` is a sentence without full stop, ``advice`` is whole sentences or empty.
+    ``problem`` is a sentence without full stop, ``advice`` complete sentences or empty.
     """
 
     interlock: str
@@ -66,25 +66,25 @@ def text_of_findings(findings: Iterable[InterlockFinding]) -> str:
     )
 
 
-def _out_of_range(what: str, value: float, low: float, high: float, unit: str) -> str:
-    """Describe how a value is outside its range; empty where it is inside."""
+def _out_of_range(quantity: str, value: float, low: float, high: float, unit: str) -> str:
+    """Describe how a value is outside its range; empty if it is inside."""
     if low <= value <= high:
         return ""
     if math.isnan(value):
-        return f"{what} is unknown; the limits are {low:g} and {high:g} {unit}"
+        return f"{quantity} is unknown; the limits are {low:g} and {high:g} {unit}"
     side, limit = ("below", low) if value < low else ("above", high)
-    return f"{what} is {value:.1f} {unit}, {side} the limit of {limit:g} {unit}"
+    return f"{quantity} is {value:.1f} {unit}, {side} the limit of {limit:g} {unit}"
 
 
-def _too_fast(what: str, rate_per_s: float | None, limit_per_min: float) -> str:
-    """Describe that a temperature changes too fast; empty where it does not, or the rate is unknown."""
+def _too_fast(quantity: str, rate_per_s: float | None, limit_per_min: float) -> str:
+    """Describe that a temperature changes too fast; empty if it does not, or the rate is unknown."""
     if rate_per_s is None or abs(rate_per_s) * 60.0 <= limit_per_min:
         return ""
-    return f"{what} changes by {rate_per_s * 60.0:.1f} degC/min; the limit is {limit_per_min:g} degC/min"
+    return f"{quantity} changes by {rate_per_s * 60.0:.1f} degC/min; the limit is {limit_per_min:g} degC/min"
 
 
-def _silent(instrument: str, age_s: float, limit_s: float) -> str:
-    """Describe that an instrument's last answer is too old; empty where it is not."""
+def _too_old(instrument: str, age_s: float, limit_s: float) -> str:
+    """Describe that an instrument's last answer is too old; empty if it is not."""
     if age_s <= limit_s:
         return ""
     if math.isinf(age_s):
@@ -145,32 +145,32 @@ class TableChecks:
         self._accelerations_dps2 = (0.0, 0.0)
         self._prepared = self._stopped = False
         self._prepared_s = self._stopped_s = -math.inf
-        self._has_rested = False  #: Since it was stopped.
+        self._has_rested = False  #: The table has been at rest since it was stopped.
 
-    def observe(self, readings: Readings, now_s: float) -> None:  # noqa: ARG002 - as the others
-        """Take a reading; an old one changes nothing."""
-        before_s, before_dps = self._rates
-        span_s = readings.table_s - before_s
+    def observe(self, readings: Readings, now_s: float) -> None:  # noqa: ARG002 - signature of all checks
+        """Process the newest reading; a repeated one has no effect."""
+        previous_s, previous_dps = self._rates
+        span_s = readings.table_s - previous_s
         if span_s < _MIN_SPAN_S:
             return
         rates_dps = self._station.table_axes_of(readings.table.rate_dps)
         self._accelerations_dps2 = (
-            (rates_dps[0] - before_dps[0]) / span_s,
-            (rates_dps[1] - before_dps[1]) / span_s,
+            (rates_dps[0] - previous_dps[0]) / span_s,
+            (rates_dps[1] - previous_dps[1]) / span_s,
         )
         self._rates = (readings.table_s, rates_dps)
 
     def findings(
         self, readings: Readings, expected: ExpectedState, now_s: float
     ) -> Iterator[InterlockFinding]:
-        """Yield what is wrong now."""
+        """Yield the violations at ``now_s``."""
         if expected.table_prepared and not self._prepared:
             self._prepared_s = now_s
         self._prepared = expected.table_prepared
         if expected.table_stopped and not self._stopped:
             self._stopped_s, self._has_rested = now_s, False
         self._stopped = expected.table_stopped
-        if problem := _silent("rate table", now_s - readings.table_s, self._silence_s):
+        if problem := _too_old("rate table", now_s - readings.table_s, self._silence_s):
             yield InterlockFinding("table_silence", problem, _CHECK_LINE)
         yield from self._motion(readings)
         if self._prepared and readings.table_s > self._prepared_s:
@@ -182,9 +182,9 @@ class TableChecks:
             if readings.table.is_servoed and is_rest_due:
                 yield from problems
 
-    def is_doubtful(self, found: TableReading, before: Readings, expected: ExpectedState) -> bool:
-        """Whether a reading would trip an interlock by itself."""
-        if found.faults != before.table.faults or (expected.table_prepared and not found.is_servoed):
+    def is_implausible(self, reading: TableReading, previous: Readings, expected: ExpectedState) -> bool:
+        """Whether a new reading by itself would trip an interlock."""
+        if reading.faults != previous.table.faults or (expected.table_prepared and not reading.is_servoed):
             return True
         in_table_axes = self._station.table_axes_of
         limit_dps = _REST_DPS if expected.table_stopped else self._rate_dps
@@ -192,18 +192,18 @@ class TableChecks:
         return not all(
             low_deg <= angle_deg <= high_deg
             and abs(rate_dps) <= limit_dps
-            and abs(rate_dps - before_dps) <= step_dps
-            for (low_deg, high_deg), angle_deg, rate_dps, before_dps in zip(
+            and abs(rate_dps - previous_dps) <= step_dps
+            for (low_deg, high_deg), angle_deg, rate_dps, previous_dps in zip(
                 self._angles_deg.values(),
-                in_table_axes(found.position_deg),
-                in_table_axes(found.rate_dps),
-                in_table_axes(before.table.rate_dps),
+                in_table_axes(reading.position_deg),
+                in_table_axes(reading.rate_dps),
+                in_table_axes(previous.table.rate_dps),
                 strict=True,
             )
         )
 
-    def good_until_s(self, readings: Readings) -> float:
-        """Return until when nothing goes wrong by the passage of time alone."""
+    def untripped_until_s(self, readings: Readings) -> float:
+        """Return the time until which nothing trips without a new reading or command, s."""
         return readings.table_s + self._silence_s
 
     def _motion(self, readings: Readings) -> Iterator[InterlockFinding]:
@@ -219,12 +219,12 @@ class TableChecks:
                     _out_of_range(f"the angle of the {axis} axis", angle_deg, low_deg, high_deg, "deg"),
                     "Check cables and mechanical stops before the table moves again.",
                 )
-            for interlock, what, value, limit, unit in (
+            for interlock, quantity, value, limit, unit in (
                 ("table_rate", "rate", rate_dps, self._rate_dps, "deg/s"),
                 ("table_acceleration", "acceleration", acceleration_dps2, self._acceleration_dps2, "deg/s2"),
             ):
                 if not -limit <= value <= limit:
-                    problem = _out_of_range(f"the {what} of the {axis} axis", value, -limit, limit, unit)
+                    problem = _out_of_range(f"the {quantity} of the {axis} axis", value, -limit, limit, unit)
                     yield InterlockFinding(interlock, problem, _CHECK_SERVO)
 
     def _motion_although_stopped(self, readings: Readings) -> Iterator[InterlockFinding]:
@@ -249,23 +249,23 @@ class TableChecks:
             )
 
 
-class _UnitInAir:
-    """Whether the unit follows the air that the chamber reads: it may not go away from it far and long."""
+class _UnitAirCheck:
+    """Check that the unit follows the chamber's air: its temperature must not move away far and long."""
 
     def __init__(self, station: Station) -> None:
         thermal = station.file.unit.thermal
         self._margin_c = station.file.interlocks.chamber_sensor.margin_c
         self._self_heating_c = max(0.0, thermal.self_heating_c)
-        sent = list(station.file.interlocks.ins_temperatures(station.file.ins.signals))
-        has_case = bool(sent) and sent[0].interlock == "case"
-        self._temperatures = [each.read for each in (sent[:1] if has_case else sent)]
-        self._lag_s = _CASE_LAG_S if has_case else max(_CASE_LAG_S, _LAG * thermal.time_constant_s)
+        temperatures = list(station.file.interlocks.ins_temperatures(station.file.ins.signals))
+        has_case = bool(temperatures) and temperatures[0].interlock == "case"
+        self._temperatures = [each.read for each in (temperatures[:1] if has_case else temperatures)]
+        self._lag_s = _CASE_LAG_S if has_case else max(_CASE_LAG_S, _LAG_FRACTION * thermal.time_constant_s)
         self._rate = RateWindow.for_readings(self._lag_s, station.file.instruments_period_s)
         self._observed_s, self._far_since_s = -math.inf, math.inf
-        self.problem = ""  #: Empty where it follows.
+        self.problem = ""  #: Empty if the unit follows the air.
 
     def observe(self, readings: Readings, now_s: float) -> None:
-        """Take the unit's temperatures where they are due."""
+        """Sample the unit's temperatures if they are due."""
         if now_s - self._observed_s < _UNIT_PERIOD_S:
             return
         self._observed_s, self.problem, air_c = now_s, "", readings.chamber.temperature_c
@@ -283,7 +283,7 @@ class _UnitInAir:
         if rate_per_s is None or now_s - self._far_since_s < self._lag_s:
             return
         rate_c_per_min = 60.0 * rate_per_s
-        if (rate_c_per_min if is_above else -rate_c_per_min) > _MOVES_C_PER_MIN:
+        if (rate_c_per_min if is_above else -rate_c_per_min) > _MIN_CHANGE_C_PER_MIN:
             self.problem = (
                 f"the unit is at {nearest_c:.1f} degC and changes by {rate_c_per_min:+.1f} degC/min, away "
                 f"from the chamber's air, which reads {air_c:.1f} degC; the limit is {limit_c:g} K"
@@ -291,7 +291,7 @@ class _UnitInAir:
 
 
 class ChamberChecks:
-    """Air, alarms and silence of the chamber, and whether it does what was commanded."""
+    """Air, alarms and silence of the chamber, and its deviations from the command."""
 
     def __init__(self, station: Station) -> None:
         rules, limits = station.file.interlocks, station.file.chamber.limits
@@ -303,24 +303,24 @@ class ChamberChecks:
         self._tolerance_c = rules.chamber_command.tolerance_c
         self._deviation_c = rules.chamber_deviation.tolerance_c
         self._silence_s = rules.chamber_silence.limit_or_default_s(station.file.instruments_period_s)
-        self._unit = _UnitInAir(station)
+        self._unit = _UnitAirCheck(station)
         self._commanded: tuple[float | None, bool | None] = (None, None)
         self._commanded_s = -math.inf
 
     def observe(self, readings: Readings, now_s: float) -> None:
-        """Take a reading; an old one changes nothing."""
+        """Process the newest reading; a repeated one has no effect."""
         self._rate.add(readings.chamber_s, readings.chamber.temperature_c)
         self._unit.observe(readings, now_s)
 
     def findings(
         self, readings: Readings, expected: ExpectedState, now_s: float
     ) -> Iterator[InterlockFinding]:
-        """Yield what is wrong now."""
+        """Yield the violations at ``now_s``."""
         commanded = (expected.chamber_set_c, expected.chamber_on)
         if commanded != self._commanded:
             self._commanded, self._commanded_s = commanded, now_s
-        # A reading with an alarm is old where the sensor is faulty: the chamber answers.
-        problem = _silent("chamber", now_s - readings.chamber_s, self._silence_s)
+        # If the sensor is faulty, the last reading is repeated with an alarm: the chamber answers.
+        problem = _too_old("chamber", now_s - readings.chamber_s, self._silence_s)
         if problem and not readings.chamber.alarms:
             yield InterlockFinding("chamber_silence", problem, _CHECK_LINE)
         air_c = readings.chamber.temperature_c
@@ -339,29 +339,29 @@ class ChamberChecks:
         if readings.chamber_s > self._commanded_s:
             yield from self._deviations_from_command(readings.chamber, *self._commanded)
         if expected.chamber_reached and expected.chamber_set_c is not None:
-            off_c = air_c - expected.chamber_set_c
-            if not abs(off_c) <= self._deviation_c:
+            deviation_c = air_c - expected.chamber_set_c
+            if not abs(deviation_c) <= self._deviation_c:
                 yield InterlockFinding(
                     "chamber_deviation",
-                    f"the chamber's air is at {air_c:.1f} degC, {off_c:+.1f} K from the set point that it "
-                    f"had reached; the limit is {self._deviation_c:g} K",
+                    f"the chamber's air is at {air_c:.1f} degC, {deviation_c:+.1f} K from the set point that "
+                    f"it had reached; the limit is {self._deviation_c:g} K",
                     "Check the chamber's machinery and door.",
                 )
 
-    def is_doubtful(self, found: ChamberReading, before: Readings, expected: ExpectedState) -> bool:
-        """Whether a reading would trip an interlock by itself."""
+    def is_implausible(self, reading: ChamberReading, previous: Readings, expected: ExpectedState) -> bool:
+        """Whether a new reading by itself would trip an interlock."""
         low_c, high_c = self._range_c
-        air_c, set_c = found.temperature_c, expected.chamber_set_c
-        if found.alarms != before.chamber.alarms or not low_c <= air_c <= high_c:
+        air_c, set_c = reading.temperature_c, expected.chamber_set_c
+        if reading.alarms != previous.chamber.alarms or not low_c <= air_c <= high_c:
             return True
-        if not abs(air_c - before.chamber.temperature_c) <= _JUMP_C:
+        if not abs(air_c - previous.chamber.temperature_c) <= _JUMP_C:
             return True
         if expected.chamber_reached and set_c is not None and abs(air_c - set_c) > self._deviation_c:
             return True
-        return any(self._deviations_from_command(found, set_c, expected.chamber_on))
+        return any(self._deviations_from_command(reading, set_c, expected.chamber_on))
 
-    def good_until_s(self, readings: Readings) -> float:
-        """Return until when nothing goes wrong by the passage of time alone."""
+    def untripped_until_s(self, readings: Readings) -> float:
+        """Return the time until which nothing trips without a new reading or command, s."""
         return readings.chamber_s + self._silence_s
 
     def _deviations_from_command(
@@ -374,11 +374,11 @@ class ChamberChecks:
                 _CHECK_PANEL,
             )
         if set_c is not None and chamber.set_point_c is not None:
-            off_c = abs(chamber.set_point_c - set_c)
-            if not off_c <= self._tolerance_c:
+            deviation_c = abs(chamber.set_point_c - set_c)
+            if not deviation_c <= self._tolerance_c:
                 yield InterlockFinding(
                     "chamber_command",
-                    f"the chamber's set point is {chamber.set_point_c:g} degC, {off_c:.1f} K from the "
+                    f"the chamber's set point is {chamber.set_point_c:g} degC, {deviation_c:.1f} K from the "
                     f"commanded {set_c:g} degC; the limit is {self._tolerance_c:g} K",
                     _CHECK_PANEL,
                 )
@@ -393,20 +393,20 @@ class _WatchedTemperature:
 
     def __init__(self, source: InsTemperature, station: Station) -> None:
         self._read, self._interlock = source.read, source.interlock
-        self._what = f"the temperature of the {source.what}"
+        self._description = f"the temperature of the {source.what}"
         self._low_c, self._high_c = source.level.low_c, source.level.high_c
         self._rate_c_per_min = source.rate.limit_or_default_c_per_min(
             station.file.chamber.limits.ramp_c_per_min
         )
         self._rate = RateWindow.for_readings(source.rate.window_s, station.file.instruments_period_s)
         self.value_c = math.nan
-        self.known_s = -math.inf
+        self.valid_s = -math.inf
 
     def observe(self, ins: InsStatus, now_s: float) -> None:
         self.value_c = self._read(ins)
         if math.isfinite(self.value_c):
             self._rate.add(now_s, self.value_c)
-            self.known_s = now_s
+            self.valid_s = now_s
 
     def is_within_limits(self) -> bool:
         rate_per_s = self._rate.per_s()
@@ -414,12 +414,12 @@ class _WatchedTemperature:
             rate_per_s is None or abs(rate_per_s) * 60.0 <= self._rate_c_per_min
         )
 
-    def findings(self, is_known: bool) -> Iterator[InterlockFinding]:
-        """Yield what is wrong; ``is_known``: whether the value is one, or has been unknown for long."""
-        problem = _out_of_range(self._what, self.value_c, self._low_c, self._high_c, "degC")
-        if problem and is_known:
+    def findings(self, is_checked: bool) -> Iterator[InterlockFinding]:
+        """Yield the violations; ``is_checked``: the value is valid, or has been missing for long."""
+        problem = _out_of_range(self._description, self.value_c, self._low_c, self._high_c, "degC")
+        if problem and is_checked:
             yield InterlockFinding(f"{self._interlock}_temperature", problem, _COOL_DOWN)
-        if problem := _too_fast(self._what, self._rate.per_s(), self._rate_c_per_min):
+        if problem := _too_fast(self._description, self._rate.per_s(), self._rate_c_per_min):
             yield InterlockFinding(f"{self._interlock}_rate", problem, f"{_CHECK_SENSOR}.")
 
 
@@ -441,7 +441,7 @@ class InsChecks:
         self._on_s = -math.inf
 
     def observe(self, readings: Readings, now_s: float) -> None:
-        """Take the status of the INS."""
+        """Process the status of the INS."""
         self._observed_s = now_s
         for temperature in self._temperatures:
             temperature.observe(readings.ins, now_s)
@@ -449,30 +449,30 @@ class InsChecks:
     def findings(
         self, readings: Readings, expected: ExpectedState, now_s: float
     ) -> Iterator[InterlockFinding]:
-        """Yield what is wrong now."""
+        """Yield the violations at ``now_s``."""
         if expected.ins_on and not self._on:
             self._on_s = now_s
         self._on = expected.ins_on
         if not self._on:
             return
-        if problem := _silent("INS", self._age_s(readings, now_s), self._silence_s):
+        if problem := _too_old("INS", self._age_s(readings, now_s), self._silence_s):
             yield InterlockFinding("ins_silence", problem, _CHECK_LINE)
             return
         if readings.ins.mode is InsMode.FAULT and self._observed_s >= self._on_s:
             yield InterlockFinding("ins_fault", "the INS reports a fault", "Read its built-in test results.")
         for temperature in self._temperatures:
             if not temperature.is_within_limits():
-                # By the observations: the first may come before the first temperatures.
-                unknown_s = self._observed_s - max(temperature.known_s, self._on_s)
-                is_known = math.isfinite(temperature.value_c) or unknown_s > self._silence_s
-                yield from temperature.findings(is_known)
+                # Counted in observations: the first of them may come before the first temperatures.
+                missing_s = self._observed_s - max(temperature.valid_s, self._on_s)
+                is_checked = math.isfinite(temperature.value_c) or missing_s > self._silence_s
+                yield from temperature.findings(is_checked)
 
-    def good_until_s(self, readings: Readings) -> float:  # noqa: ARG002 - as the others
-        """Return until when nothing goes wrong by the passage of time alone."""
+    def untripped_until_s(self, readings: Readings) -> float:  # noqa: ARG002 - signature of all checks
+        """Return the time until which nothing trips without a new reading or command, s."""
         return max(self._observed_s, self._on_s) + self._period_s if self._on else math.inf
 
     def _age_s(self, readings: Readings, now_s: float) -> float:
-        """Silence of the INS since it was switched on, as far as it was observed in time."""
+        """Age of the INS's last frame, at most the time since power-on; grows if observations are overdue."""
         silent_s = min(readings.ins.age_s, max(0.0, self._observed_s - self._on_s))
         overdue_s = now_s - max(self._observed_s, self._on_s)
         return silent_s + (overdue_s if overdue_s > self._period_s else 0.0)

@@ -1,4 +1,4 @@
-"""Trips: which interlocks are tripped, and by whose rule a failed step is treated."""
+"""Trips: the interlocks that are tripped, and the interlock whose rule applies to a failed step."""
 
 from __future__ import annotations
 
@@ -46,16 +46,16 @@ class Trip:
     name: str  #: key in the station file's ``interlocks``
     findings: tuple[InterlockFinding, ...]
     rule: InterlockRule  #: when the run may continue
-    unit: str = ""  #: serial number of the unit that alone is concerned, of several
+    unit: str = ""  #: serial number of the only unit concerned, if there are several
 
     @property
     def text(self) -> str:
-        """What is wrong: value, limit, and what to do."""
+        """Problems and advice: value, limit, and what to do."""
         return text_of_findings(self.findings)
 
 
 def text_of_trips(trips: Iterable[Trip]) -> str:
-    """Return what is wrong as text, each advice once."""
+    """Return problems and advice as text, each advice once."""
     return text_of_findings(finding for trip in trips for finding in trip.findings)
 
 
@@ -68,9 +68,9 @@ class TrippedError(InterlockError):
 
 
 def trip_of_error(error: GyrobenchError, station: Station, step: Step | None = None) -> Trip:
-    """Return the trip by whose rule a failed step is treated: the instrument is silent, or has a fault.
+    """Return the trip whose rule applies to a failed step: the instrument is silent or has a fault.
 
-    Another step that did not end in time needs the operator, unless the INS did not start.
+    A step that timed out for another reason needs the operator, unless the INS did not start.
     """
     name = "step"
     if isinstance(error, InstrumentError):
@@ -86,7 +86,7 @@ def trip_of_error(error: GyrobenchError, station: Station, step: Step | None = N
 class InterlockWatch:
     """Watches the readings of one run.
 
-    ``absent``: names of instruments that the bench was opened without; nothing is checked of them.
+    ``absent``: names of instruments that were not opened; they are not checked.
     """
 
     def __init__(self, station: Station, clock: Clock, absent: Collection[str] = ()) -> None:
@@ -94,57 +94,57 @@ class InterlockWatch:
         self._rules = station.file.interlocks.rules()
         self._checks = [make(station) for name, make in _CHECKS.items() if name not in absent]
         self._readings: Readings | None = None
-        self._good_since_s: dict[str, float] = {}
-        #: Nothing was found wrong with these readings and this command, nor will be until that time.
-        self._good: tuple[ExpectedState | None, float] = (None, -math.inf)
+        self._untripped_since_s: dict[str, float] = {}
+        #: With the present readings and this expected state, nothing trips before this time.
+        self._untripped: tuple[ExpectedState | None, float] = (None, -math.inf)
 
-    def is_doubtful(self, reading: TableReading | ChamberReading, expected: ExpectedState) -> bool:
-        """Whether a new reading alone would trip an interlock, so that it should be taken again."""
-        if (before := self._readings) is None:
+    def is_implausible(self, reading: TableReading | ChamberReading, expected: ExpectedState) -> bool:
+        """Whether a new reading by itself would trip an interlock, so that it should be read again."""
+        if (previous := self._readings) is None:
             return False
         for checks in self._checks:
             if isinstance(checks, TableChecks) and isinstance(reading, TableReading):
-                return checks.is_doubtful(reading, before, expected)
+                return checks.is_implausible(reading, previous, expected)
             if isinstance(checks, ChamberChecks) and isinstance(reading, ChamberReading):
-                return checks.is_doubtful(reading, before, expected)
+                return checks.is_implausible(reading, previous, expected)
         return False
 
     def observe(self, readings: Readings) -> None:
-        """Take the readings; to be called after every poll, whether the instruments answered or not."""
+        """Process the readings; call after every poll, whether the instruments answered or not."""
         now_s = self._clock.now()
         for each in self._checks:
             each.observe(readings, now_s)
         self._readings = readings
-        self._good = (None, -math.inf)
+        self._untripped = (None, -math.inf)
 
     def trips(self, now_s: float, expected: ExpectedState) -> list[Trip]:
-        """Return all interlocks that are tripped, each with all its findings; to be called at every tick.
+        """Return all interlocks that are tripped, each with all its findings; call at every tick.
 
-        Only readings newer than the first call with a command in ``expected`` are compared with it.
+        A command in ``expected`` is compared only with readings newer than the first call that contains it.
         """
-        good_expected, good_until_s = self._good
-        if expected is good_expected and now_s < good_until_s:
+        checked_expected, untripped_until_s = self._untripped
+        if expected is checked_expected and now_s < untripped_until_s:
             return []
-        found: dict[str, list[InterlockFinding]] = {}
+        findings: dict[str, list[InterlockFinding]] = {}
         if self._readings is not None:
             for each in self._checks:
                 for finding in each.findings(self._readings, expected, now_s):
-                    found.setdefault(finding.interlock, []).append(finding)
-        if found or len(self._good_since_s) < len(self._rules):
+                    findings.setdefault(finding.interlock, []).append(finding)
+        if findings or len(self._untripped_since_s) < len(self._rules):
             for name in self._rules:
-                if name in found:
-                    self._good_since_s.pop(name, None)
+                if name in findings:
+                    self._untripped_since_s.pop(name, None)
                 else:
-                    self._good_since_s.setdefault(name, now_s)
-        names = sorted(found, key=list(self._rules).index) if found else []
-        trips = [Trip(name, tuple(found[name]), self._rules[name]) for name in names]
+                    self._untripped_since_s.setdefault(name, now_s)
+        names = sorted(findings, key=list(self._rules).index) if findings else []
+        trips = [Trip(name, tuple(findings[name]), self._rules[name]) for name in names]
         if self._readings is not None and not trips:
-            self._good = (
+            self._untripped = (
                 expected,
-                min((each.good_until_s(self._readings) for each in self._checks), default=math.inf),
+                min((each.untripped_until_s(self._readings) for each in self._checks), default=math.inf),
             )
         return trips
 
-    def good_since_s(self, name: str) -> float | None:
-        """Time of the call of :meth:`trips` since which an interlock is good; None while it is tripped."""
-        return self._good_since_s.get(name)
+    def untripped_since_s(self, name: str) -> float | None:
+        """Time of the call of :meth:`trips` since which an interlock is not tripped; None while it is."""
+        return self._untripped_since_s.get(name)

@@ -33,13 +33,13 @@ from gyrobench.drivers.ins.can_ins import CanIns
 
 #: The procedure of :func:`signal_map_checks`.
 SIGNAL_MAP_CHECK = "signal_map_check"
-#: By how many standard uncertainties the scale of the velocities of a dwell may be off 1.
+#: Maximum deviation of the velocities' scale from 1, in standard uncertainties.
 _MAX_SCALE_SIGMAS = 4.0
-#: Of the raw log, compressed, and of the telemetry.
+#: Size of a frame in the raw log, compressed, and of a value in the telemetry.
 _BYTES_PER_FRAME, _BYTES_PER_VALUE = 12.0, 8.0
-#: Reports, figures, copies of the inputs, journal.
+#: Size of reports, figures, copies of the inputs, and journal.
 _FIXED_BYTES = 50e6
-#: For repeated dwells, holds, and other data on the disk.
+#: Factor for repeated dwells, holds, and other data on the disk.
 _MARGIN = 2.0
 _GB = 1e9
 
@@ -52,7 +52,7 @@ def check_bench(
     clock: Clock | None = None,
     acknowledged: Sequence[str] = (),
 ) -> list[Check]:
-    """Check whether a bench is ready for a procedure, or for any where none is given. Moves nothing.
+    """Check whether a bench is ready for a procedure, or in general if none is given. Moves nothing.
 
     An INS that is off and that the bench can switch on is on during the check.
 
@@ -72,16 +72,16 @@ def check_bench(
     bench = Station(find_document("stations", station))
     bench.check_dbc()
     clock = clock or bench.new_clock()
-    plan, procedure_check = _plan(bench, procedure)
+    plan, procedure_check = _plan_check(bench, procedure)
     with (
         BenchLock(bench, folder, clock),
-        contextlib.ExitStack() as opened,
+        contextlib.ExitStack() as resources,
         Outputs(bench, clock, emulation) as outputs,
     ):
 
-        def ins(unit: Station) -> CanIns:
+        def open_driver(unit: Station) -> CanIns:
             driver = open_ins(unit, clock, emulation, bench)
-            opened.callback(driver.close)
+            resources.callback(driver.close)
             return driver
 
         traffic = {unit: CanTraffic() for unit in bench.units}
@@ -94,7 +94,7 @@ def check_bench(
             *(
                 replace(check, subject=unit.instrument)
                 for unit in bench.units
-                for check in ins_checks(unit, outputs, partial(ins, unit), clock, traffic[unit])
+                for check in ins_checks(unit, outputs, partial(open_driver, unit), clock, traffic[unit])
             ),
             disk_check(bench, folder, plan, sum(each.frames_per_s for each in traffic.values())),
             *map(_message_check, bench.file.messages),
@@ -102,14 +102,14 @@ def check_bench(
 
 
 def _filled_in_checks(station: Station) -> Iterator[Check]:
-    """A check that fails where the station file has placeholders; else none."""
+    """A failed check if the station file has placeholders; otherwise none."""
     if missing := station.not_filled_in:
         found = f"not filled in yet: {listed(missing)}"
         yield Check.of("station", "file filled in", False, found, f"Fill in {station.path}.")
 
 
 def calibration_checks(station: Station, acknowledged: Sequence[str]) -> Iterator[Check]:
-    """Check that the calibration of each instrument with one in the station file is not past due."""
+    """Check that no calibration listed in the station file is past due."""
     today = WallClock().utc().date()
     past_due = station.file.traceability.past_due(today)
     for name, instrument in station.file.traceability.instruments():
@@ -122,7 +122,7 @@ def calibration_checks(station: Station, acknowledged: Sequence[str]) -> Iterato
 
 
 def signal_map_checks(outcome: RunOutcome, folder: RunFolder) -> Iterator[Check]:
-    """What the dwell of a run of :data:`SIGNAL_MAP_CHECK` shows of each unit's signs, axes and mounting."""
+    """Checks of each unit's signs, axes and mounting, from its dwell in a run of :data:`SIGNAL_MAP_CHECK`."""
     for number, unit in outcome.units.items() or [("", outcome)]:
         subject, what, advice = f"INS {number}".strip(), "signs and axes", ""
         dwell = next(iter(unit.dwells), None)
@@ -152,7 +152,7 @@ def no_instrument_answers(checks: Iterable[Check]) -> bool:
     return all(check.verdict is not CheckVerdict.PASS for check in checks if check.what == ANSWERS)
 
 
-def _plan(station: Station, procedure: str | None) -> tuple[Plan | None, Check]:
+def _plan_check(station: Station, procedure: str | None) -> tuple[Plan | None, Check]:
     subject, what = "procedure", "within limits"
     if procedure is None:
         return None, Check.skipped(subject, what, "no procedure given", "Add --procedure to check one.")

@@ -1,4 +1,4 @@
-"""Preflight check of the INS and its CAN bus: ten seconds of what it sends."""
+"""Preflight check of the INS and its CAN bus, from ten seconds of its output."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell import MAX_ATTITUDE_DISAGREEMENT
 from gyrobench.bench.dwells.setup_check import latitude_fault
-from gyrobench.bench.engine.preflight.instruments import answered, failed, unanswered
+from gyrobench.bench.engine.preflight.instruments import failed_request_check, identity_check, no_answer_check
 from gyrobench.bench.foundations.clock import Clock, Deadline
 from gyrobench.bench.foundations.errors import InstrumentError, NoReplyError
 from gyrobench.bench.navigation.attitude import angle_between
@@ -29,25 +29,25 @@ from gyrobench.drivers.ins.resolution import LIMIT_DPH, resolution_report
 
 _SUBJECT = "INS"
 _check = partial(Check.of, _SUBJECT)
-#: An INS that is on sends within this time; its status comes about once a second.
+#: An INS that is on sends a frame within this time; it sends its status about once a second.
 _FIRST_FRAME_S = 3.0
-#: An INS that was switched on has started within this time.
+#: An INS that was switched on starts within this time.
 _START_S = 180.0
 _OBSERVE_S = 10.0
-#: Accuracy of the rates of clocks and epochs in that time.
+#: Relative tolerance of the rates of clocks and epochs over that time.
 _RATE_TOLERANCE = 0.02
-#: An INS whose clock is beyond this date sends the calendar time, in seconds since 1970.
+#: An INS whose clock is past this date sends the calendar time, in seconds since 1970.
 _CALENDAR_S = datetime(2020, 1, 1, tzinfo=UTC).timestamp()
 _OFFSET_LIMIT_S = 60.0
 #: Share of epochs that may arrive late.
 _MAX_LATE_SHARE = 0.05
-#: Epochs that the begin and the end of the observation may cut off.
+#: Epochs that the start and the end of the observation may cut off.
 _CUT_OFF_EPOCHS = 2
 
 
 @dataclass
 class CanTraffic:
-    """Frames received from the bus in some seconds."""
+    """Frames received from the bus during the check."""
 
     duration_s: float = 0.0  #: On the run's clock.
     blocks: list[FrameBlock] = field(default_factory=list)  #: As polled.
@@ -55,74 +55,74 @@ class CanTraffic:
 
     @property
     def frames_per_s(self) -> float:
-        """Frames per second; NaN before any."""
+        """Frames per second; NaN before the observation."""
         return sum(map(len, self.blocks)) / self.duration_s if self.duration_s else math.nan
 
 
 def ins_checks(
     station: Station, outputs: Outputs, ins: Callable[[], CanIns], clock: Clock, traffic: CanTraffic
 ) -> list[Check]:
-    """Check whether it sends what it should; an INS that the bench can switch on is on during the check.
+    """Check the output of the INS; if the bench can switch it on, it is on during the check.
 
-    ``outputs`` switch its supply. ``ins`` returns the driver, or raises where it can't be opened. ``traffic``
-    is filled with what is received from the bus.
+    ``outputs`` switch its supply. ``ins`` returns the driver, or raises if it can't be opened. ``traffic``
+    is filled with the frames received from the bus.
     """
     try:
-        opened = ins()
+        driver = ins()
     except InstrumentError as error:
-        return [unanswered(_SUBJECT, error)]
+        return [no_answer_check(_SUBJECT, error)]
     checks: list[Check] = []
     try:
-        with ExitStack() as switched:
-            checks.extend(_running(station, outputs, opened, clock, traffic, switched))
+        with ExitStack() as resources:
+            checks.extend(_powered_checks(station, outputs, driver, clock, traffic, resources))
     except InstrumentError as error:
-        checks.append(failed(_SUBJECT, "switched off", error))
+        checks.append(failed_request_check(_SUBJECT, "switched off", error))
     return checks
 
 
-def _running(
-    station: Station, outputs: Outputs, ins: CanIns, clock: Clock, traffic: CanTraffic, switched: ExitStack
+def _powered_checks(
+    station: Station, outputs: Outputs, ins: CanIns, clock: Clock, traffic: CanTraffic, resources: ExitStack
 ) -> Iterator[Check]:
     try:
         if not ins.sends_frames(_FIRST_FRAME_S):
-            _switch_on(station, outputs, switched)
-            _await_start(station, ins, clock)
+            _switch_on(station, outputs, resources)
+            _wait_for_start(station, ins, clock)
         else:
-            yield from _supply(station, outputs)
-        yield answered(_SUBJECT, ins.identify(), station.file.ins.identity)
+            yield from _supply_checks(station, outputs)
+        yield identity_check(_SUBJECT, ins.identify(), station.file.ins.identity)
     except InstrumentError as error:
-        yield _silent(station, error)
+        yield _silent_check(station, error)
         return
     try:
         _observe(ins, clock, station.file.poll_period_s, traffic)
     except InstrumentError as error:
-        yield failed(_SUBJECT, "frames", error)
+        yield failed_request_check(_SUBJECT, "frames", error)
         return
-    yield from _states(station, ins.status())
-    yield _resolution(station, ins)
-    yield from _stream(station, outputs, ins, clock, traffic)
+    yield from _state_checks(station, ins.status())
+    yield _resolution_check(station, ins)
+    yield from _stream_checks(station, outputs, ins, clock, traffic)
 
 
-def _silent(station: Station, error: InstrumentError) -> Check:
+def _silent_check(station: Station, error: InstrumentError) -> Check:
     if station.file.unit.power == "operator" and isinstance(error, NoReplyError):
-        why = "sends nothing; the operator switches it on"
-        return Check.skipped(_SUBJECT, "answers", why, "Switch it on to check it.")
+        found = "sends nothing; the operator switches it on"
+        return Check.skipped(_SUBJECT, "answers", found, "Switch it on to check it.")
     if not error.instrument.startswith(_SUBJECT):  # it switches the supply
         found = f"not switched on: the {error.instrument}, whose output feeds it, failed: {error.message}"
         return Check.of(_SUBJECT, "answers", False, found, "Nothing else is checked until it answers.")
-    return unanswered(_SUBJECT, error)
+    return no_answer_check(_SUBJECT, error)
 
 
-def _switch_on(station: Station, outputs: Outputs, switched: ExitStack) -> None:
-    """Switch the supply on if the bench can and it is off; the stack switches it off."""
+def _switch_on(station: Station, outputs: Outputs, resources: ExitStack) -> None:
+    """Switch the supply on if it is off and the bench can; ``resources`` switches it off again."""
     unit = station.file.unit
     if unit.power == "chamber_event" and not outputs.chamber.is_event_on(unit.power_event):
-        switched.callback(outputs.chamber.switch_event, unit.power_event, False)
+        resources.callback(outputs.chamber.switch_event, unit.power_event, False)
         outputs.chamber.switch_event(unit.power_event, True)
 
 
-def _supply(station: Station, outputs: Outputs) -> Iterator[Check]:
-    """Fail where the INS sends although its supply is off."""
+def _supply_checks(station: Station, outputs: Outputs) -> Iterator[Check]:
+    """Fail if the INS sends although its supply is off."""
     unit = station.file.unit
     with suppress(InstrumentError):  # the checks of the chamber report it
         if unit.power == "chamber_event" and not outputs.chamber.is_event_on(unit.power_event):
@@ -130,15 +130,17 @@ def _supply(station: Station, outputs: Outputs) -> Iterator[Check]:
             yield _check("supply", False, found, f"{CHECK_SUPPLY}.")
 
 
-def _await_start(station: Station, ins: CanIns, clock: Clock) -> None:
+def _wait_for_start(station: Station, ins: CanIns, clock: Clock) -> None:
     deadline = Deadline(clock, _START_S if station.file.unit.power == "chamber_event" else 0.0)
     while not ins.sends_frames(_FIRST_FRAME_S):
         if deadline.expired():
-            others = f", but {found}" if (found := ins.describe_foreign_frames()) else ""
-            what = (
-                "the DBC file and ins.identifier_offset" if others else "the bus, its bit rate and the cable"
+            other_frames = f", but {frames}" if (frames := ins.describe_foreign_frames()) else ""
+            subject = (
+                "the DBC file and ins.identifier_offset"
+                if other_frames
+                else "the bus, its bit rate and the cable"
             )
-            raise NoReplyError(_SUBJECT, f"sends nothing{others}. Check its power, {what}.")
+            raise NoReplyError(_SUBJECT, f"sends nothing{other_frames}. Check its power, {subject}.")
     while ins.status().mode is InsMode.BOOT and not deadline.expired():
         clock.sleep(1.0)
         ins.poll()
@@ -155,7 +157,7 @@ def _observe(ins: CanIns, clock: Clock, period_s: float, traffic: CanTraffic) ->
     traffic.duration_s = clock.now() - begin_s
 
 
-def _resolution(station: Station, ins: CanIns) -> Check:
+def _resolution_check(station: Station, ins: CanIns) -> Check:
     limits = resolution_report(station.file.ins.signals, ins.codec)
     worst = max(limits, key=lambda limit: limit.worst_dph)
     steps = {f"{limit.unit}": limit.lsb for limit in limits}
@@ -168,7 +170,7 @@ def _resolution(station: Station, ins: CanIns) -> Check:
     )
 
 
-def _states(station: Station, status: InsStatus) -> Iterator[Check]:
+def _state_checks(station: Station, status: InsStatus) -> Iterator[Check]:
     signals = station.file.ins.signals
     if signals.mode is not None:
         alignment = {
@@ -193,10 +195,10 @@ def _states(station: Station, status: InsStatus) -> Iterator[Check]:
     else:
         advice = "Map it if the INS sends it; else compare the one entered in it with location.latitude_deg."
         yield Check.skipped(_SUBJECT, "latitude", "the signal map has none", advice)
-    yield _temperatures(station, status)
+    yield _temperature_check(station, status)
 
 
-def _temperatures(station: Station, status: InsStatus) -> Check:
+def _temperature_check(station: Station, status: InsStatus) -> Check:
     values = [
         (each.what, each.read(status), each.level)
         for each in station.file.interlocks.ins_temperatures(station.file.ins.signals)
@@ -205,23 +207,23 @@ def _temperatures(station: Station, status: InsStatus) -> Check:
         return Check.skipped(
             _SUBJECT, "temperatures", "the signal map has none", "Map them if the INS sends them."
         )
-    wrong = [
+    outside = [
         f"{name} {'unknown' if math.isnan(c) else f'{c:.1f} degC'}"
         for name, c, level in values
         if not level.low_c <= c <= level.high_c
     ]
-    known = [c for _, c, _ in values if math.isfinite(c)]
-    span = f"{min(known):.1f} to {max(known):.1f} degC" if known else "none known"
+    valid = [c for _, c, _ in values if math.isfinite(c)]
+    span = f"{min(valid):.1f} to {max(valid):.1f} degC" if valid else "none known"
     return _check(
         "temperatures",
-        not wrong,
+        not outside,
         f"{len(values)} signals, {span}"
-        + (f"; outside the interlock limits: {', '.join(wrong)}" if wrong else ""),
+        + (f"; outside the interlock limits: {', '.join(outside)}" if outside else ""),
         "Check the sensors and the signal map.",
     )
 
 
-def _stream(
+def _stream_checks(
     station: Station, outputs: Outputs, ins: CanIns, clock: Clock, traffic: CanTraffic
 ) -> Iterator[Check]:
     received = concatenate(traffic.blocks)
@@ -229,16 +231,16 @@ def _stream(
     errors = len(received) - len(block)
     data = decode_navigation(block, station.file.ins.signals, ins.codec)
     counts = data.counts
-    wrong = {
+    problems = {
         "lost": counts.lost, "repeated": counts.repeated, "late": counts.late, "restarts": counts.restarts,
         "contradicted": counts.contradicted, "short frames": data.short_frames, "error frames": errors,
-        "missing": _missing(station, traffic, len(data.ins_time_s) + counts.lost),
-        "surplus frames": _surplus(station, ins, block, len(data.ins_time_s) + counts.lost),
+        "missing": _missing_epochs(station, traffic, len(data.ins_time_s) + counts.lost),
+        "surplus frames": _surplus_frames(station, ins, block, len(data.ins_time_s) + counts.lost),
     }  # fmt: skip
-    found = ", ".join(f"{count} {name}" for name, count in wrong.items() if count)
-    # This computer's own load delays an epoch now and then, which no result depends on.
+    found = ", ".join(f"{count} {name}" for name, count in problems.items() if count)
+    # The load of this computer occasionally delays an epoch; no result depends on that.
     is_late = counts.late > _MAX_LATE_SHARE * len(data.ins_time_s)
-    faults = [name for name, count in wrong.items() if count and (name != "late" or is_late)]
+    faults = [name for name, count in problems.items() if count and (name != "late" or is_late)]
     yield _check(
         "frames without gaps",
         len(data.ins_time_s) > 1 and not faults,
@@ -248,15 +250,15 @@ def _stream(
     )
     if len(data.ins_time_s) < 3:
         return
-    yield _epoch_rate(station, data)
-    yield from _attitude(station, outputs, data)
-    yield from _clocks(station, clock, data, traffic)
+    yield _epoch_rate_check(station, data)
+    yield from _attitude_checks(station, outputs, data)
+    yield from _clock_checks(station, clock, data, traffic)
 
 
-def _attitude(station: Station, outputs: Outputs, data: NavigationData) -> Iterator[Check]:
+def _attitude_checks(station: Station, outputs: Outputs, data: NavigationData) -> Iterator[Check]:
     """Compare the attitude of an INS that navigates with that of the table.
 
-    What a wrong sign does at rest shows over minutes alone: the dwells of a run test that, from the first on.
+    At rest, a wrong sign has a visible effect only over minutes: the dwells of a run test for that.
     """
     if data.mode[-1] != InsMode.NAVIGATE or not np.isfinite(data.attitude[-1]).all():
         return
@@ -264,30 +266,30 @@ def _attitude(station: Station, outputs: Outputs, data: NavigationData) -> Itera
         angles = station.table_axes_of(outputs.table.read().position_deg)
     except InstrumentError:  # the checks of the table report it
         return
-    off = angle_between(data.attitude[-1], station.table.attitude(*angles))
+    error = angle_between(data.attitude[-1], station.table.attitude(*angles))
     yield _check(
         "attitude",
-        off <= MAX_ATTITUDE_DISAGREEMENT,
-        f"{math.degrees(off):.1f} deg from that of the table; "
+        error <= MAX_ATTITUDE_DISAGREEMENT,
+        f"{math.degrees(error):.1f} deg from that of the table; "
         f"at most {math.degrees(MAX_ATTITUDE_DISAGREEMENT):g} deg",
         "Check signs and axes of `attitude` in the signal map, and `mounting` and axes of the table.",
     )
 
 
-def _missing(station: Station, traffic: CanTraffic, epochs: int) -> int:
-    """Epochs missing in that time without a visible gap; one at each end may be cut off."""
+def _missing_epochs(station: Station, traffic: CanTraffic, epochs: int) -> int:
+    """Number of epochs missing without a visible gap; one at each end may be cut off."""
     expected = int(traffic.duration_s / station.file.ins.signals.epoch_period_s * (1.0 - _RATE_TOLERANCE))
     return max(0, expected - _CUT_OFF_EPOCHS - epochs)
 
 
-def _surplus(station: Station, ins: CanIns, block: FrameBlock, epochs: int) -> int:
-    """Frames of an epoch's messages beyond one of each: repeated, or sent by a second node."""
+def _surplus_frames(station: Station, ins: CanIns, block: FrameBlock, epochs: int) -> int:
+    """Number of frames beyond one per message and epoch: repeated, or sent by a second node."""
     names = station.file.ins.signals.epoch_messages or []
     frames = max((len(block.with_id(ins.codec.arbitration_id(name))) for name in names), default=0)
     return max(0, frames - _CUT_OFF_EPOCHS - epochs)
 
 
-def _epoch_rate(station: Station, data: NavigationData) -> Check:
+def _epoch_rate_check(station: Station, data: NavigationData) -> Check:
     period_s = station.file.ins.signals.epoch_period_s
     median_s = float(np.median(np.diff(data.timestamp_s)))
     # The time stamp of one epoch jitters by some milliseconds; the mean over many is more accurate.
@@ -300,7 +302,9 @@ def _epoch_rate(station: Station, data: NavigationData) -> Check:
     )
 
 
-def _clocks(station: Station, clock: Clock, data: NavigationData, traffic: CanTraffic) -> Iterator[Check]:
+def _clock_checks(
+    station: Station, clock: Clock, data: NavigationData, traffic: CanTraffic
+) -> Iterator[Check]:
     stamps_s = concatenate(traffic.blocks).timestamp_s
     rate = _slope(np.repeat(traffic.polled_s, [len(block) for block in traffic.blocks]), stamps_s)
     back = int(np.sum(np.diff(stamps_s) < 0.0))
@@ -315,7 +319,7 @@ def _clocks(station: Station, clock: Clock, data: NavigationData, traffic: CanTr
         return
     rate = _slope(data.timestamp_s, data.ins_time_s)
     ins_s = float(data.ins_time_s[-1])
-    is_calendar = ins_s > _CALENDAR_S and clock.speed == 1.0  # fast clocks begin at different times
+    is_calendar = ins_s > _CALENDAR_S and clock.speed == 1.0  # fast clocks start at different times
     offset_s = ins_s - clock.utc().timestamp() if is_calendar else 0.0
     yield _check(
         "clock",

@@ -1,4 +1,4 @@
-"""Preflight check of rate table and chamber, and the first check of each instrument: it answers."""
+"""Preflight check of rate table and chamber, and the check of every instrument that it answers."""
 
 from __future__ import annotations
 
@@ -16,31 +16,31 @@ from gyrobench.drivers.rate_table import AxisLimits, RateTable
 ANSWERS = "answers"
 
 _LIMITS = "limits"
-#: The air of a chamber that holds its set point is closer to it.
-_ARRIVED_C = 2.0
+#: Maximum difference of the air from the set point of a chamber that holds it.
+_HOLDING_TOLERANCE_C = 2.0
 _FIND_CAUSE = "Find the cause and clear it at the controller."
 
 _DriverT = TypeVar("_DriverT", RateTable, Chamber)
 
 
-def answered(subject: str, identification: str, expected: str = "") -> Check:
+def identity_check(subject: str, identification: str, expected: str = "") -> Check:
     """Check whether an instrument that answered is the one in the station file.
 
     Table and chamber are compared when they are opened.
     """
-    is_right = expected in identification
-    found = identification if is_right else f"identifies as {identification}, which lacks {expected!r}"
+    is_expected = expected in identification
+    found = identification if is_expected else f"identifies as {identification}, which lacks {expected!r}"
     advice = "Connect the right instrument, or correct `identity` in the station file."
-    return Check.of(subject, ANSWERS, is_right, found, advice)
+    return Check.of(subject, ANSWERS, is_expected, found, advice)
 
 
-def unanswered(subject: str, error: InstrumentError) -> Check:
+def no_answer_check(subject: str, error: InstrumentError) -> Check:
     """Report why an instrument does not answer, or that it is another one."""
     advice = "Connect the right instrument; nothing else is checked until it answers."
     return Check.of(subject, ANSWERS, False, error.message, advice)
 
 
-def failed(subject: str, what: str, error: InstrumentError) -> Check:
+def failed_request_check(subject: str, what: str, error: InstrumentError) -> Check:
     """Report that a later request failed."""
     return Check.of(subject, what, False, error.message, "Check its line, and repeat the check.")
 
@@ -48,7 +48,7 @@ def failed(subject: str, what: str, error: InstrumentError) -> Check:
 def table_checks(station: Station, table: Callable[[], RateTable]) -> Iterator[Check]:
     """Check whether the table answers, has no faults, and allows the station's limits.
 
-    ``table`` returns the driver, or raises where it can't be opened.
+    ``table`` returns the driver, or raises if it can't be opened.
     """
     checks = (("no faults", _table_faults), (_LIMITS, _table_limits))
     yield from _checks(RATE_TABLE, station, table, checks)
@@ -57,9 +57,9 @@ def table_checks(station: Station, table: Callable[[], RateTable]) -> Iterator[C
 def chamber_checks(station: Station, chamber: Callable[[], Chamber]) -> Iterator[Check]:
     """Check whether the chamber answers, has no alarms, runs no profile, and takes set points and ramps.
 
-    Its present set point is commanded again, which moves nothing; the station's fastest ramp stays in it.
+    Its present set point is commanded again, which changes nothing; it keeps the station's fastest ramp.
 
-    ``chamber`` returns the driver, or raises where it can't be opened.
+    ``chamber`` returns the driver, or raises if it can't be opened.
     """
     checks = (
         ("no alarms", _chamber_alarms),
@@ -77,24 +77,24 @@ def _checks(
     driver: Callable[[], _DriverT],
     checks: Iterable[tuple[str, Callable[[Station, _DriverT], tuple[bool, str, str]]]],
 ) -> Iterator[Check]:
-    """Make each check from whether it passes, what was found, and the advice."""
+    """Perform each check; its function returns whether it passes, the finding, and the advice."""
     try:
-        opened = driver()
-        yield answered(subject, opened.identify())
+        instrument = driver()
+        yield identity_check(subject, instrument.identify())
     except InstrumentError as error:
-        yield unanswered(subject, error)
+        yield no_answer_check(subject, error)
         return
     for what, check in checks:
         try:
-            yield Check.of(subject, what, *check(station, opened))
+            yield Check.of(subject, what, *check(station, instrument))
         except _NotReportedError as error:
             yield Check.skipped(subject, what, error.message)
         except InstrumentError as error:
-            yield failed(subject, what, error)
+            yield failed_request_check(subject, what, error)
 
 
 class _NotReportedError(InstrumentError):
-    """The instrument does not report what is to be checked."""
+    """The instrument does not report the quantity to be checked."""
 
 
 def _table_faults(station: Station, table: RateTable) -> tuple[bool, str, str]:  # noqa: ARG001
@@ -109,16 +109,16 @@ def _table_limits(station: Station, table: RateTable) -> tuple[bool, str, str]:
         raise _NotReportedError(RATE_TABLE, f"the controller does not report them ({error})") from error
     section = station.file.rate_table
     by_axis = dict(zip(section.axis_numbers, limits, strict=True))
-    problems = [*_exceeded(station, "inner", by_axis[section.inner_axis_number])]
+    problems = [*_exceeded_limits(station, "inner", by_axis[section.inner_axis_number])]
     if not section.is_single_axis:
-        problems = [*_exceeded(station, "outer", by_axis[section.outer_axis_number]), *problems]
+        problems = [*_exceeded_limits(station, "outer", by_axis[section.outer_axis_number]), *problems]
     found = "; ".join(problems) or "the controller allows the station file's limits"
     advice = "Reduce rate_table.limits in the station file, or increase the controller's absolute limits."
     return not problems, found, advice
 
 
-def _exceeded(station: Station, axis: str, allowed: AxisLimits) -> Iterator[str]:
-    """Limits of the station file that an axis's controller does not allow."""
+def _exceeded_limits(station: Station, axis: str, allowed: AxisLimits) -> Iterator[str]:
+    """Limits of the station file that the controller of an axis does not allow."""
     section = station.file.rate_table
     limits = section.limits
     for name, limit, allowed_limit, unit in (
@@ -186,22 +186,22 @@ def _chamber_set_point(station: Station, chamber: Chamber) -> tuple[bool, str, s
     """Command the present set point again with the station's fastest ramp."""
     limits, reading = station.file.chamber.limits, chamber.read()
     set_c = chamber.set_point_c()
-    # Also where on or off can't be read.
-    changes = reading.is_on is not False and abs(reading.temperature_c - set_c) > _ARRIVED_C
-    if running_profile(chamber) or changes:
+    # Also if on or off can't be read.
+    is_changing = reading.is_on is not False and abs(reading.temperature_c - set_c) > _HOLDING_TOLERANCE_C
+    if running_profile(chamber) or is_changing:
         raise _NotReportedError(CHAMBER, "is not tried while the chamber changes its temperature")
     if not limits.low_c <= set_c <= limits.high_c:
         raise _NotReportedError(
             CHAMBER, f"is not tried: {set_c:g} degC is outside {limits.low_c:g} to {limits.high_c:g} degC"
         )
-    ramps = getattr(chamber, "can_ramp", True)
+    can_ramp = getattr(chamber, "can_ramp", True)
     try:
-        chamber.set_temperature(set_c, limits.ramp_c_per_min if ramps else None)
+        chamber.set_temperature(set_c, limits.ramp_c_per_min if can_ramp else None)
     except RefusedError as error:
         return False, error.message, "Every run commands set points with ramps."
-    how = (
+    ramp_text = (
         f"the controller ramps and keeps {limits.ramp_c_per_min:g} degC/min as its ramp"
-        if ramps
+        if can_ramp
         else "the controller does not ramp, so the bench moves it in steps"
     )
-    return True, f"{set_c:g} degC was accepted again; {how}", ""
+    return True, f"{set_c:g} degC was accepted again; {ramp_text}", ""

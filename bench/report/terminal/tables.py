@@ -133,7 +133,9 @@ def timeline_table(rows: Sequence[TimelineRow], total_s: float) -> Table:
     table.add_column("where", ratio=2)
     table.add_column("what", ratio=3)
     for row in rows:
-        table.add_row(row.start, row.duration, str(row.dwells or ""), Text(row.where), Text(row.what))
+        table.add_row(
+            row.start, row.duration, str(row.dwells or ""), Text(row.positions_text), Text(row.steps_text)
+        )
     return table
 
 

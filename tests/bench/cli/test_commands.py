@@ -194,7 +194,7 @@ def test_plan_prints_the_timeline_and_draws_the_profile_without_an_instrument(tm
 def test_a_plan_states_acceptance_limits_that_its_dwells_can_not_reach(tmp_path):
     text = find_document("procedures", "six_position_fig7").read_text()
     (tmp_path / "strict.yaml").write_text(re.sub(r"(position_difference_dph:) \S+", r"\1 0.001", text))
-    heading = "Acceptance limits that no unit can pass, by the noise of these dwells alone:"
+    heading = "Acceptance limits that no unit can pass because of the noise of these dwells:"
     printed = gyrobench("plan", "strict.yaml", cwd=tmp_path).stdout
     text = "position_difference_dph: at best below 0.0017 deg/h (95 %), limit 0.001 deg/h"
     assert f"{heading}\n  {text}\n" in printed

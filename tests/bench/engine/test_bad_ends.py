@@ -298,5 +298,5 @@ def test_a_run_with_a_wrong_signal_map_resumes_with_its_corrected_copy(tmp_path)
     assert outcome.ended == "finished"
     assert outcome.dwells[0].row.flags == ()
     notes = [entry["text"] for entry in read_journal(folder.journal) if entry["event"] == "note"]
-    assert "Changed since the run began: station.yaml. All dwells are evaluated with it." in notes
+    assert "Changed since the run began: station.yaml. All dwells are evaluated with the changes." in notes
     assert read_provenance(folder)["files_sha256"]["station.yaml"] == file_sha256(folder.station)

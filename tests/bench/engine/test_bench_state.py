@@ -21,7 +21,7 @@ def unit():
     return UnitState(Station(find_document("stations", "emulated")))
 
 
-@pytest.mark.parametrize("name", ["expected", "at", "commanded_c"])
+@pytest.mark.parametrize("name", ["expected", "run_position", "commanded_c"])
 def test_nothing_else_can_write_it(state, name):
     with pytest.raises(AttributeError):
         setattr(state, name, None)
@@ -53,7 +53,7 @@ def test_each_power_on_is_counted(state):
     state.run_resumed(2)
     state.units_powered(12.0)
     state.units_powered(20.0)
-    assert (state.at.power_ons, state.at.powered_s) == (4, 20.0)
+    assert (state.run_position.power_ons, state.run_position.powered_s) == (4, 20.0)
 
 
 def test_a_power_on_ends_a_restart(unit):

@@ -79,7 +79,7 @@ class TurnsTheTable(Watcher):
     """Another program sets the table turning in the safe state's ramp."""
 
     def noted(self, text):
-        if self.ramp_s is None and text.startswith("The chamber's set point is moved"):
+        if self.ramp_s is None and text.startswith("The chamber's set point is being ramped"):
             self.ramp_s = self.clock.now()
 
     def begun(self, folder, bench, outcome):

@@ -154,7 +154,7 @@ def test_lost_dwells_at_two_temperatures_are_each_approached(run, tmp_path):
     (run / "report.html").unlink()
     (run / "acceptance.json").unlink()
     look = gyrobench(*BOTH, "--look", cwd=tmp_path)
-    assert "only the results and the report are left" in look.stdout
+    assert "only the results and the report remain" in look.stdout
     finished = gyrobench(*BOTH, cwd=tmp_path)
     assert finished.returncode == 0, finished.stderr
     assert (run / "report.html").is_file()

@@ -5,7 +5,7 @@ from unittest.mock import Mock
 
 import pytest
 
-from gyrobench.bench.engine.holding import Heartbeat
+from gyrobench.bench.engine.holding import Ticker
 from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.operator import ConsentingOperator, RunCommand
 from gyrobench.bench.engine.run import run_job
@@ -97,9 +97,9 @@ def test_of_a_resumed_fast_run_the_calendar_counts_as_set_once_it_is(speed):
     bench = SimpleNamespace(clock=clock, tick=lambda: None)
     run = SimpleNamespace(bench=bench, note=notes.append, guard=Mock(), observers=Mock())
     run.guard.beat.return_value = ""
-    heartbeat = Heartbeat(run, Mock())
-    heartbeat.beat()
+    ticker = Ticker(run, Mock())
+    ticker.tick()
     assert [note[:25] for note in notes] == ["this machine's calendar w"] * (speed == 1.0)
     clock.offset_s += 7.0
-    heartbeat.beat()
+    ticker.tick()
     assert "is -158.8 s from the run's time" in notes[-1]

@@ -243,7 +243,7 @@ def test_another_instrument_continues_no_run_unless_it_replaces_the_first(
     watcher = Watcher("power_on")
     with pytest.raises(KilledError):
         resume_run(prepare_resumption(path), watcher, ConsentingOperator(), other_instruments=True)
-    assert any(f"Another {instrument} than before: another one" in note for note in watcher.notes)
+    assert any(f"The {instrument} was replaced: another one" in note for note in watcher.notes)
     assert read_provenance(open_run_folder(path))["instruments"][instrument] == "another one"
     with pytest.raises(KilledError):
         resume_run(prepare_resumption(path), Watcher("power_on"), ConsentingOperator())
@@ -302,7 +302,7 @@ def test_nothing_is_approached_when_the_only_dwell_left_is_skipped(procedure, tm
     given = [(entry["order"], entry["by"]) for entry in entries if entry["event"] == "ordered"]
     assert given == [("hold", "the terminal"), ("skip", "the terminal")]
     notes = [entry["text"] for entry in entries if entry["event"] == "note"]
-    assert "holds at the end of the present step, or of the dwell that it belongs to" in notes
+    assert "holds at the end of the present step or dwell" in notes
     assert [entry["kind"] for entry in entries[skipped:] if entry["event"] == "step_started"] == [
         "power_off",
         "chamber_off",

@@ -313,7 +313,7 @@ def test_a_dropped_unit_stays_dropped_when_the_run_resumes(files, tmp_path):
         run_of(job_of(files, faulty=[2]), path, watcher)
     assert list(watcher.lost) == ["1102"]
     resumption = prepare_resumption(path)
-    assert "Unit 1102 was dropped and stays out" in resumption.describe()
+    assert "Unit 1102 was dropped and is not measured" in resumption.describe()
     folder, outcome = resume_run(resumption, Watcher(), ConsentingOperator())
     assert outcome.ended == "finished", outcome.reason
     assert [len(read_dwells(folder.unit(number).dwells)) for number in NUMBERS] == [4, 2, 4, 4]

@@ -8,7 +8,7 @@ import pytest
 
 import gyrobench.bench.fleet.jobs
 from gyrobench.bench.fleet.jobs import FleetRecord, JobKind, JobState, do_job, read_record
-from gyrobench.bench.fleet.workers import Workers, connected, work_through
+from gyrobench.bench.fleet.workers import Workers, connect_workers, work_through
 from gyrobench.bench.foundations.errors import GyrobenchError
 from tests.bench.runs.index.sample_runs import copy_run
 
@@ -31,7 +31,7 @@ def test_a_run_that_kills_its_worker_fails_and_the_others_are_done(runs, tmp_pat
     monkeypatch.setattr("gyrobench.bench.fleet.workers.do_job", do_or_die)
     record = FleetRecord(JobKind.BINS, tmp_path / "record")
     (runs[2] / "station.yaml").write_text("station: [")
-    with connected(Workers(count=1)) as client:
+    with connect_workers(Workers(count=1)) as client:
         results = {result.path: result for result in work_through(client, record, runs)}
     assert [results[str(path)].state for path in runs] == [JobState.DONE, JobState.FAILED, JobState.FAILED]
     assert "its worker was killed" in results[str(runs[1])].text
@@ -44,7 +44,7 @@ def test_local_workers_open_no_port_and_import_nothing_from_the_current_folder(r
         (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'trapped')!r}, 'w')\n")
     monkeypatch.chdir(tmp_path)
     record = FleetRecord(JobKind.BINS, tmp_path / "record")
-    with connected(Workers(count=1)) as pool:
+    with connect_workers(Workers(count=1)) as pool:
         (result,) = work_through(pool, record, runs[:1])
         family = [psutil.Process(), *psutil.Process().children(recursive=True)]
         assert len(family) > 1
@@ -61,9 +61,9 @@ def test_threads_do_the_same_and_a_bug_is_a_failure_of_its_run(runs, tmp_path, m
             raise ZeroDivisionError("a bug")
         return "done"
 
-    monkeypatch.setattr(gyrobench.bench.fleet.jobs, "_DOERS", {JobKind.REPORT: broken})
+    monkeypatch.setattr(gyrobench.bench.fleet.jobs, "_PROCESSORS", {JobKind.REPORT: broken})
     record = FleetRecord(JobKind.REPORT, tmp_path / "record")
-    with connected(Workers(count=2, are_threads=True)) as client:
+    with connect_workers(Workers(count=2, are_threads=True)) as client:
         results = {result.path: result for result in work_through(client, record, runs)}
     assert results[str(runs[1])].text == "ZeroDivisionError: a bug"
     assert sum(result.state == JobState.DONE for result in results.values()) == 2
@@ -71,7 +71,7 @@ def test_threads_do_the_same_and_a_bug_is_a_failure_of_its_run(runs, tmp_path, m
 
 def test_what_was_done_is_on_record_when_the_rest_is_given_up(runs, tmp_path):
     record = FleetRecord(JobKind.REPORT, tmp_path / "record")
-    with connected(Workers(count=1, are_threads=True)) as client:
+    with connect_workers(Workers(count=1, are_threads=True)) as client:
         work = work_through(client, record, runs)
         next(work)
         work.close()
@@ -85,7 +85,7 @@ def test_an_external_scheduler_is_used_and_stays(runs, tmp_path):
     with LocalCluster(
         n_workers=1, processes=False, protocol="tcp", dashboard_address="127.0.0.1:0"
     ) as cluster:
-        with connected(Workers(scheduler=cluster.scheduler_address)) as client:
+        with connect_workers(Workers(scheduler=cluster.scheduler_address)) as client:
             (result,) = work_through(client, record, runs[:1])
         assert result.state == JobState.DONE
         assert len(cluster.scheduler_info["workers"]) == 1
@@ -95,6 +95,6 @@ def test_an_address_without_scheduler_is_reported(monkeypatch):
     monkeypatch.setattr("gyrobench.bench.fleet.workers._SCHEDULER_TIMEOUT_S", 0.5)
     with (
         pytest.raises(GyrobenchError, match="no Dask scheduler answers"),
-        connected(Workers(scheduler="tcp://127.0.0.1:9")),
+        connect_workers(Workers(scheduler="tcp://127.0.0.1:9")),
     ):
         pass

@@ -93,7 +93,7 @@ def test_what_failed_is_in_the_journal_at_once_and_repeated_before_the_ramp_ends
         assert outputs.chamber.set_point_c() == 23.0
     first, repeated, last = entries
     assert last_problems([first])[TABLE] == "rate table: says nothing"
-    assert last_problems([first])[CHAMBER] == "is still on its way there"
+    assert last_problems([first])[CHAMBER] == "is still being ramped"
     assert first["time_s"] - begun_s[0] < 10.0
     assert last_problems([repeated])[TABLE] == ""
     assert repeated["time_s"] - begun_s[0] < 20.0

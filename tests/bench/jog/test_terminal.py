@@ -45,7 +45,7 @@ def test_lines_that_have_arrived_are_there_without_waiting_for_more(pipe):
     os.write(writing, b"show\n stop \nta")
     lines = TypedLines(reading, lambda: None)
     assert lines.next() == "show"
-    assert lines.arrived() == ["stop", "ta"]
+    assert lines.read_arrived() == ["stop", "ta"]
 
 
 def test_undecodable_bytes_are_a_line_too(pipe):

@@ -28,14 +28,16 @@ def planned() -> Callable[[str], tuple[Document, Plan]]:
 def limits() -> StationLimits:
     """A station with a chamber from -40 to 70 degC whose table can't stand in x_down or at 90 deg."""
 
-    def reachable(position: str, azimuth_deg: float, turns_deg: tuple[TurnOrMove, ...]) -> str | None:
+    def unreachable_reason(
+        position: str, azimuth_deg: float, turns_deg: tuple[TurnOrMove, ...]
+    ) -> str | None:
         if position == "x_down":
             return "the mount is in the way"
         about_up_deg = [each for each in turns_deg if not isinstance(each, tuple)]
         azimuths_deg = accumulate(about_up_deg, initial=azimuth_deg)
         return "outer axis level" if any(each % 180.0 for each in azimuths_deg) else None
 
-    return StationLimits(-40.0, 70.0, 5.0, 60.0, reachable)
+    return StationLimits(-40.0, 70.0, 5.0, 60.0, unreachable_reason)
 
 
 @pytest.fixture

@@ -3,7 +3,7 @@
 import pytest
 
 from gyrobench.bench.foundations.documents import parse_document
-from gyrobench.bench.procedure.approach import RetainedState, approach, end_of_dwell, restart_of
+from gyrobench.bench.procedure.approach import RetainedState, approach, index_after_dwell, restart_index
 from gyrobench.bench.procedure.plan import expand
 from gyrobench.bench.procedure.procedure_file import checked_procedure
 from gyrobench.bench.procedure.steps import Align, GoTo, PowerOn, SetChamber, Soak, Turn, Wait
@@ -47,12 +47,12 @@ def kinds(steps):
 
 def test_a_dwell_is_begun_again_with_its_alignment(plan):
     last = max(i for i, each in enumerate(plan.steps) if each.dwell == 2)
-    assert restart_of(plan, last) == index_of(plan, 2, Align)
-    assert plan.steps[end_of_dwell(plan, 2)].step.name == "chamber"
+    assert restart_index(plan, last) == index_of(plan, 2, Align)
+    assert plan.steps[index_after_dwell(plan, 2)].step.name == "chamber"
 
 
 def test_a_step_outside_dwells_is_begun_again_itself(plan):
-    assert restart_of(plan, 2) == 2
+    assert restart_index(plan, 2) == 2
 
 
 def test_after_a_power_cut_unit_chamber_soak_and_position_come_first(plan):

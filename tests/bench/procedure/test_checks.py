@@ -101,7 +101,7 @@ def test_order_and_times_are_checked_without_a_station(planned: PlanOf, steps: s
 def test_limits_are_those_of_the_station(planned: PlanOf, limits: StationLimits, steps: str) -> None:
     wide = replace(
         limits, chamber_low_c=-60.0, chamber_high_c=90.0, ramp_max_c_per_min=10.0, table_rate_max_dps=100.0,
-        reachable=lambda position, azimuth_deg, turns_deg: None,
+        unreachable_reason=lambda position, azimuth_deg, turns_deg: None,
     )  # fmt: skip
     assert find_problems(planned(steps)[1], wide) == []
     assert find_problems(planned(steps)[1]) == []
@@ -156,7 +156,7 @@ def test_shipped_procedures_can_be_run(limits: StationLimits, shipped: Path, nam
     check_plan(
         document,
         expand(document, procedure),
-        replace(limits, reachable=lambda position, azimuth_deg, turns_deg: None),
+        replace(limits, unreachable_reason=lambda position, azimuth_deg, turns_deg: None),
     )
 
 

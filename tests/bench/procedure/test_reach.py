@@ -103,7 +103,7 @@ def test_the_turn_that_leaves_the_range_of_an_axis_is_named(planned: PlanOf, lim
         angles_deg = list(accumulate(turns_deg, initial=0.0))
         return "beyond its limits" if max(angles_deg) - min(angles_deg) > 300.0 else None
 
-    narrow = replace(limits, reachable=within_300_deg)
+    narrow = replace(limits, unreachable_reason=within_300_deg)
     check_plan(*planned(dwell("z_up", [90.0, 90.0, 90.0])), narrow)
     check_plan(*planned(dwell("z_up", [180.0, -180.0, 180.0])), narrow)
     message = problem(planned, dwell("z_up", [90.0, 90.0, 90.0, 90.0, -90.0]), narrow)

@@ -42,7 +42,7 @@ ONE_STOP = """\
 def test_a_stop_has_a_row_for_the_way_there_and_one_for_its_positions(planned: PlanOf) -> None:
     _, plan = planned(ONE_STOP)
     rows = timeline_rows(plan)
-    assert [(row.what, row.where, row.dwells) for row in rows] == [
+    assert [(row.steps_text, row.positions_text, row.dwells) for row in rows] == [
         ("power on, settle 60 s", "", 0),
         ("chamber to 53 degC at 1 degC/min; soak 60 min", "53 degC", 0),
         ("align 5 min; 2 x navigate 10 min; turn 180 deg; wait 60 s", "53 degC, z_up, x_down", 2),
@@ -61,7 +61,9 @@ def test_rows_follow_one_another_and_cover_the_plan(planned: PlanOf) -> None:
 
 def test_a_row_of_moves_alone_names_them(planned: PlanOf) -> None:
     _, plan = planned("- go_to: {position: y_up}")
-    assert [(row.what, row.where) for row in timeline_rows(plan)] == [("go to y_up, azimuth 0 deg", "y_up")]
+    assert [(row.steps_text, row.positions_text) for row in timeline_rows(plan)] == [
+        ("go to y_up, azimuth 0 deg", "y_up")
+    ]
 
 
 @pytest.mark.parametrize(
@@ -120,7 +122,7 @@ def test_a_row_states_how_often_a_dwell_navigates_and_turns(planned: PlanOf) -> 
     four = DWELL + 3 * quarter
     _, plan = planned("- power_on\n" + four + four.replace("z_up", "z_down"))
     row = timeline_rows(plan)[-1]
-    assert (row.what, row.where, row.dwells) == (
+    assert (row.steps_text, row.positions_text, row.dwells) == (
         "align 5 min; 4 x navigate 10 min; 3 x turn 90 deg", "z_up, z_down", 2,
     )  # fmt: skip
 
@@ -128,7 +130,7 @@ def test_a_row_states_how_often_a_dwell_navigates_and_turns(planned: PlanOf) -> 
 def test_a_row_states_what_may_end_early(planned: PlanOf) -> None:
     until = "- turn: {angle_deg: 180}\n- navigate: {until: {bias_sigma_below_dph: 0.002}, at_most_s: 900}\n"
     _, plan = planned("- power_on\n" + DWELL + until)
-    assert timeline_rows(plan)[-1].what == (
+    assert timeline_rows(plan)[-1].steps_text == (
         "align 5 min; navigate 10 min; turn 180 deg; "
         "navigate until bias sigma below 0.002 deg/h, 15 min at most"
     )
@@ -138,7 +140,7 @@ def test_visits_of_one_position_in_succession_stand_together_with_their_azimuths
     moves = [("z_up", 0), ("z_up", 180), ("y_up", 90), ("z_up", 0), ("z_up", 0)]
     steps = [f"- go_to: {{position: {position}, azimuth_deg: {azimuth}}}\n" for position, azimuth in moves]
     _, plan = planned("".join(steps) + "- power_off\n")
-    assert timeline_rows(plan)[0].where == "z_up 0/180 deg, y_up 90 deg, z_up"
+    assert timeline_rows(plan)[0].positions_text == "z_up 0/180 deg, y_up 90 deg, z_up"
 
 
 def test_the_shipped_calibration_check_visits_both_azimuths_of_two_positions_at_each_temperature(
@@ -146,7 +148,7 @@ def test_the_shipped_calibration_check_visits_both_azimuths_of_two_positions_at_
 ) -> None:
     plan = expand(*load_procedure(shipped / "calibration_check.yaml"))
     measured = [row for row in timeline_rows(plan) if row.dwells]
-    assert [(row.where, row.what, row.dwells) for row in measured] == [
+    assert [(row.positions_text, row.steps_text, row.dwells) for row in measured] == [
         (
             f"cycle 1, {temperature} degC, z_up 0/180 deg, y_up 0/180 deg",
             "align 10 min; navigate 10 min for a calibration check",
@@ -176,7 +178,7 @@ def test_a_plan_of_two_days_stays_readable(shipped: Path) -> None:
     rows = timeline_rows(expand(*load_procedure(shipped / "six_position_fig7.yaml")))
     assert len(rows) < 30
     assert sum(row.dwells for row in rows) == 60
-    assert all(len(row.what) < 100 and len(row.where) < 80 for row in rows)
+    assert all(len(row.steps_text) < 100 and len(row.positions_text) < 80 for row in rows)
 
 
 @pytest.mark.parametrize(

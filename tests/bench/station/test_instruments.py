@@ -145,7 +145,7 @@ def test_an_instrument_without_the_identity_of_its_section_is_not_commanded(chan
 def test_a_damaged_identification_is_asked_again(station, monkeypatch):
     answers, identify = ["Acutronic R&D USA,Acutrol3000,0,gyr#bench emulator"], Acutrol3000.identify
     monkeypatch.setattr(Acutrol3000, "identify", lambda table: answers.pop() if answers else identify(table))
-    with Outputs(station, VirtualClock(), known={RATE_TABLE: EMULATED_TABLE}) as outputs:
+    with Outputs(station, VirtualClock(), identities={RATE_TABLE: EMULATED_TABLE}) as outputs:
         assert outputs.identify(RATE_TABLE) == EMULATED_TABLE
         assert not answers
 
@@ -155,7 +155,7 @@ def test_a_silent_table_may_be_the_right_one_and_is_stopped(station, monkeypatch
         raise NoReplyError(RATE_TABLE, "says nothing")
 
     monkeypatch.setattr(Acutrol3000, "identify", silent)
-    with Outputs(station, VirtualClock(), known={RATE_TABLE: EMULATED_TABLE}) as outputs:
+    with Outputs(station, VirtualClock(), identities={RATE_TABLE: EMULATED_TABLE}) as outputs:
         outputs.table.stop()
         with pytest.raises(NoReplyError):
             outputs.identify(RATE_TABLE)

@@ -215,7 +215,7 @@ def test_a_ramp_leaves_time_for_signs_of_life_and_counts_as_failed_until_its_end
     station, outputs = ramping
     actions = make_safe(station, outputs)
     first = next(finish_ramp(station, outputs, actions))
-    assert problems(first) == {"chamber's set point at 23 degC": "is still on its way there"}
+    assert problems(first) == {"chamber's set point at 23 degC": "is still being ramped"}
     actions, took_s, longest_s = finished(station, outputs, actions)
     assert set(problems(actions).values()) == {""}
     assert outputs.chamber.set_point_c() == 23.0

@@ -19,7 +19,7 @@ def test_the_shipped_station_reaches_all_six_positions_at_azimuth_zero_and_half_
     limits = Station(SHIPPED).limits()
     for position in ("z_up", "z_down", "y_up", "y_down", "x_up", "x_down"):
         for azimuth_deg in (0.0, 180.0):
-            assert limits.reachable(position, azimuth_deg, (180.0,)) is None
+            assert limits.unreachable_reason(position, azimuth_deg, (180.0,)) is None
 
 
 @pytest.mark.parametrize("name", ["emulated", "example_bench"])
@@ -30,8 +30,8 @@ def test_shipped_stations_are_right(name):
 def test_a_table_with_a_vertical_outer_axis_says_which_positions_it_can_not_reach(changed):
     path = changed(("outer_axis: east", "outer_axis: up"), ("inner_axis: up", "inner_axis: east"))
     limits = Station(path).limits()
-    assert limits.reachable("z_up", 0.0, (90.0, 90.0)) is None
-    assert "can't reach" in limits.reachable("x_up", 0.0, ())
+    assert limits.unreachable_reason("z_up", 0.0, (90.0, 90.0)) is None
+    assert "can't reach" in limits.unreachable_reason("x_up", 0.0, ())
 
 
 @pytest.mark.parametrize(

@@ -265,14 +265,14 @@ def test_the_axes_are_distinguished_by_the_controllers_numbers(station_of, tmp_p
 def test_the_time_since_an_interlock_is_good_is_known(watched):
     bench = watched()
     bench.poll(10.0)
-    assert bench.watch.good_since_s("chamber_alarm") == 10.0
+    assert bench.watch.untripped_since_s("chamber_alarm") == 10.0
     bench.chamber = air(20.0, 20.0, True, alarms=("alarm 1",))
     bench.poll(10.0)
-    assert bench.watch.good_since_s("chamber_alarm") is None
+    assert bench.watch.untripped_since_s("chamber_alarm") is None
     bench.chamber = air(20.0, 20.0, True)
     bench.poll(10.0)
     bench.poll(10.0)
-    assert bench.watch.good_since_s("chamber_alarm") == 30.0
+    assert bench.watch.untripped_since_s("chamber_alarm") == 30.0
 
 
 def test_the_station_file_sets_the_rules(watched):

@@ -13,7 +13,7 @@ from gyrobench.bench.engine.preflight.bench_check import (
     no_instrument_answers,
     signal_map_checks,
 )
-from gyrobench.bench.engine.preflight.ins import CanTraffic, _observe, _stream
+from gyrobench.bench.engine.preflight.ins import CanTraffic, _observe, _stream_checks
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
@@ -309,7 +309,7 @@ def test_one_late_epoch_is_no_fault_and_many_are(stalls, verdict):
                 stalled_s = begin_s + 0.4 * stall
                 time_s[(time_s >= stalled_s) & (time_s < stalled_s + 0.25)] = stalled_s + 0.25
             traffic.blocks[index] = block.with_fields(time_s=time_s)
-        checks = {each.what: each for each in _stream(station, outputs, ins, clock, traffic)}
+        checks = {each.what: each for each in _stream_checks(station, outputs, ins, clock, traffic)}
         ins.close()
     found = checks["frames without gaps"]
     assert found.verdict is verdict
