@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from gyrobench.bench.bias.verdicts import RunVerdict
 from gyrobench.bench.cli.output import console
 from gyrobench.bench.runs.index.selection import Selection
 
@@ -20,7 +19,9 @@ if TYPE_CHECKING:
 
 _DAYS = ["%Y-%m-%d"]
 _Search = Literal["clean", "explained", "ambiguous", "unexplained", "stale"]
-_Verdict = Literal[_Search, RunVerdict]
+#: As ``RunVerdict`` of the acceptance, whose module would import pydantic for every ``--help``.
+AcceptanceVerdict = Literal["accepted", "marginal", "rejected", "not judged"]
+_Verdict = Literal[_Search, AcceptanceVerdict]
 
 RootArgument = Annotated[
     str,

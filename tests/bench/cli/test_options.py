@@ -6,8 +6,10 @@ import pytest
 import typer
 
 from gyrobench.bench.authoring.file_kinds import KINDS
+from gyrobench.bench.bias.verdicts import RunVerdict
 from gyrobench.bench.cli import app
 from gyrobench.bench.cli.options import FailOnOption, TracedInstrument
+from gyrobench.bench.cli.run_selection import AcceptanceVerdict
 from gyrobench.bench.cli.validate import FileKindName
 from gyrobench.bench.closure import inputs, loop
 from gyrobench.bench.engine.run_outcome import FailOn
@@ -92,3 +94,4 @@ def test_choices_that_the_command_line_repeats_are_those_of_their_modules():
     assert get_args(FileKindName) == tuple(KINDS)
     offered, _ = get_args(get_args(FailOnOption)[0])
     assert get_args(offered) == get_args(FailOn)
+    assert get_args(AcceptanceVerdict) == get_args(RunVerdict)

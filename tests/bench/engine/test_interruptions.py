@@ -13,7 +13,7 @@ from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.emulators.acl_axis import SoftwareFault
-from gyrobench.drivers.modbus_rtu import framed
+from gyrobench.drivers.modbus_rtu import append_crc
 from tests.bench.engine.intervention import Intervention, run_with
 
 FLAG = """procedure: flag_only
@@ -190,7 +190,7 @@ def test_a_chamber_switched_off_at_its_panel_trips(tmp_path):
     path.write_text("procedure: hot\nsteps:\n  - chamber: {temperature_c: 40, ramp_c_per_min: 4}\n")
 
     def switch_off(bench, clock):
-        bench.serial["chamber"].feed(framed(bytes.fromhex("010607d00000")), clock.now())
+        bench.serial["chamber"].feed(append_crc(bytes.fromhex("010607d00000")), clock.now())
 
     folder, outcome, _ = run_with(tmp_path, "chamber", switch_off, path)
     assert outcome.ended == "stopped"

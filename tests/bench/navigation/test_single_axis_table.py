@@ -56,5 +56,5 @@ def test_a_station_without_an_outer_axis_has_such_a_table():
     assert station.by_axis_number((0.0, 30.0)) == {2: 30.0}
     assert station.table_axes_of((30.0,)) == (0.0, 30.0)
     limits = station.limits()
-    assert limits.reachable("z_up", 45.0, (180.0,)) is None
-    assert "single axis" in limits.reachable("x_up", 0.0, ())
+    assert limits.unreachable_reason("z_up", 45.0, (180.0,)) is None
+    assert "single axis" in limits.unreachable_reason("x_up", 0.0, ())
