@@ -310,7 +310,11 @@ def _on_common_clock(
     known_s = np.concatenate([each.power_on_s for each in before]) if before else np.empty(0)
     runs = []
     for index, name in enumerate(whole.run_names):
-        power_on_s = shift_s + float((whole.start_s - whole.since_power_on_s)[whole.run == index].min())
+        power_ons_s = (whole.start_s - whole.since_power_on_s)[whole.run == index]
+        if not len(power_ons_s):  # only dwells that were left out, as those of a held-out cycle
+            runs.append(-1)
+            continue
+        power_on_s = shift_s + float(power_ons_s.min())
         if name in names and not np.any(np.abs(known_s - power_on_s) <= _SAME_S):
             name = f"{name} ({source.name})"
         names += [] if name in names else [name]

@@ -64,6 +64,14 @@ def test_the_same_procedure_again_leaves_by_itself_the_tie_that_the_closure_foun
         assert not each.missing_input or not each.is_settled
 
 
+def test_the_power_cycle_of_a_held_out_cycle_alone_has_no_dwells():
+    effects, sensors, candidates = TIES["one heading"]
+    rows = measure(effects, cycles=2, sensors=sensors, power_on_each_cycle=True).rows
+    closure = close_loop(campaign_of(rows), effects=candidates)
+    ties = {(each.effect.name, other) for each in closure.effects for other in each.tied_with}
+    assert {(each.found, each.other) for each in tie_forecasts(closure, plan())} == ties != set()
+
+
 def test_separability_sees_an_effect_that_takes_the_place_of_another_for_lack_of_an_input():
     closure = closed("one heading")
     seen = separability(searched_dwells(plan()), [each.effect for each in closure.evidence], closure.effects)
