@@ -359,7 +359,7 @@ def mark_temperatures(axes: Axes, along: Literal["x", "y"], marked_c: Sequence[f
 
 @house_style
 def png_bytes(figure: Figure, key: str = "") -> bytes:
-    """Draw a figure; equal figures give equal bytes. A key is kept in the PNG, see :func:`is_drawn`."""
+    """Draw a figure; equal figures give equal pixels. A key is kept in the PNG, see :func:`is_drawn`."""
     dpi = figure.dpi
     figure.set_dpi(_PNG_DPI)
     renderer: RendererAgg = _canvas_of(figure).get_renderer()  # type: ignore[no-untyped-call]
