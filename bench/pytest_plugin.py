@@ -154,8 +154,8 @@ def _journal(folder: Path) -> str:
 
 
 def _line(entry: dict[str, Any]) -> str:
-    from gyrobench.bench.report.journal_sections import clock_time
+    from gyrobench.bench.report.journal_sections import duration_text
 
     details = (f"{key}={value}" for key, value in entry.items() if key not in ("time_s", "utc", "event"))
-    line = f"{clock_time(entry.get('time_s', 0.0)):>9}  {entry.get('event', '')}  {'  '.join(details)}"
+    line = f"{duration_text(entry.get('time_s', 0.0)):>9}  {entry.get('event', '')}  {'  '.join(details)}"
     return line if len(line) <= _MAX_WIDTH else f"{line[:_MAX_WIDTH]} ..."

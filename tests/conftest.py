@@ -153,7 +153,7 @@ def pytest_runtest_protocol(item):
 
     with pytest.MonkeyPatch.context() as patch:
         if not item.nodeid.startswith(DRAWN) and not item.get_closest_marker("draws"):
-            patch.setattr(page, "_as_file", empty_figure)
+            patch.setattr(page, "_with_figure_file", empty_figure)
             for module in (memory, page):
                 patch.setattr(module, "free_memory", int)
         return (yield)

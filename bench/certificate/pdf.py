@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from gyrobench.bench.certificate.content import BiasResult, Certificate, ModelNumber
 from gyrobench.bench.foundations.text import bin_label, decimals_of, with_sigma
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
-from gyrobench.bench.report.figures.style import stamp
+from gyrobench.bench.report.figures.style import draw_watermark
 from gyrobench.bench.report.number_format import BiasScale
 from gyrobench.bench.report.page import Box, Section, SectionFigure, SectionTable, pdf_of, render_page
 from gyrobench.bench.report.run_report import figures_of
@@ -219,6 +219,6 @@ def _figures(certificate: Certificate, folder: Path, watermark: str) -> Iterator
 
 def _svg(figure: Figure, watermark: str) -> bytes:
     stream = io.BytesIO()
-    stamp(figure, watermark)
+    draw_watermark(figure, watermark)
     figure.savefig(stream, format="svg", metadata={"Date": None, "Title": watermark or None})
     return stream.getvalue()

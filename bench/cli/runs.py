@@ -106,11 +106,11 @@ def _trends(
     fitted = trends(read_run_biases(index, [run["path"] for run in matches]))
     if figure is not None:
         from gyrobench.bench.report.figures.drift import trend_figure
-        from gyrobench.bench.report.figures.style import save_figure, stamp
+        from gyrobench.bench.report.figures.style import draw_watermark, save_figure
         from gyrobench.bench.runs.index.run_index import watermark
 
         plot = trend_figure(units[0], fitted)
-        stamp(plot, watermark(matches))
+        draw_watermark(plot, watermark(matches))
         save_figure(plot, figure)
     due_dates = None if limit_dph is None else recalibrations(index, selection, fitted, limit_dph)
     content: dict[str, Any] = {"unit": units[0], "trends": [_plain_trend(each) for each in fitted]}

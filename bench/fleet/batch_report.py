@@ -18,7 +18,7 @@ from gyrobench.bench.fleet.batch import EffectSize, QuantityStatistics, UnitStat
 from gyrobench.bench.foundations.files import make_folder, write_whole
 from gyrobench.bench.foundations.text import bin_label, counted, listed
 from gyrobench.bench.navigation.positions import AXES, gyro_label, position_label
-from gyrobench.bench.report.figures.style import BARS, common_legend, fitted_figure, house_style, say_empty
+from gyrobench.bench.report.figures.style import BARS, common_legend, fitted_figure, house_style, label_empty
 from gyrobench.bench.report.number_format import BiasScale, dph_with_sigma, p_text
 from gyrobench.bench.report.page import Box, Findings, Section, SectionFigure, SectionTable, write_findings
 from gyrobench.bench.runs.index.run_biases import FALSE_ALARM, LEVEL, BiasQuantity
@@ -153,7 +153,7 @@ def batch_figure(batch: Sequence[QuantityStatistics], *, of_positions: bool) -> 
                 panel, [stats.quantity for stats in panel_stats if isinstance(stats.quantity, BiasQuantity)]
             )
         else:
-            say_empty(panel, "measured on too few units")
+            label_empty(panel, "measured on too few units")
     panels[-1].set_xlabel("temperature of the gyro, bin / °C")
     if outlier_names:
         panels[-1].plot([], [], "D", color=_OTHER_COLOUR, markersize=5.5, label="outlier")

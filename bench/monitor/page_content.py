@@ -21,7 +21,7 @@ from gyrobench.bench.monitor.snapshot import (
     mean_known,
 )
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
-from gyrobench.bench.report.number_format import BiasScale, by_temperature, true_minus
+from gyrobench.bench.report.number_format import BiasScale, group_by_temperature, true_minus
 
 #: A run writes every two seconds; a busy run takes longer.
 _SILENT_AFTER_S = 20.0
@@ -265,7 +265,7 @@ def reading_rows(bench: BenchReadings) -> list[tuple[str, str, str]]:
 def _bin_table(gyro: str, bins: list[LiveBin], scale: BiasScale) -> BinTable:
     used = {each.position for each in bins}
     positions = [position for position in POSITIONS if position in used]
-    ranges = by_temperature(bins, lambda each: (each.low_c, each.high_c), lambda each: each.count > 0)
+    ranges = group_by_temperature(bins, lambda each: (each.low_c, each.high_c), lambda each: each.count > 0)
     filled = [number for number, (_, _, members) in enumerate(ranges) if members]
     shown = ranges[filled[0] : filled[-1] + 1] if filled else []
     return BinTable(

@@ -1,4 +1,4 @@
-"""Biases in the report of a run: by gyro and bin, by dwell, against limits, before and after a change."""
+"""Bias sections of a run report: by gyro and bin, by dwell, against limits, before and after a change."""
 
 from __future__ import annotations
 
@@ -29,46 +29,46 @@ from gyrobench.bench.report.run_text import (
     VERDICT_COLOURS,
     acceptance_sentence,
     agreement_sentence,
-    differing,
     equality_sentence,
     power_cycle_sentence,
     scatter_sentence,
+    significant_differences,
 )
 
-_UNCERTAIN_MAXIMUM = (
+_DIFFERENCE_CAPTION = (
     "Largest difference between two positions in each temperature bin, with its standard uncertainty (k ="
     " 1). Noise alone makes the largest of several differences greater than zero: with six equal "
     "positions it is usually about 2.5 times the uncertainty of one of them, so the p-value decides. "
     "Filled markers: significant difference."
 )
-_LIMIT_LINE = (
+_LIMITS_CAPTION = (
     " Red lines are acceptance limits, which hold within one plateau: a bin with dwells of several "
     "plateaus can be above them although the unit is accepted. The uncertainties are those of bin means; the "
     "section Acceptance has those of plateaus corrected to one temperature."
 )
-_BIAS_FIGURE = (
+_BIAS_CAPTION = (
     "Bias of the {} against its own temperature{}. Lines join the weighted means of the temperature bins, "
     "faint points are single dwells; bars are standard uncertainties. All gyros have the same scale."
 )
-_PAIR = (
+_PAIR_CAPTION = (
     "Biases in Z-Up and in Y-Up (Yu et al., Figs. 8, 9, 12 and 13): lines join the weighted means of the "
     "temperature bins, numbers are those of their dwells, bars are standard uncertainties (k = 1)."
 )
 _BOTH_SIDES = ", on the left by the state-space estimator, on the right by the paper's method"
-_COMPARED = (
+_COMPARISON_CAPTION = (
     "Comparison of positions{}. p: probability of differences this large if the bias were the same in all "
     "positions. Spread: difference of the positions' mean temperatures inside the bin."
 )
 _PAPER_P = "; in grey by the paper's method, whose systematic errors are not in its p"
-_P_EQUAL = (
+_P_EQUAL_NOTE = (
     "p equal: probability of differences this large if the bias were the same in all positions; * "
     "significant."
 )
-_PAPER_BELOW = (
+_PAPER_NOTE = (
     "Second line: result of the paper's method, which neglects the Schuler loop, the coupling by the Earth's "
     "rotation and the accelerometers; its uncertainty does not include the resulting errors."
 )
-_DWELLS = (
+_DWELLS_CAPTION = (
     "Bias ± standard uncertainty in {}; start in h:mm; temperatures in °C.{} Fit: p-value of the residuals. "
     "Flagged dwells are not in the bins."
 )
@@ -77,20 +77,22 @@ _DWELLS = (
 def comparison_section(
     bins: Sequence[BiasBin], acceptance: Acceptance | None, figures: Mapping[str, Path], *notes: str
 ) -> Section:
-    """Results of all gyros in sentences, the largest differences with the limit, ``notes`` below them."""
+    """Results of all gyros in sentences, ``notes``, and the figures of differences with their limits."""
     boxes = [_gyro_box(gyro, [each for each in bins if each.gyro == gyro]) for gyro in AXES]
     if all(box.text == NOTHING_TO_COMPARE for box in boxes):
-        scattered = [replace(box, text="") for box in boxes if box.notes]
-        boxes = [Box("stopped", "", NOTHING_TO_COMPARE), *scattered] if bins else []
-    caption = _UNCERTAIN_MAXIMUM + (_LIMIT_LINE if acceptance and acceptance.limits else "")
-    drawn = _pictures(figures, "position_differences", caption)
-    drawn += _pictures(figures, "position_pair", _PAIR)
-    return Section("Results", boxes=boxes, paragraphs=[note for note in notes if note], figures=drawn)
+        boxes_with_notes = [replace(box, text="") for box in boxes if box.notes]
+        boxes = [Box("stopped", "", NOTHING_TO_COMPARE), *boxes_with_notes] if bins else []
+    caption = _DIFFERENCE_CAPTION + (_LIMITS_CAPTION if acceptance and acceptance.limits else "")
+    section_figures = _available_figure(figures, "position_differences", caption)
+    section_figures += _available_figure(figures, "position_pair", _PAIR_CAPTION)
+    return Section(
+        "Results", boxes=boxes, paragraphs=[note for note in notes if note], figures=section_figures
+    )
 
 
 def _gyro_box(gyro: str, bins: Sequence[BiasBin]) -> Box:
     comparisons = compare_positions(bins)
-    colour = ("failed" if differing(comparisons) else "finished") if comparisons else "stopped"
+    colour = ("failed" if significant_differences(comparisons) else "finished") if comparisons else "stopped"
     notes = [
         agreement_sentence(comparisons, compare_positions(paper_bins(bins))),
         power_cycle_sentence(bins),
@@ -104,20 +106,20 @@ def _gyro_box(gyro: str, bins: Sequence[BiasBin]) -> Box:
 def gyro_section(gyro: str, bins: Sequence[BiasBin], figures: Mapping[str, Path]) -> Section | None:
     """Figure and tables of one gyro; None without data.
 
-    ``bins`` are those of all gyros: each gyro has a column for every position measured.
+    ``bins``: those of all gyros, so that the table has a column for every position measured.
     """
-    own = [each for each in bins if each.gyro == gyro]
-    by_paper = paper_bins(own)
+    gyro_bins = [each for each in bins if each.gyro == gyro]
+    by_paper = paper_bins(gyro_bins)
     has_paper = any(not each.is_empty for each in by_paper)
-    caption = _BIAS_FIGURE.format(gyro_label(gyro), _BOTH_SIDES if has_paper else "")
-    drawn = _pictures(figures, f"bias_{gyro}", caption)
-    if not (own or drawn):
+    caption = _BIAS_CAPTION.format(gyro_label(gyro), _BOTH_SIDES if has_paper else "")
+    figure = _available_figure(figures, f"bias_{gyro}", caption)
+    if not (gyro_bins or figure):
         return None
-    scale = scale_of_bins([*own, *by_paper])
+    scale = scale_of_bins([*gyro_bins, *by_paper])
     measured = {each.position for each in bins}
     positions = [name for name in POSITIONS if name in measured]
     rows = []
-    for low, high, members in bins_by_temperature(own):
+    for low, high, members in bins_by_temperature(gyro_bins):
         cells = _bin_cells(members, positions, scale)
         rows.append([bin_label(low, high), *(cells or ["empty in all positions"])])
     tables = [
@@ -127,42 +129,42 @@ def gyro_section(gyro: str, bins: Sequence[BiasBin], figures: Mapping[str, Path]
             ["bin / °C", *map(position_label, positions)],
             rows,
         ),
-        _comparison_table(compare_positions(own), compare_positions(by_paper), scale),
+        _comparison_table(compare_positions(gyro_bins), compare_positions(by_paper), scale),
     ]
-    return Section(gyro_label(gyro), figures=drawn, tables=[each for each in tables if each.rows])
+    return Section(gyro_label(gyro), figures=figure, tables=[each for each in tables if each.rows])
 
 
 def bins_summary(bins: Sequence[BiasBin]) -> Section:
-    """Biases of all gyros by bin and position with the p-value of the comparison, without figures."""
+    """Tables of the biases of all gyros by bin and position with p-values of the comparisons, no figures."""
     if not bins:
         return Section("", ["No dwell gave a bias, so there are no temperature bins."])
     is_compared = bool(compare_positions(bins))
     positions = [name for name in POSITIONS if name in {each.position for each in bins}]
-    parts = []
+    sections = []
     for gyro in AXES:
-        own = [each for each in bins if each.gyro == gyro]
-        if not own:
+        gyro_bins = [each for each in bins if each.gyro == gyro]
+        if not gyro_bins:
             continue
-        scale = scale_of_bins([*own, *paper_bins(own)])
-        p_values = [_p_values(compare_positions(each)) for each in (own, paper_bins(own))]
+        scale = scale_of_bins([*gyro_bins, *paper_bins(gyro_bins)])
+        p_values = [_p_values(compare_positions(each)) for each in (gyro_bins, paper_bins(gyro_bins))]
         rows = []
-        for low, high, members in bins_by_temperature(own):
+        for low, high, members in bins_by_temperature(gyro_bins):
             cells = _bin_cells(members, positions, scale, has_count=False) or ["empty"] * len(positions)
             p_value = "\n".join(each[low] for each in p_values if low in each)
             rows.append([bin_label(low, high, ".."), *cells, *([p_value] if p_values[0] else [])])
         caption = f"Bias ± standard uncertainty in {scale.unit} by gyro temperature"
         header = ["bin / °C", *map(position_label, positions), *(["p equal"] if p_values[0] else [])]
-        box = _gyro_box(gyro, own)
+        box = _gyro_box(gyro, gyro_bins)
         sentences = [*([box.text] if is_compared else []), *box.notes]
-        parts.append(Section(gyro_label(gyro), sentences, tables=[SectionTable(caption, header, rows)]))
+        sections.append(Section(gyro_label(gyro), sentences, tables=[SectionTable(caption, header, rows)]))
     has_paper = any(not each.is_empty for each in paper_bins(bins))
-    notes = [_P_EQUAL if is_compared else NOTHING_TO_COMPARE, _PAPER_BELOW if has_paper else NO_PAPER]
-    return Section("", sections=[*parts, Section("Notes", notes)])
+    notes = [_P_EQUAL_NOTE if is_compared else NOTHING_TO_COMPARE, _PAPER_NOTE if has_paper else NO_PAPER]
+    return Section("", sections=[*sections, Section("Notes", notes)])
 
 
 def _p_values(comparisons: Sequence[PositionComparison]) -> dict[float, str]:
-    """P-values by the lower end of their bin; a star marks a significant difference."""
-    different = differing(comparisons)
+    """P-values as text by the lower end of their bin; a star marks a significant difference."""
+    different = significant_differences(comparisons)
     return {
         each.bin_low_c: f"{p_text(each.p_value)}{'*' if each in different else ' '}" for each in comparisons
     }
@@ -171,7 +173,7 @@ def _p_values(comparisons: Sequence[PositionComparison]) -> dict[float, str]:
 def _bin_cells(
     members: Sequence[BiasBin], positions: Iterable[str], scale: BiasScale, *, has_count: bool = True
 ) -> list[str]:
-    """Texts of the positions of one bin, the paper's result in a second line; none where all are empty."""
+    """Cells of the positions of one bin, the paper's result in a second line; empty list for an empty bin."""
     texts = {
         each.position: scale.with_sigma(each.bias_dph, each.sigma_dph)
         + (f" ({each.count})" if has_count else "")
@@ -187,28 +189,34 @@ def _bin_cells(
 def _comparison_table(
     comparisons: Sequence[PositionComparison], by_paper: Sequence[PositionComparison], scale: BiasScale
 ) -> SectionTable:
-    paper = {each.bin_low_c: each for each in by_paper}
-    ours, theirs = differing(comparisons), differing(by_paper)
+    paper_by_bin = {each.bin_low_c: each for each in by_paper}
+    significant, paper_significant = significant_differences(comparisons), significant_differences(by_paper)
     rows: list[list[str]] = []
     marks: list[Mark] = []
     for each in comparisons:
-        other = paper.get(each.bin_low_c)
-        texts = [_comparison_texts(one, scale) for one in (each, other) if one is not None]
+        paper_comparison = paper_by_bin.get(each.bin_low_c)
+        texts = [
+            _comparison_cells(comparison, scale)
+            for comparison in (each, paper_comparison)
+            if comparison is not None
+        ]
         pair, p_value, difference = ("\n".join(lines) for lines in zip(*texts, strict=True))
-        verdict = _significance(each in ours, None if other is None else other in theirs)
+        methods = _methods_with_difference(
+            each in significant, None if paper_comparison is None else paper_comparison in paper_significant
+        )
         rows.append(
             [
                 bin_label(each.bin_low_c, each.bin_high_c),
                 pair,
-                verdict,
+                methods,
                 p_value,
                 difference,
                 f"{each.temperature_spread_c:.1f}",
             ]
         )
-        marks.append("bad" if each in ours else "")
+        marks.append("bad" if each in significant else "")
     return SectionTable(
-        _COMPARED.format(_PAPER_P if by_paper else ""),
+        _COMPARISON_CAPTION.format(_PAPER_P if by_paper else ""),
         ["bin / °C", "largest difference", "significant", "p", f"size / ({scale.unit})", "spread / K"],
         rows,
         words=3,
@@ -216,29 +224,29 @@ def _comparison_table(
     )
 
 
-def _comparison_texts(each: PositionComparison, scale: BiasScale) -> tuple[str, str, str]:
-    pair = " above ".join(map(position_label, each.largest_pair))
-    size = scale.with_sigma(each.largest_difference_dph, each.largest_difference_sigma_dph)
-    return pair, p_text(each.p_value), size
+def _comparison_cells(comparison: PositionComparison, scale: BiasScale) -> tuple[str, str, str]:
+    pair = " above ".join(map(position_label, comparison.largest_pair))
+    size = scale.with_sigma(comparison.largest_difference_dph, comparison.largest_difference_sigma_dph)
+    return pair, p_text(comparison.p_value), size
 
 
-def _significance(ours: bool, by_paper: bool | None) -> str:
-    """Name the estimators that find a difference."""
-    if by_paper is None or not (ours or by_paper):
-        return "yes" if ours else ""
-    if ours:
+def _methods_with_difference(by_state_space: bool, by_paper: bool | None) -> str:
+    """Methods that find a significant difference; ``by_paper`` is None without the paper's method."""
+    if by_paper is None or not (by_state_space or by_paper):
+        return "yes" if by_state_space else ""
+    if by_state_space:
         return "both methods" if by_paper else "state-space only"
     return "paper's method only"
 
 
 def dwells_section(rows: Sequence[DwellRow], empty: str) -> Section:
-    """All dwells in a table; a sentence without any."""
+    """Table of all dwells; the sentence ``empty`` if there are none."""
     if not rows:
         return Section("Dwells", [empty])
-    has_paper = any(map(_by_paper, rows))
+    has_paper = any(map(_paper_rows, rows))
     scale = BiasScale.of(
-        (bias for row in rows for each in (row, *_by_paper(row)) for bias in each.bias_dph),
-        (sigma for row in rows for each in (row, *_by_paper(row)) for sigma in each.sigma_dph),
+        (bias for row in rows for each in (row, *_paper_rows(row)) for bias in each.bias_dph),
+        (sigma for row in rows for each in (row, *_paper_rows(row)) for sigma in each.sigma_dph),
     )
     lines: list[list[str]] = []
     marks: list[Mark] = []
@@ -252,19 +260,20 @@ def dwells_section(rows: Sequence[DwellRow], empty: str) -> Section:
     header += [*(f"{gyro.upper()} bias" for gyro in AXES), "fit p"]
     paper = " In grey by the paper's method." if has_paper else ""
     return Section(
-        "Dwells", tables=[SectionTable(_DWELLS.format(scale.unit, paper), header, lines, marks=marks)]
+        "Dwells", tables=[SectionTable(_DWELLS_CAPTION.format(scale.unit, paper), header, lines, marks=marks)]
     )
 
 
-def _by_paper(row: DwellRow) -> list[DwellRow]:
+def _paper_rows(row: DwellRow) -> list[DwellRow]:
     return paper_rows([row])
 
 
 def _dwell_cells(row: DwellRow, scale: BiasScale) -> list[str]:
     biases = _dwell_biases(row, scale)
-    for own in _by_paper(row):
+    for paper_row in _paper_rows(row):
         biases = [
-            f"{one}\n{other}".rstrip() for one, other in zip(biases, _dwell_biases(own, scale), strict=True)
+            f"{bias}\n{paper_bias}".rstrip()
+            for bias, paper_bias in zip(biases, _dwell_biases(paper_row, scale), strict=True)
         ]
     return [
         position_label(row.position),
@@ -282,11 +291,11 @@ def _dwell_biases(row: DwellRow, scale: BiasScale) -> list[str]:
     return ["" if math.isnan(bias) else scale.with_sigma(bias, sigma) for bias, sigma in pairs]
 
 
-def _pictures(figures: Mapping[str, Path], name: str, caption: str) -> list[SectionFigure]:
+def _available_figure(figures: Mapping[str, Path], name: str, caption: str) -> list[SectionFigure]:
     return [SectionFigure(name, caption, figures[name])] if name in figures else []
 
 
-_HOW = (
+_METHOD = (
     "Positions are compared within one plateau and one power cycle, at the mean temperature of the "
     "plateau; each bias is corrected to that temperature with the gyro's own temperature curve. The "
     "uncertainties are standard uncertainties (k = 1) and include that of the correction, which those of bin "
@@ -298,42 +307,42 @@ _HOW = (
     "above it with {0:g} % confidence, corrected for the number of pairs. Marginal: neither. The probability "
     "of accepting a unit at a limit, and of rejecting one within all limits, is at most {1:g} %."
 )
-_SINGLE = (
+_SINGLE_DWELL_NOTE = (
     " A bias is that of the single dwell with the largest, which is more uncertain than the mean of "
     "several in the section Results."
 )
-_LACKING = (
+_NOT_COMPARED_DWELLS = (
     "Planned dwells not compared with the others of their plateau (flagged, missing, or separated by a power "
     "cycle or other temperatures): {}."
 )
-_DISAGREEING = (
+_DISAGREEING_PLATEAUS = (
     "Plateaus of one set point differ between cycles by more than their noise and are judged separately: {}. "
     "The bias may depend on the temperature history."
 )
 _MAX_NAMED = 12
-_CAPTIONS = (
+_ACCEPTANCE_CAPTIONS = (
     "Largest difference between two positions ± standard uncertainty u (k = 1) in {}, with {:g} % confidence "
     "limits, by temperature of the gyro",
     "Largest difference between two positions, and largest bias of a dwell, ± standard uncertainty u (k = 1) "
     "in {}, with {:g} % confidence limits, by temperature of the gyro",
 )
-_MARKS: Mapping[Verdict, Mark] = MappingProxyType({"pass": "", "marginal": "doubtful", "fail": "bad"})
+_VERDICT_MARKS: Mapping[Verdict, Mark] = MappingProxyType({"pass": "", "marginal": "doubtful", "fail": "bad"})
 
 
 def acceptance_section(acceptance: Acceptance | None) -> Section | None:
-    """Judgements of a run in a table; None without limits."""
+    """Table of the judgements of a run; None without limits."""
     if acceptance is None or acceptance.limits is None:
         return None
     limits = acceptance.limits
     paragraphs = [
         _limits_sentence(limits),
-        _HOW.format(
+        _METHOD.format(
             100.0 * limits.confidence,
             round(100.0 * (1.0 - limits.confidence), 6),
-            "" if limits.bias_dph is None else _SINGLE,
+            "" if limits.bias_dph is None else _SINGLE_DWELL_NOTE,
         ),
-        _disagreeing_sentence(acceptance),
-        _lacking_sentence(acceptance),
+        _disagreement_sentence(acceptance),
+        _not_compared_sentence(acceptance),
     ]
     return Section(
         "Acceptance",
@@ -357,29 +366,29 @@ def _limits_sentence(limits: AcceptanceLimits) -> str:
     return sentence
 
 
-def _disagreeing_sentence(acceptance: Acceptance) -> str:
-    places = [
+def _disagreement_sentence(acceptance: Acceptance) -> str:
+    names = [
         f"{gyro_label(each.gyro)} at {bin_label(each.bin_low_c, each.bin_high_c)} °C"
         for each in acceptance.judgements
         if not each.passes_agree
     ]
-    return _DISAGREEING.format(listed(places)) if places else ""
+    return _DISAGREEING_PLATEAUS.format(listed(names)) if names else ""
 
 
-def _lacking_sentence(acceptance: Acceptance) -> str:
-    places = list(
+def _not_compared_sentence(acceptance: Acceptance) -> str:
+    dwells = list(
         dict.fromkeys((each.cycle, each.chamber_set_c, each.position) for each in acceptance.not_measured)
     )
-    if not places:
+    if not dwells:
         return ""
-    named = [
+    names = [
         position_label(position)
         + ("" if set_c is None else f" at {set_c:g} °C in the chamber")
         + f" in cycle {cycle}"
-        for cycle, set_c, position in places[:_MAX_NAMED]
+        for cycle, set_c, position in dwells[:_MAX_NAMED]
     ]
-    more = len(places) - len(named)
-    return _LACKING.format(listed([*named, f"{more} more"] if more else named))
+    unnamed = len(dwells) - len(names)
+    return _NOT_COMPARED_DWELLS.format(listed([*names, f"{unnamed} more"] if unnamed else names))
 
 
 def verdict_box(acceptance: Acceptance) -> Box:
@@ -389,15 +398,15 @@ def verdict_box(acceptance: Acceptance) -> Box:
 
 
 def acceptance_summary(acceptance: Acceptance) -> Section:
-    """The verdict on the unit, and what decides on each gyro."""
+    """The verdict on the unit, and the decisive judgement of each gyro."""
     deciding = [each for each in map(acceptance.deciding, AXES) if each]
     table = _acceptance_table(acceptance, deciding)
-    lacking = [
+    undecided = [
         [gyro_label(gyro), "", "", acceptance.gyros.get(gyro, "")]
         for gyro in AXES
         if gyro not in {each.gyro for each in deciding}
     ]
-    table = replace(table, rows=[*table.rows, *lacking], marks=())
+    table = replace(table, rows=[*table.rows, *undecided], marks=())
     return Section("", boxes=[verdict_box(acceptance)], tables=[table] if deciding else [])
 
 
@@ -406,47 +415,47 @@ def _acceptance_table(acceptance: Acceptance, judged: Sequence[Judgement]) -> Se
     confidence = 100.0 * acceptance.limits.confidence if acceptance.limits else math.nan
     scale = BiasScale.of([each.limit_dph for each in judgements], [each.sigma_dph for each in judgements])
     return SectionTable(
-        _CAPTIONS[any(each.quantity == "bias" for each in judged)].format(scale.unit, confidence),
+        _ACCEPTANCE_CAPTIONS[any(each.quantity == "bias" for each in judged)].format(scale.unit, confidence),
         ["gyro", "bin / °C", "positions", "verdict", "measured ± u", "lower", "upper", "limit"],
         [_acceptance_row(each, scale) for each in judged],
         words=4,
-        marks=[_MARKS[each.verdict] for each in judged],
+        marks=[_VERDICT_MARKS[each.verdict] for each in judged],
     )
 
 
-def _acceptance_row(judged: Judgement, scale: BiasScale) -> list[str]:
+def _acceptance_row(judgement: Judgement, scale: BiasScale) -> list[str]:
     return [
-        gyro_label(judged.gyro),
-        bin_label(judged.bin_low_c, judged.bin_high_c),
-        " above ".join(map(position_label, judged.worst)),
-        judged.verdict,
-        scale.with_sigma(judged.value_dph, judged.sigma_dph),
-        scale.text(judged.at_least_dph),
-        scale.text(judged.at_most_dph),
-        scale.exact(judged.limit_dph),
+        gyro_label(judgement.gyro),
+        bin_label(judgement.bin_low_c, judgement.bin_high_c),
+        " above ".join(map(position_label, judgement.worst)),
+        judgement.verdict,
+        scale.with_sigma(judgement.value_dph, judgement.sigma_dph),
+        scale.text(judgement.at_least_dph),
+        scale.text(judgement.at_most_dph),
+        scale.limit_text(judgement.limit_dph),
     ]
 
 
-_TEXT = (
+_BEFORE_AFTER_TEXT = (
     "Before: run {0}{1}. After: this run. Lines join the weighted means of the temperature bins; bars are "
     "standard uncertainties."
 )
-_OTHER_UNIT = "The runs are of different units: {} before, {} after."
-_FIGURE = "{}: bias by position, before and after."
+_DIFFERENT_UNITS = "The runs are of different units: {} before, {} after."
+_BEFORE_AFTER_CAPTION = "{}: bias by position, before and after."
 _NOT_COMPARABLE = ["", "nothing to compare", ""]
 
 
 def before_after_section(before: RunContent, after: RunContent, marked_c: Sequence[float] = ()) -> Section:
     """Compare the biases of an earlier run with those of this one."""
     verdict = f", unit {before.acceptance.verdict}" if before.acceptance and before.acceptance.limits else ""
-    paragraphs = [_TEXT.format(before.name, verdict)]
+    paragraphs = [_BEFORE_AFTER_TEXT.format(before.name, verdict)]
     units = [", ".join(sorted({row.unit for row in content.dwells})) for content in (before, after)]
     if units[0] != units[1]:
-        paragraphs.append(_OTHER_UNIT.format(*(unit or "unknown" for unit in units)))
+        paragraphs.append(_DIFFERENT_UNITS.format(*(unit or "unknown" for unit in units)))
     figures = [
         SectionFigure(
             f"before_after_{gyro}",
-            _FIGURE.format(gyro_label(gyro)),
+            _BEFORE_AFTER_CAPTION.format(gyro_label(gyro)),
             partial(before_after_figure, gyro, before.bins, after.bins, marked_c),
         )
         for gyro in AXES
@@ -456,14 +465,19 @@ def before_after_section(before: RunContent, after: RunContent, marked_c: Sequen
 
 def _before_after_table(before: Sequence[BiasBin], after: Sequence[BiasBin]) -> SectionTable:
     compared = {"before": compare_positions(before), "after": compare_positions(after)}
-    every = [each for comparisons in compared.values() for each in comparisons]
+    comparisons_of_both = [each for comparisons in compared.values() for each in comparisons]
     scale = BiasScale.of(
-        [each.largest_difference_dph for each in every], [each.largest_difference_sigma_dph for each in every]
+        [each.largest_difference_dph for each in comparisons_of_both],
+        [each.largest_difference_sigma_dph for each in comparisons_of_both],
     )
     rows = [
-        [gyro_label(gyro), when, *_worst([each for each in comparisons if each.gyro == gyro], scale)]
+        [
+            gyro_label(gyro),
+            run,
+            *_largest_difference_cells([each for each in comparisons if each.gyro == gyro], scale),
+        ]
         for gyro in AXES
-        for when, comparisons in compared.items()
+        for run, comparisons in compared.items()
     ]
     return SectionTable(
         f"Largest difference between positions over all bins, in {scale.unit}",
@@ -473,12 +487,12 @@ def _before_after_table(before: Sequence[BiasBin], after: Sequence[BiasBin]) -> 
     )
 
 
-def _worst(comparisons: Sequence[PositionComparison], scale: BiasScale) -> list[str]:
+def _largest_difference_cells(comparisons: Sequence[PositionComparison], scale: BiasScale) -> list[str]:
     if not comparisons:
         return _NOT_COMPARABLE
-    worst = max(comparisons, key=lambda each: each.largest_difference_dph)
+    largest = max(comparisons, key=lambda each: each.largest_difference_dph)
     return [
-        bin_label(worst.bin_low_c, worst.bin_high_c),
-        " above ".join(map(position_label, worst.largest_pair)),
-        scale.with_sigma(worst.largest_difference_dph, worst.largest_difference_sigma_dph),
+        bin_label(largest.bin_low_c, largest.bin_high_c),
+        " above ".join(map(position_label, largest.largest_pair)),
+        scale.with_sigma(largest.largest_difference_dph, largest.largest_difference_sigma_dph),
     ]

@@ -1,4 +1,4 @@
-"""Uncertainty budget in the report of a run: a statement and a figure for its first page, and a section."""
+"""Uncertainty budget in the report of a run: a box and a figure for its first page, and a section."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from functools import partial
 from gyrobench.bench.bias.error_sources import SOURCES
 from gyrobench.bench.foundations.text import bin_label, counted, listed
 from gyrobench.bench.navigation.positions import POSITIONS, gyro_label, position_label
-from gyrobench.bench.report.figures.budget import budget_figure, level_or_vertical, shares
+from gyrobench.bench.report.figures.budget import budget_figure, level_or_vertical, variance_shares
 from gyrobench.bench.report.number_format import BiasScale
 from gyrobench.bench.report.page import Box, Mark, Section, SectionFigure, SectionTable
 from gyrobench.bench.runs.tables.budget_table import (
@@ -21,138 +21,168 @@ from gyrobench.bench.runs.tables.budget_table import (
     ContributionSummary,
 )
 
-_CAPTION = (
+_SHARES_CAPTION = (
     "Shares of the variance of a dwell's bias; at the right its standard uncertainty (root mean square) and "
     "the number of dwells."
 )
-#: Share of a variance that a statement names at least.
-_NAMED = 0.05
-_HOW = (
+#: Smallest share of a variance that the box states.
+_MIN_NAMED_SHARE = 0.05
+_METHOD = (
     "A bias is linear in the outputs of the INS. With the gains of the estimator fixed, its variance splits "
     "exactly over the independent sources of error; budget.csv has every dwell and every bin. Type A: "
     "estimated from the output of the unit; type B: declared. In the mean of a bin, noise averages out, and "
     "what the dwells have in common does not. U: expanded uncertainty for a coverage probability of 95 %, "
     "with k from the effective degrees of freedom (Welch-Satterthwaite, JCGM 100:2008)."
 )
-_CONTRIBUTIONS = (
+_CONTRIBUTIONS_CAPTION = (
     "Contributions to the uncertainty of the bias of a {} gyro in a dwell: root mean square over {}, in {}. "
     "Sensitivity: deg/h per unit of the input."
 )
-_BINS = "Expanded uncertainty U (k) of the mean bias of a bin in {}, by temperature of the gyro"
-_SUMS = {COMBINED: "combined", ANY_POWER_CYCLE: "combined, any power cycle"}
+_BINS_CAPTION = "Expanded uncertainty U (k) of the mean bias of a bin in {}, by temperature of the gyro"
+_SUM_TITLES = {COMBINED: "combined", ANY_POWER_CYCLE: "combined, any power cycle"}
 
 
 def budget_box(budget: BudgetSummary) -> Box | None:
-    """State why the uncertainty is what it is; None without a budget."""
-    found, texts = shares(budget), []
+    """Standard uncertainty of a bias with its largest sources; None without a budget."""
+    shares_by_gyro, texts = variance_shares(budget), []
     for is_vertical in (False, True):
-        own = [each for each in found if each.is_vertical is is_vertical]
-        if not own:
+        group = [each for each in shares_by_gyro if each.is_vertical is is_vertical]
+        if not group:
             continue
-        total = math.fsum(each.count * each.sigma_dph**2 for each in own)
+        total = math.fsum(each.count * each.sigma_dph**2 for each in group)
         parts: dict[str, float] = defaultdict(float)
-        for each in own:
+        for each in group:
             for source, share in each.parts.items():
                 parts[source] += share * each.count * each.sigma_dph**2 / total
-        largest = sorted((-share, source) for source, share in parts.items() if share >= _NAMED)
-        of_kind = budget.all_gyros[is_vertical]
-        causes = listed([f"{-100.0 * share:.0f} % by {_cause(of_kind[source])}" for share, source in largest])
-        causes = causes.replace(" % by", " % of the variance by", 1)
-        sigma_dph = math.sqrt(total / sum(each.count for each in own))
-        texts.append(f"{sigma_dph:#.2g} deg/h for a {level_or_vertical(is_vertical)} gyro, {causes}")
+        largest = sorted((-share, source) for source, share in parts.items() if share >= _MIN_NAMED_SHARE)
+        contributions = budget.all_gyros[is_vertical]
+        source_texts = listed(
+            [f"{-100.0 * share:.0f} % by {_source_text(contributions[source])}" for share, source in largest]
+        )
+        source_texts = source_texts.replace(" % by", " % of the variance by", 1)
+        sigma_dph = math.sqrt(total / sum(each.count for each in group))
+        texts.append(f"{sigma_dph:#.2g} deg/h for a {level_or_vertical(is_vertical)} gyro, {source_texts}")
     if not texts:
         return None
-    k = _range([end for own in budget.all_gyros.values() for end in own[COMBINED].k], ".2f")
+    k = _range_text([factor for group in budget.all_gyros.values() for factor in group[COMBINED].k], ".2f")
     return Box(
         "open", "Standard uncertainty of a bias in a dwell:", f"{'; '.join(texts)}. U = {k} sigma (95 %)."
     )
 
 
 def budget_figures(budget: BudgetSummary) -> list[SectionFigure]:
-    """The figure of shares; none without a budget."""
-    found = shares(budget)
-    return [SectionFigure("uncertainty_budget", _CAPTION, partial(budget_figure, found))] if found else []
+    """Figure of the shares of the variance; empty list without a budget."""
+    shares_by_gyro = variance_shares(budget)
+    return (
+        [SectionFigure("uncertainty_budget", _SHARES_CAPTION, partial(budget_figure, shares_by_gyro))]
+        if shares_by_gyro
+        else []
+    )
 
 
 def budget_section(budget: BudgetSummary, *, is_drawn: bool = False) -> Section | None:
-    """The contributions and the expanded uncertainties in tables, ``is_drawn``: and in the figure of shares.
+    """Tables of contributions and expanded uncertainties; None without a budget.
 
-    None without a budget.
+    ``is_drawn``: whether the section contains the figure of shares.
     """
     if not budget.dwells:
         return None
     tables = [
-        _contributions(budget.all_gyros[is_vertical], level_or_vertical(is_vertical))
+        _contributions_table(budget.all_gyros[is_vertical], level_or_vertical(is_vertical))
         for is_vertical in (False, True)
         if is_vertical in budget.all_gyros
     ]
     bins = [row for row in budget.stated if row.result == "bin"]
     figures = budget_figures(budget) if is_drawn else []
-    return Section("Uncertainty budget", [_HOW], figures, tables=[*tables, *([_bins(bins)] if bins else [])])
+    return Section(
+        "Uncertainty budget", [_METHOD], figures, tables=[*tables, *([_bins_table(bins)] if bins else [])]
+    )
 
 
-def _contributions(own: Mapping[str, ContributionSummary], kind: str) -> SectionTable:
+def _contributions_table(contributions: Mapping[str, ContributionSummary], orientation: str) -> SectionTable:
     scale = BiasScale(1000.0, "0.001 deg/h", 3)
-    lines: list[list[str]] = []
+    rows: list[list[str]] = []
     marks: list[Mark] = []
-    for name in (*SOURCES, *_SUMS):
-        each = own.get(name)
-        if each is None:
+    for name in (*SOURCES, *_SUM_TITLES):
+        contribution = contributions.get(name)
+        if contribution is None:
             continue
-        title = _SUMS.get(name) or SOURCES[name].title
-        marks.append("sum" if name in _SUMS else "")
-        if not each.known:
-            lines.append([title, "B", f"{_input(each)} {each.example.note}".strip()])
+        title = _SUM_TITLES.get(name) or SOURCES[name].title
+        marks.append("sum" if name in _SUM_TITLES else "")
+        if not contribution.known:
+            rows.append([title, "B", f"{_input_text(contribution)} {contribution.example.note}".strip()])
             continue
-        if name in _SUMS:
-            expanded = math.sqrt(each.expanded_square / each.known)
-            middle = ["", "", f"U = {scale.text(expanded)}", f"k = {_range(each.k, '.2f')}"]
+        if name in _SUM_TITLES:
+            expanded = math.sqrt(contribution.expanded_square / contribution.known)
+            middle_cells = [
+                "",
+                "",
+                f"U = {scale.text(expanded)}",
+                f"k = {_range_text(contribution.k, '.2f')}",
+            ]
         else:
-            sensitivity = math.sqrt(each.sensitivity_square / max(each.sensitivities, 1))
+            sensitivity = math.sqrt(contribution.sensitivity_square / max(contribution.sensitivities, 1))
             cell = f"{sensitivity:.3g}" if sensitivity else ""
-            middle = [each.example.type, each.example.distribution, _input(each), cell]
-        lines.append(
+            middle_cells = [
+                contribution.example.type,
+                contribution.example.distribution,
+                _input_text(contribution),
+                cell,
+            ]
+        rows.append(
             [
                 title,
-                *middle,
-                scale.text(math.sqrt(each.variance / each.known)),
-                f"{100.0 * each.share / each.shares:.1f}" if each.shares else "outside",
-                "∞" if math.isinf(each.dof) else f"{each.dof:.0f}",
+                *middle_cells,
+                scale.text(math.sqrt(contribution.variance / contribution.known)),
+                f"{100.0 * contribution.share / contribution.shares:.1f}"
+                if contribution.shares
+                else "outside",
+                "∞" if math.isinf(contribution.dof) else f"{contribution.dof:.0f}",
             ]
         )
-    count = counted(own[COMBINED].count, "value")
+    count = counted(contributions[COMBINED].count, "value")
     header = ["contribution", "type", "distribution", "input", "sensitivity", "u", "% of variance", "dof"]
-    return SectionTable(_CONTRIBUTIONS.format(kind, count, scale.unit), header, lines, words=3, marks=marks)
+    return SectionTable(
+        _CONTRIBUTIONS_CAPTION.format(orientation, count, scale.unit), header, rows, words=3, marks=marks
+    )
 
 
-def _bins(rows: Sequence[BudgetRow]) -> SectionTable:
+def _bins_table(rows: Sequence[BudgetRow]) -> SectionTable:
     scale = BiasScale.of([], [row.expanded / row.k for row in rows])
     positions = [name for name in POSITIONS if any(row.position == name for row in rows)]
     by_bin: dict[tuple[str, float, float], dict[str, str]] = defaultdict(dict)
     for row in rows:
-        cell = f"{scale.text(row.expanded)} ({row.k:.2f})"
-        by_bin[row.axis, row.bin_low_c, row.bin_high_c][row.position] = cell
-    lines = [
+        text = f"{scale.text(row.expanded)} ({row.k:.2f})"
+        by_bin[row.axis, row.bin_low_c, row.bin_high_c][row.position] = text
+    table_rows = [
         [gyro_label(axis), bin_label(low, high), *(cells.get(name, "") for name in positions)]
         for (axis, low, high), cells in sorted(by_bin.items())
     ]
     return SectionTable(
-        _BINS.format(scale.unit), ["gyro", "bin / °C", *map(position_label, positions)], lines
+        _BINS_CAPTION.format(scale.unit), ["gyro", "bin / °C", *map(position_label, positions)], table_rows
     )
 
 
-def _cause(every: ContributionSummary) -> str:
-    how = "estimated" if every.is_estimated else "declared" if every.is_declared else "declared or estimated"
-    return SOURCES[every.example.contribution].title + (f" ({_input(every)}, {how})" if _input(every) else "")
+def _source_text(contribution: ContributionSummary) -> str:
+    evaluation = (
+        "estimated"
+        if contribution.is_estimated
+        else "declared"
+        if contribution.is_declared
+        else "declared or estimated"
+    )
+    return SOURCES[contribution.example.contribution].title + (
+        f" ({_input_text(contribution)}, {evaluation})" if _input_text(contribution) else ""
+    )
 
 
-def _input(every: ContributionSummary) -> str:
-    """Standard uncertainty of the input, or its range, with the unit."""
-    low, high = every.input_sigma
-    return f"{_range((low, high), ',.4g')} {every.example.input_unit}" if low <= high else ""
+def _input_text(contribution: ContributionSummary) -> str:
+    """Standard uncertainty of the input, or its range, with unit."""
+    low, high = contribution.input_sigma
+    return f"{_range_text((low, high), ',.4g')} {contribution.example.input_unit}" if low <= high else ""
 
 
-def _range(values: Iterable[float], form: str) -> str:
-    """Smallest and largest of some values, or the one that all are."""
+def _range_text(values: Iterable[float], number_format: str) -> str:
+    """Smallest and largest value, or one value if both have the same text."""
     ordered = sorted(values)
-    return " to ".join(dict.fromkeys(format(each, form) for each in (ordered[0], ordered[-1])))
+    return " to ".join(dict.fromkeys(format(each, number_format) for each in (ordered[0], ordered[-1])))

@@ -1,4 +1,4 @@
-"""The calibration check in the report of a run: measured biases beside the calibrated ones."""
+"""Calibration check in the report of a run: comparison of measured and calibrated biases."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ _UNKNOWN_ACCELEROMETERS = (
 )
 _LARGE_ACCELEROMETER_UG = 100.0
 _HEADER = ("position", "gyro", "method", "gyro / °C", "bias", "by slope", "calibrated", "difference / σ")
-_NOTHING = "No bias could be compared with a calibrated one."
+_NOT_COMPARED = "No bias could be compared with a calibrated one."
 
 
 def calibration_check_section(rows: Sequence[CalibrationCheckRow]) -> Section | None:
-    """Measured and calibrated biases; None without any."""
+    """Table of measured and calibrated biases; None without any."""
     if not rows:
         return None
-    flags = _flag_lines(rows)
+    flags = _flag_rows(rows)
     caption = (
-        f"Biases ± standard uncertainty in {_calibration_check_scale(rows).unit}. Difference: measured minus "
+        f"Biases ± standard uncertainty in {_scale(rows).unit}. Difference: measured minus "
         "calibrated in combined standard uncertainties; * significant"
     )
-    tables = [SectionTable(caption, _HEADER, printed_rows(rows), words=3)]
+    tables = [SectionTable(caption, _HEADER, table_rows(rows), words=3)]
     tables += [SectionTable("Flagged", ["dwell", "flag"], flags, words=2)] if flags else []
     has_calibrated = any(not math.isnan(row.calibrated_dph) for row in rows)
     paragraphs = [
@@ -59,23 +59,25 @@ def calibration_check_sentence(rows: Sequence[CalibrationCheckRow]) -> str:
     """Number of biases that agree with the calibration, and the largest difference."""
     compared = [row for row in rows if row.is_compared]
     flagged = sum(bool(row.flags) for row in rows)
-    alone = len(rows) - len(compared) - flagged
+    uncalibrated = len(rows) - len(compared) - flagged
     left_out = [
-        f"{alone} without a calibrated bias near in position and temperature" if alone else "",
+        f"{uncalibrated} without a calibrated bias near in position and temperature" if uncalibrated else "",
         f"{flagged} with flags" if flagged else "",
     ]
-    what = ", ".join(text for text in left_out if text)
-    return (_agreement(compared) if compared else _NOTHING) + (f" Not compared: {what}." if what else "")
+    reasons = ", ".join(text for text in left_out if text)
+    return (_agreement_sentence(compared) if compared else _NOT_COMPARED) + (
+        f" Not compared: {reasons}." if reasons else ""
+    )
 
 
 def _accelerometer_sentence(rows: Sequence[CalibrationCheckRow]) -> str:
-    """Effect of unknown accelerometer biases; empty if they are known."""
+    """Effect of unknown accelerometer biases; empty if all are known."""
     sigmas_ug = [row.accelerometer_sigma_ug for row in rows if not row.flags]
     large = [sigma for sigma in sigmas_ug if sigma > _LARGE_ACCELEROMETER_UG]
     return _UNKNOWN_ACCELEROMETERS.format(len(large), len(sigmas_ug), max(large)) if large else ""
 
 
-def _calibration_check_scale(rows: Sequence[CalibrationCheckRow]) -> BiasScale:
+def _scale(rows: Sequence[CalibrationCheckRow]) -> BiasScale:
     """Choose unit and decimals for the biases of a calibration check."""
     return BiasScale.of(
         [bias for row in rows for bias in (row.bias_dph, row.paper_bias_dph, row.calibrated_dph)],
@@ -83,27 +85,27 @@ def _calibration_check_scale(rows: Sequence[CalibrationCheckRow]) -> BiasScale:
     )
 
 
-def printed_rows(rows: Sequence[CalibrationCheckRow]) -> list[list[str]]:
-    """Cells of :data:`_HEADER`; a star marks a significant difference."""
-    scale = _calibration_check_scale(rows)
-    differing = _differing(rows)
+def table_rows(rows: Sequence[CalibrationCheckRow]) -> list[list[str]]:
+    """Rows with the columns of :data:`_HEADER`; a star marks a significant difference."""
+    scale = _scale(rows)
+    significant = _significant_differences(rows)
     return [
         [
-            _place_label(row),
+            _alignment_label(row),
             row.gyro.upper(),
             row.method,
             "" if math.isnan(row.temperature_c) else f"{row.temperature_c:.1f}",
             _with_sigma(scale, row.bias_dph, row.sigma_dph),
             _with_sigma(scale, row.paper_bias_dph, row.paper_sigma_dph),
             _with_sigma(scale, row.calibrated_dph, row.calibrated_sigma_dph),
-            _difference(row, row in differing),
+            _difference_cell(row, row in significant),
         ]
         for row in rows
     ]
 
 
-def _place_label(row: CalibrationCheckRow) -> str:
-    """Name position and azimuth, both azimuths of a pair of alignments: "Z-Up 180°", "Z-Up 0/180°"."""
+def _alignment_label(row: CalibrationCheckRow) -> str:
+    """Position and azimuth, with both azimuths for a pair of alignments: "Z-Up 180°", "Z-Up 0/180°"."""
     azimuths_deg = [row.azimuth_deg]
     if row.turned_dwell is not None:
         azimuths_deg.append((row.azimuth_deg + 180.0) % 360.0)
@@ -112,12 +114,12 @@ def _place_label(row: CalibrationCheckRow) -> str:
 
 def dwells_text(rows: Sequence[CalibrationCheckRow]) -> str:
     """Number of dwells: "12 dwells for the calibration check"."""
-    numbers = {row.dwell for row in rows} | {row.turned_dwell for row in rows if row.turned_dwell}
-    return f"{counted(len(numbers), 'dwell')} for the calibration check"
+    dwells = {row.dwell for row in rows} | {row.turned_dwell for row in rows if row.turned_dwell}
+    return f"{counted(len(dwells), 'dwell')} for the calibration check"
 
 
-def _flag_lines(rows: Sequence[CalibrationCheckRow]) -> list[tuple[str, str]]:
-    """Places and texts of flags."""
+def _flag_rows(rows: Sequence[CalibrationCheckRow]) -> list[tuple[str, str]]:
+    """Rows with the dwell and text of each flag."""
     return [
         (
             f"dwell {row.dwell}, {position_label(row.position)} at {row.azimuth_deg:g} deg, "
@@ -129,39 +131,39 @@ def _flag_lines(rows: Sequence[CalibrationCheckRow]) -> list[tuple[str, str]]:
     ]
 
 
-def _agreement(compared: Sequence[CalibrationCheckRow]) -> str:
-    count, different = len(compared), len(_differing(compared))
+def _agreement_sentence(compared: Sequence[CalibrationCheckRow]) -> str:
+    count, different = len(compared), len(_significant_differences(compared))
     corrected = f"corrected for {count} comparisons" if count > 1 else "one comparison"
     if different:
         verb = "differs" if different == 1 else "differ"
-        which = f"{different} of {count} biases {verb}" if count > 1 else "The bias differs"
-        found = f"{which} from the calibration (p < {POSITION_SIGNIFICANCE:g}, {corrected})."
+        subject = f"{different} of {count} biases {verb}" if count > 1 else "The bias differs"
+        result = f"{subject} from the calibration (p < {POSITION_SIGNIFICANCE:g}, {corrected})."
     else:
-        which = f"All {count} biases agree" if count > 1 else "The bias agrees"
-        found = f"{which} with the calibration (no p < {POSITION_SIGNIFICANCE:g}, {corrected})."
-    worst = max(compared, key=lambda row: abs(row.difference_dph))
+        subject = f"All {count} biases agree" if count > 1 else "The bias agrees"
+        result = f"{subject} with the calibration (no p < {POSITION_SIGNIFICANCE:g}, {corrected})."
+    largest = max(compared, key=lambda row: abs(row.difference_dph))
     return (
-        f"{found} The largest difference, measured minus calibrated, is "
-        f"{dph_with_sigma(worst.difference_dph, worst.difference_sigma_dph)} "
-        f"({_sigmas(worst):+z.1f} standard uncertainties): {gyro_label(worst.gyro)} in "
-        f"{_place_label(worst)} at {worst.temperature_c:.0f} °C, by {worst.method}."
+        f"{result} The largest difference, measured minus calibrated, is "
+        f"{dph_with_sigma(largest.difference_dph, largest.difference_sigma_dph)} "
+        f"({_normalised_difference(largest):+z.1f} standard uncertainties): {gyro_label(largest.gyro)} in "
+        f"{_alignment_label(largest)} at {largest.temperature_c:.0f} °C, by {largest.method}."
     )
 
 
-def _differing(rows: Sequence[CalibrationCheckRow]) -> list[CalibrationCheckRow]:
+def _significant_differences(rows: Sequence[CalibrationCheckRow]) -> list[CalibrationCheckRow]:
     """Rows with a significant difference, corrected for the number of comparisons (Bonferroni)."""
     compared = [row for row in rows if row.is_compared]
     return [row for row in compared if row.p_value < POSITION_SIGNIFICANCE / len(compared)]
 
 
-def _sigmas(row: CalibrationCheckRow) -> float:
+def _normalised_difference(row: CalibrationCheckRow) -> float:
     return row.difference_dph / row.difference_sigma_dph
 
 
-def _difference(row: CalibrationCheckRow, differs: bool) -> str:
+def _difference_cell(row: CalibrationCheckRow, is_significant: bool) -> str:
     if row.flags:
         return "flagged"
-    return f"{_sigmas(row):+z.1f}{'*' if differs else ''}" if row.is_compared else ""
+    return f"{_normalised_difference(row):+z.1f}{'*' if is_significant else ''}" if row.is_compared else ""
 
 
 def _with_sigma(scale: BiasScale, bias_dph: float, sigma_dph: float) -> str:

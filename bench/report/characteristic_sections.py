@@ -36,10 +36,10 @@ _DIGITS = 3
 
 def characteristics_sections(results: Sequence[TestResult]) -> list[Section]:
     """One section for each test."""
-    return [_section(result) for result in results]
+    return [_test_section(result) for result in results]
 
 
-def _section(result: TestResult) -> Section:
+def _test_section(result: TestResult) -> Section:
     title = _TITLES[result.test]
     caption = f"{title}: measured values with standard uncertainties, and the fit."
     draw = partial(characteristics_figure, result.test, result.curves)
@@ -47,25 +47,28 @@ def _section(result: TestResult) -> Section:
         title,
         [_TEXTS[result.test], *result.notes],
         [SectionFigure(result.test, caption, draw)] if result.curves else [],
-        [SectionTable("Coefficients", _HEADER, _rows(result), words=3)] if result.coefficients else [],
+        [SectionTable("Coefficients", _HEADER, _coefficient_rows(result), words=3)]
+        if result.coefficients
+        else [],
     )
 
 
-def _rows(result: TestResult) -> list[list[str]]:
-    """One row for each coefficient, the gyros of one coefficient together."""
-    names = list(dict.fromkeys((each.name, each.unit) for each in result.coefficients))
-    ordered = sorted(result.coefficients, key=lambda each: names.index((each.name, each.unit)))
+def _coefficient_rows(result: TestResult) -> list[list[str]]:
+    """One row for each gyro and coefficient, sorted by coefficient."""
+    order = list(dict.fromkeys((each.name, each.unit) for each in result.coefficients))
+    ordered = sorted(result.coefficients, key=lambda each: order.index((each.name, each.unit)))
     return [
-        [each.name, each.gyro.upper(), each.unit, _number(each.value), _interval(each)] for each in ordered
+        [each.name, each.gyro.upper(), each.unit, _number_text(each.value), _interval_text(each)]
+        for each in ordered
     ]
 
 
-def _number(value: float | None) -> str:
+def _number_text(value: float | None) -> str:
     return "not determined" if value is None else f"{value:.{_DIGITS}g}"
 
 
-def _interval(each: Coefficient) -> str:
-    low, high = _number(each.low), _number(each.high)
-    if each.low is None or each.low == 0.0:
-        return "" if each.high is None else f"below {high}"
-    return f"above {low}" if each.high is None else f"{low} to {high}"
+def _interval_text(coefficient: Coefficient) -> str:
+    low, high = _number_text(coefficient.low), _number_text(coefficient.high)
+    if coefficient.low is None or coefficient.low == 0.0:
+        return "" if coefficient.high is None else f"below {high}"
+    return f"above {low}" if coefficient.high is None else f"{low} to {high}"

@@ -1,4 +1,4 @@
-"""Findings of a search for effects for page (closure.html) and terminal, and all files that it writes."""
+"""Findings of a search for effects for the page (closure.html) and the terminal; files of a search."""
 
 from __future__ import annotations
 
@@ -28,38 +28,48 @@ from gyrobench.bench.report.run_report import write_report
 from gyrobench.bench.runs.folder import CLOSURE, RunFolder
 from gyrobench.bench.runs.provenance import watermark_of
 
-_RESIDUALS = (
+_RESIDUALS_CAPTION = (
     "{}: measured minus predicted {}. Each point is a dwell, hollow points are held out; the grey band is "
     "one standard deviation of the noise. {}"
 )
-_BOTH_MODELS = "Top: declared model; bottom: with the effects found."
-_EFFECT = (
+_BOTH_MODELS_CAPTION = "Top: declared model; bottom: with the effects found."
+_EFFECT_CAPTION = (
     "{}: partial residual (measured {} minus the model without this effect's main term) against what that "
     "term follows. The line is the fit to the filled points; hollow points are held out."
 )
-_EVIDENCE = (
+_EVIDENCE_CAPTION = (
     "Share of excess variance explained by each effect alone. Effects that are correlated in this campaign "
     "explain the same share: a long bar alone is no proof."
 )
-_P_VALUES = "Significance of each effect alone. The declared model leaves no excess variance to explain."
-_ERRORS = "Rms of measured minus predicted {} in the held-out cycles; the black lines are the noise."
-_UNEXPLAINED = (
+_P_VALUES_CAPTION = (
+    "Significance of each effect alone. The declared model leaves no excess variance to explain."
+)
+_ERRORS_CAPTION = "Rms of measured minus predicted {} in the held-out cycles; the black lines are the noise."
+_UNEXPLAINED_ADVICE = (
     "Do not rely on the model below that size: the effect is not among the candidates, or follows an input "
     "that was not measured."
 )
-_COMPOSED = (
+_COMPOSED_TEXT = (
     "Laws composed from the grammar of effects, fitted beside the effects found. They are empirical: "
     "hypotheses from the data that they explain, until cycles of other runs confirm them."
 )
-#: Limit of the name of a folder, characters.
-_MAX_NAME = 100
+#: Largest length of a folder name, characters.
+_MAX_FOLDER_NAME = 100
 #: Colours of the template's box, by verdict.
 _COLOURS = {"clean": "finished", "explained": "finished", "ambiguous": "stopped", "unexplained": "failed"}
 
 
 def closure_sections(closure: Closure) -> list[Section]:
-    """All parts: residual, effects, alternatives, held-out error, each cycle held out, lack of fit."""
-    parts = (_residual, _effects, _composed, _alternatives, _error, _each_held_out, _lack_of_fit)
+    """All sections: residual, effects, alternatives, held-out error, each cycle held out, lack of fit."""
+    builders = (
+        _residual_section,
+        _effects_section,
+        _composed_section,
+        _alternatives_section,
+        _error_section,
+        _held_out_in_turn_section,
+        _lack_of_fit_section,
+    )
     in_rows = closure.quantity.in_rows
     return [
         replace(
@@ -68,24 +78,24 @@ def closure_sections(closure: Closure) -> list[Section]:
             figures=[replace(each, caption=in_rows(each.caption)) for each in section.figures],
             tables=[replace(each, caption=in_rows(each.caption)) for each in section.tables],
         )
-        for part in parts
-        if (section := part(closure))
+        for build in builders
+        if (section := build(closure))
     ]
 
 
-def _residual(closure: Closure) -> Section:
-    caption = _BOTH_MODELS if closure.effects else ""
+def _residual_section(closure: Closure) -> Section:
+    caption = _BOTH_MODELS_CAPTION if closure.effects else ""
     figures = [
         SectionFigure(
             f"residuals_{gyro}",
-            _RESIDUALS.format(heading, closure.quantity.label, caption).strip(),
+            _RESIDUALS_CAPTION.format(heading, closure.quantity.label, caption).strip(),
             partial(closure_residual_figure, closure, gyro),
         )
         for gyro, heading in zip(AXES, closure.quantity.headings, strict=True)
     ]
     return Section(
         "Residual of the declared model",
-        _paragraphs(
+        _without_empty(
             text.before_sentence(closure),
             *closure.noise.sentences(
                 is_structureless=closure.verdict != "unexplained" or closure.differs_held_out
@@ -97,23 +107,23 @@ def _residual(closure: Closure) -> Section:
 
 
 def _correlation_sentence(closure: Closure) -> str:
-    """Gyros that share noise, where it may pass for an effect; empty otherwise."""
+    """Gyros with correlated residuals, which may pass for an effect; else empty."""
     if closure.verdict == "clean" or closure.after.correlated is None:
         return ""
     *sensors, value = closure.after.correlated
-    names = closure.quantity.place([closure.quantity.axes[each] for each in sensors])
+    headings = closure.quantity.place([closure.quantity.axes[each] for each in sensors])
     return (
-        f"The remaining residuals of the {names} are correlated ({value:+.2f}). Noise that they share counts "
-        "once for each, and looks like an effect more often than the p-values state."
+        f"The remaining residuals of the {headings} are correlated ({value:+.2f}). Noise that they share "
+        "counts once for each, and looks like an effect more often than the p-values state."
     )
 
 
-def _effects(closure: Closure) -> Section | None:
+def _effects_section(closure: Closure) -> Section | None:
     if not closure.effects:
         return None
     figures = []
     for each in closure.effects:
-        caption = _EFFECT.format(each.effect.display_name.capitalize(), closure.quantity.label)
+        caption = _EFFECT_CAPTION.format(each.effect.display_name.capitalize(), closure.quantity.label)
         caption = f"{caption} {each.candidate.form.weights_note}".strip()
         figures.append(
             SectionFigure(
@@ -125,12 +135,12 @@ def _effects(closure: Closure) -> Section | None:
         title,
         text.effect_sentences(closure),
         figures,
-        [effect_table(closure), _sizes(closure), *_parameters(closure)],
+        [effect_table(closure), _sizes_table(closure), *_parameter_tables(closure)],
     )
 
 
 def effect_table(closure: Closure) -> SectionTable:
-    """The effects found."""
+    """Table of the effects found."""
     scale = text.scale_of_errors(closure)
     rows = [
         [
@@ -143,27 +153,27 @@ def effect_table(closure: Closure) -> SectionTable:
         ]
         for each in closure.effects
     ]
-    shown = "coefficients" if closure.quantity.axes[0][1:] else f"{closure.quantity.sensor}s"
+    axes_head = "coefficients" if closure.quantity.axes[0][1:] else f"{closure.quantity.sensor}s"
     return SectionTable(
         f"Size: rms in the dwells searched, without its mean, in {scale.unit}. "
         "Cross-validated: share of chi2 explained in each cycle, with the size fitted to the other cycles. "
         "P: probability of the effect beside any others; that of the verdict excludes an unlisted effect",
-        ["effect", shown, "tied with", "cross-validated", "size", "P"],
+        ["effect", axes_head, "tied with", "cross-validated", "size", "P"],
         rows,
         words=4,
     )
 
 
 def evidence_table(closure: Closure) -> SectionTable:
-    """Each candidate alone, without columns that would be empty."""
-    found = set(closure.names)
+    """Table of each candidate alone; columns that would be empty are omitted."""
+    found_names = set(closure.names)
     tied = closure.tied
     explanations = {
         "share": "" if text.is_noise_only(closure) else "share of excess variance explained",
         "p": "corrected for all candidate fits",
         "odds": "of the effects found to this one" if closure.effects else "",
     }
-    shown = {column: what for column, what in explanations.items() if what}
+    columns = {column: explanation for column, explanation in explanations.items() if explanation}
     rows = []
     for each in closure.evidence:
         if each.missing_input is None:
@@ -173,14 +183,17 @@ def evidence_table(closure: Closure) -> SectionTable:
                 "p": p_text(each.p_value),
                 "odds": odds_text(each.log_odds_against) if each.log_odds_against > 0.0 else "",
             }
-            state = ["found" if name in found else "tied" if name in tied else ""] if found else []
-            rows.append([each.effect.display_name, *state, *(cells[column] for column in shown)])
-    caption = f"Each effect alone. {'; '.join(f'{column}: {what}' for column, what in shown.items())}"
-    words = ["effect", *(["status"] if found else [])]
-    return SectionTable(caption, [*words, *shown], rows, words=len(words))
+            status = (
+                ["found" if name in found_names else "tied" if name in tied else ""] if found_names else []
+            )
+            rows.append([each.effect.display_name, *status, *(cells[column] for column in columns)])
+    meanings = "; ".join(f"{column}: {meaning}" for column, meaning in columns.items())
+    caption = f"Each effect alone. {meanings}"
+    text_columns = ["effect", *(["status"] if found_names else [])]
+    return SectionTable(caption, [*text_columns, *columns], rows, words=len(text_columns))
 
 
-def _composed(closure: Closure) -> Section | None:
+def _composed_section(closure: Closure) -> Section | None:
     scale, composed = text.scale_of_errors(closure), closure.composed
     if composed is None:
         return None
@@ -204,10 +217,10 @@ def _composed(closure: Closure) -> Section | None:
         rows,
         words=3,
     )
-    return Section("Composed laws (empirical)", [_COMPOSED], [], [table])
+    return Section("Composed laws (empirical)", [_COMPOSED_TEXT], [], [table])
 
 
-def _sizes(closure: Closure) -> SectionTable:
+def _sizes_table(closure: Closure) -> SectionTable:
     scale = text.scale_of_errors(closure)
     rows = [
         [
@@ -235,7 +248,7 @@ def _sizes(closure: Closure) -> SectionTable:
     )
 
 
-def _parameters(closure: Closure) -> list[SectionTable]:
+def _parameter_tables(closure: Closure) -> list[SectionTable]:
     rows = [
         [each.effect.display_name, parameter]
         for each in closure.effects
@@ -248,10 +261,12 @@ def _parameters(closure: Closure) -> list[SectionTable]:
     return [SectionTable(caption, ["effect", "parameter"], rows, words=2)] if rows else []
 
 
-def _alternatives(closure: Closure) -> Section:
-    drawn = not text.is_noise_only(closure) or bool(closure.effects)
-    caption = _P_VALUES if text.is_noise_only(closure) else _EVIDENCE
-    figures = [SectionFigure("evidence", caption, partial(closure_evidence_figure, closure))] if drawn else []
+def _alternatives_section(closure: Closure) -> Section:
+    has_figure = not text.is_noise_only(closure) or bool(closure.effects)
+    caption = _P_VALUES_CAPTION if text.is_noise_only(closure) else _EVIDENCE_CAPTION
+    figures = (
+        [SectionFigure("evidence", caption, partial(closure_evidence_figure, closure))] if has_figure else []
+    )
     paragraphs = [
         text.probability_sentence(closure),
         text.alternative_sentence(closure),
@@ -261,10 +276,10 @@ def _alternatives(closure: Closure) -> Section:
     paragraphs += [*text.missing_input_sentences(closure), *closure.confounding]
     paragraphs += [text.sensitivity_sentence(closure)] if closure.verdict == "clean" else []
     title = "Alternatives" if closure.effects else "Candidate effects"
-    return Section(title, _paragraphs(*paragraphs), figures, [evidence_table(closure)])
+    return Section(title, _without_empty(*paragraphs), figures, [evidence_table(closure)])
 
 
-def _error(closure: Closure) -> Section:
+def _error_section(closure: Closure) -> Section:
     held_out, scale = ~closure.searched, text.scale_of_errors(closure)
     if not held_out.any():
         return Section("Held-out error", [text.error_sentence(closure)])
@@ -284,35 +299,37 @@ def _error(closure: Closure) -> Section:
     )
     return Section(
         "Held-out error",
-        _paragraphs(
+        _without_empty(
             text.error_sentence(closure),
             (closure.unexplained_part or "") if closure.differs_held_out else "",
             text.constants_sentence(closure),
         ),
         [
             SectionFigure(
-                "errors", _ERRORS.format(closure.quantity.label), partial(closure_error_figure, closure)
+                "errors",
+                _ERRORS_CAPTION.format(closure.quantity.label),
+                partial(closure_error_figure, closure),
             )
         ],
         [table],
     )
 
 
-def _each_held_out(closure: Closure) -> Section | None:
+def _held_out_in_turn_section(closure: Closure) -> Section | None:
     if not closure.held_out_in_turn:
         return None
     scale = text.scale_of_errors(closure)
     rows = [
         [
-            text.cycles_text(closure, [turn.cycle]),
-            turn.verdict or f"not possible: {turn.reason}",
-            text.labels(closure, turn.effects) or ("none" if turn.verdict else ""),
+            text.cycles_text(closure, [trial.cycle]),
+            trial.verdict or f"not possible: {trial.reason}",
+            text.labels(closure, trial.effects) or ("none" if trial.verdict else ""),
             *(
-                scale.text(value) if turn.verdict else ""
-                for value in (turn.error_before_dph, turn.error_after_dph, turn.noise_dph)
+                scale.text(value) if trial.verdict else ""
+                for value in (trial.error_before_dph, trial.error_after_dph, trial.noise_dph)
             ),
         ]
-        for turn in closure.held_out_in_turn
+        for trial in closure.held_out_in_turn
     ]
     table = SectionTable(
         f"Outcome with each cycle held out in turn; rms in that cycle in {scale.unit}",
@@ -323,9 +340,9 @@ def _each_held_out(closure: Closure) -> Section | None:
     return Section("Each cycle held out", [text.each_held_out_sentence(closure)], tables=[table])
 
 
-def _lack_of_fit(closure: Closure) -> Section:
+def _lack_of_fit_section(closure: Closure) -> Section:
     before, after = closure.before, closure.after
-    names = text.models_of(closure)
+    models = text.models_of(closure)
     rows = [["chi2", p_text(before.p_noise), p_text(after.p_noise)]]
     rows += [
         [f"follows {name}", p_text(p_value), p_text(after.p_structure.get(name, np.nan))]
@@ -333,25 +350,25 @@ def _lack_of_fit(closure: Closure) -> Section:
     ]
     table = SectionTable(
         "p-values of the tests of the residual in the dwells searched, not corrected for the number of tests",
-        ["test", *names],
-        [row[: 1 + len(names)] for row in rows],
+        ["test", *models],
+        [row[: 1 + len(models)] for row in rows],
     )
-    extra = "" if closure.unexplained_part is None or closure.differs_held_out else _UNEXPLAINED
+    advice = "" if closure.unexplained_part is None or closure.differs_held_out else _UNEXPLAINED_ADVICE
     return Section(
         "Lack of fit",
-        _paragraphs(text.after_sentence(closure), extra, text.power_sentence(closure)),
+        _without_empty(text.after_sentence(closure), advice, text.power_sentence(closure)),
         tables=[table],
     )
 
 
-def _paragraphs(*sentences: str) -> list[str]:
+def _without_empty(*sentences: str) -> list[str]:
     return [sentence for sentence in sentences if sentence]
 
 
 def closure_findings(closure: Closure, source: str = "") -> Findings:
-    """Verdict, facts and all sections; ``source`` is displayed."""
+    """Verdict, facts and all sections; ``source`` is the line below the title."""
     return Findings(
-        title=text.title(closure),
+        title=text.search_title(closure),
         source=source,
         judgement=closure.verdict,
         colour=_COLOURS[closure.verdict],
@@ -364,8 +381,8 @@ def closure_findings(closure: Closure, source: str = "") -> Findings:
 def write_closure_page(folder: Path, closure: Closure, source: str, dwells: Path | None = None) -> Path:
     """Write figures and page into an existing folder.
 
-    ``source`` is displayed; ``dwells`` is the table searched: the report of its run includes only a page with
-    its hash. Raises RunFolderError if a file can't be written.
+    ``source`` is the line below the title. ``dwells`` is the table searched: the run report includes these
+    findings only if the hash of its table is the same. Raises RunFolderError if a file can't be written.
     """
     findings = replace(
         closure_findings(closure, source),
@@ -381,9 +398,9 @@ def _facts(closure: Closure) -> dict[str, str]:
     hours = (campaign.end_s.max() - campaign.start_s.min()) / 3600.0
     gyro_c = campaign.gyro_c
     measured = len(campaign.whole) + len(campaign.without_temperatures)
-    several = {"tables": "; ".join(text.table_texts(closure))} if len(campaign.tables) > 1 else {}
+    table_facts = {"tables": "; ".join(text.table_texts(closure))} if len(campaign.tables) > 1 else {}
     row = campaign.quantity.row
-    return several | {
+    return table_facts | {
         f"{row}s": f"{len(campaign)} of {measured} with a result and without flags, over {hours:.0f} h",
         "cycles": f"{len(cycles)}; {text.held_out_cycles(closure)} held out",
         "searched": f"{counted(int(searched.sum()), row)}; {int((~searched).sum())} held out",
@@ -397,18 +414,27 @@ def write_search(
 ) -> tuple[Path, Path | None]:
     """Write the files of a search and update the report of its run.
 
-    ``tables`` are the run folders and dwell tables that were searched, ``folder`` by default ``closure`` in
-    the run folder or beside the table; of several ``closure_A_B`` beside the first, and of another quantity
-    than gyro biases with its name. Returns the page and the updated report, None for files outside a run or
-    of several.
-
     Raises RunFolderError if a file can't be written.
+
+    Parameters
+    ----------
+    tables : sequence of Path
+        Run folders and dwell tables that were searched.
+    folder : Path, optional
+        Output folder; default: ``closure`` in the run folder or beside the table, ``closure_A_B`` beside the
+        first of several tables; for another quantity than gyro biases with its name appended to ``closure``.
+
+    Returns
+    -------
+    page : Path
+    report : Path or None
+        Updated run report; None for several tables, a table outside a run or another output folder.
     """
     name = CLOSURE if closure.quantity.is_gyro_bias else f"{CLOSURE}_{closure.quantity.name}"
     first, source = tables[0], ", ".join(map(str, tables))
     if len(tables) > 1:
         names = [path.name if path.is_dir() else path.stem for path in tables]
-        folder = folder or first.parent / f"{name}_{'_'.join(names)}"[:_MAX_NAME]
+        folder = folder or first.parent / f"{name}_{'_'.join(names)}"[:_MAX_FOLDER_NAME]
         write_closure(folder, closure)
         return write_closure_page(folder, closure, source), None
     run = RunFolder(first) if first.is_dir() else None

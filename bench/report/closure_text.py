@@ -1,4 +1,4 @@
-"""A search for effects in sentences and numbers, the same on the page and in the terminal."""
+"""Sentences and numbers of a search for effects, the same on the page and in the terminal."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ from gyrobench.bench.foundations.text import (
 from gyrobench.bench.report.number_format import BiasScale, odds_text, p_phrase, share_text, size_text
 
 _VISIBLE_NOISE_SCALE = 1.005
-#: Twice the logarithm of odds of two to one.
-_EVEN = 2.0 * math.log(2.0)
-#: Largest probability that is written, and the smallest of an effect that a sentence names.
-_WORTH_STATING = 0.005
-#: Probability from which an effect is said to explain a part.
-_LIKELY = 0.5
+#: Odds of two to one, as twice their logarithm.
+_EVEN_LOG_ODDS = 2.0 * math.log(2.0)
+#: Smallest probability of an effect that a sentence states.
+_MIN_STATED = 0.005
+#: Smallest probability with which an effect is said to explain a part.
+_MIN_LIKELY = 0.5
 
 
 def models_of(closure: Closure) -> dict[str, Solution]:
-    """The declared model, and where effects were found the model with them."""
+    """The declared model and, if effects were found, the model with them, by label."""
     effects = {"with the effects found": closure.model} if closure.effects else {}
     return {"declared model": closure.declared, **effects}
 
@@ -48,10 +48,10 @@ def is_noise_only(closure: Closure) -> bool:
 
 
 def smallest_visible_dph(closure: Closure) -> float:
-    """Rms size at which an effect on one gyro is found, deg/h.
+    """Smallest rms size of a detectable effect on one gyro, deg/h.
 
-    For an effect of one term that is uncorrelated with the declared model: its reduction of chi2 is the
-    number of dwells searched times the square of its size over the noise.
+    It holds for an effect of one term that is uncorrelated with the declared model: the reduction of chi2 is
+    the number of dwells searched times the square of the size over the noise.
     """
     counts = [start_count(each.effect, closure.campaign) for each in closure.evidence]
     reduction = NormalDist().inv_cdf(0.5 * EFFECT_SIGNIFICANCE / (min(counts) * len(counts))) ** 2
@@ -59,42 +59,42 @@ def smallest_visible_dph(closure: Closure) -> float:
 
 
 def scale_of_errors(closure: Closure) -> BiasScale:
-    """Unit and decimals for the errors of a closure: they resolve a tenth of the noise."""
+    """Unit and decimals for the errors of a closure; the resolution is a tenth of the noise."""
     if not closure.quantity.is_gyro_bias:
         return BiasScale(1.0, closure.quantity.unit, decimals_of(0.1 * closure.noise_dph, 4))
     return BiasScale.of([closure.error_before_dph], [0.1 * closure.noise_dph])
 
 
 def held_out_cycles(closure: Closure) -> str:
-    """Name the held-out cycles: "cycle 3", "cycles 2 and 3"; of several tables "cycle 3 of A"."""
+    """Held-out cycles as text: "cycle 3", "cycles 2 and 3"; of several tables "cycle 3 of A"."""
     if closure.searched.all():
         return "no cycle"
     return cycles_text(closure, np.unique(closure.campaign.cycle[~closure.searched]).tolist())
 
 
 def cycles_text(closure: Closure, cycles: Collection[int]) -> str:
-    """Name cycles; of several tables with the table of each."""
+    """Cycles as text; of several tables with the table of each."""
 
-    def text(numbers: Collection[int]) -> str:
+    def joined(numbers: Collection[int]) -> str:
         return f"cycle{'s' if len(numbers) > 1 else ''} {listed(list(map(str, numbers)))}"
 
     tables = closure.campaign.tables
     if len(tables) < 2:
-        return text(cycles)
-    mine = [(table.name, [cycle for cycle in cycles if cycle in table.cycles]) for table in tables]
-    return listed([f"{text(numbers)} of {name}" for name, numbers in mine if numbers])
+        return joined(cycles)
+    cycles_by_table = [(table.name, [cycle for cycle in cycles if cycle in table.cycles]) for table in tables]
+    return listed([f"{joined(numbers)} of {name}" for name, numbers in cycles_by_table if numbers])
 
 
 def table_texts(closure: Closure) -> list[str]:
-    """Each of several tables with its cycles, how it was placed in time, and doubts about its unit."""
+    """One text for each table: its cycles, its start, how that was determined, and doubts about the unit."""
     campaign = closure.campaign
     first_s = campaign.tables[0].start_s
     texts = []
     for table in campaign.tables:
-        known = "; ".join(filter(None, (table.placed, table.doubt)))
+        notes = "; ".join(filter(None, (table.placed, table.doubt)))
         start_h = (table.start_s - first_s) / S_PER_H
         texts.append(
-            f"{cycles_text(closure, table.cycles)}, from {start_h:.1f} h{f' ({known})' if known else ''}"
+            f"{cycles_text(closure, table.cycles)}, from {start_h:.1f} h{f' ({notes})' if notes else ''}"
         )
     return texts
 
@@ -111,25 +111,25 @@ def found_labels(closure: Closure) -> str:
 
 def verdict_sentence(closure: Closure) -> str:
     """The verdict in one sentence."""
-    found = found_labels(closure)
+    effects = found_labels(closure)
     match closure.verdict:
         case "clean":
-            nothing = _probability_text(closure.posterior.no_effect_probability)
+            probability = _probability_text(closure.posterior.no_effect_probability)
             return (
-                f"No undeclared effect was found: the residual of the declared model is noise ({nothing})"
-                f"{_not_excluded(closure)}."
+                f"No undeclared effect was found: the residual of the declared model is noise ({probability})"
+                f"{_detection_limit_text(closure)}."
             )
         case "explained":
             count = "One effect" if len(closure.effects) == 1 else f"A set of {len(closure.effects)} effects"
             return (
-                f"{count} explains the residual within the noise and is the best of those tried: {found} "
+                f"{count} explains the residual within the noise and is the best of those tried: {effects} "
                 f"({_probability_text(closure.probability)})."
             )
         case "ambiguous":
-            some = 1.0 - closure.posterior.no_effect_probability
-            likely = f"An effect is likely ({_probability_text(some)})"
-            present = "An effect is present" if some >= EXPLAINED else likely
-            return f"{present}, but {_unsettled(closure)}" if found else _undecided(closure)
+            p_effect = 1.0 - closure.posterior.no_effect_probability
+            likely = f"An effect is likely ({_probability_text(p_effect)})"
+            present = "An effect is present" if p_effect >= EXPLAINED else likely
+            return f"{present}, but {_ambiguity_text(closure)}" if effects else _undecided_sentence(closure)
         case "not searched":
             return (
                 "A search needs a second cycle to test what it finds, so polynomials over temperature "
@@ -138,55 +138,51 @@ def verdict_sentence(closure: Closure) -> str:
         case _ if closure.differs_held_out:
             return f"The residual in the dwells searched is noise, but {closure.held_out_difference}"
         case _:
-            part = _part(closure)
-            unknown = _probability_text(closure.posterior.unlisted_probability)
-            noise = (
-                "; more noise than stated is likelier" if closure.posterior.unlisted_probability < 0.5 else ""
-            )
+            explained_part = _partial_explanations(closure)
+            p_unlisted = closure.posterior.unlisted_probability
+            noise_note = "; more noise than stated is likelier" if p_unlisted < 0.5 else ""
             return (
                 "The residual exceeds the noise, and no candidate effect explains it (an unlisted effect: "
-                f"{unknown}{noise}).{part}"
+                f"{_probability_text(p_unlisted)}{noise_note}).{explained_part}"
             )
 
 
-def _part(closure: Closure) -> str:
-    """What the effects found are beside an unexplained residual."""
-    likely, tied, other = [], [], []
+def _partial_explanations(closure: Closure) -> str:
+    """Which of the effects found explain a part of an otherwise unexplained residual."""
+    likely, ambiguous, improbable = [], [], []
     for each in closure.effects:
         rivals = [
             name for name in each.tied_with if closure.posterior.effect_probabilities.get(name, 0.0) >= RIVAL
         ]
         fit = f"{each.effect.display_name} ({_probability_text(each.probability)})"
-        if rivals and closure.posterior.any_probability([each.effect.name, *rivals]) >= _LIKELY:
-            tied.append(" or ".join([fit, *(_with_probability(closure, name) for name in rivals)]))
-        elif each.probability >= _LIKELY:
+        if rivals and closure.posterior.any_probability([each.effect.name, *rivals]) >= _MIN_LIKELY:
+            ambiguous.append(" or ".join([fit, *(_with_probability(closure, name) for name in rivals)]))
+        elif each.probability >= _MIN_LIKELY:
             likely.append(each.effect.display_name)
         else:
-            other.append(fit)
+            improbable.append(fit)
     sentences = []
     if likely:
         names, verb = listed(likely), "explains" if len(likely) == 1 else "explain"
         sentences.append(f"{capitalised(names)} {verb} only a part.")
     sentences += [
         f"A part is explained by {fits}, which the data do not distinguish; a residual remains."
-        for fits in tied
+        for fits in ambiguous
     ]
-    if other:
-        sentences.append(f"Fitted, but improbable given the remaining residual: {listed(other)}.")
+    if improbable:
+        sentences.append(f"Fitted, but improbable given the remaining residual: {listed(improbable)}.")
     return "".join(f" {each}" for each in sentences)
 
 
-def _not_excluded(closure: Closure) -> str:
-    """What a clean verdict leaves open."""
+def _detection_limit_text(closure: Closure) -> str:
+    """Size below which a clean verdict does not exclude an effect."""
     sizes = [size for size in closure.detectable_dph.values() if math.isfinite(size)]
-    return (
-        f"; something below {size_text(max(sizes))} {closure.quantity.unit} rms is not excluded"
-        if sizes
-        else ""
-    )
+    if not sizes:
+        return ""
+    return f"; something below {size_text(max(sizes))} {closure.quantity.unit} rms is not excluded"
 
 
-def _unsettled(closure: Closure) -> str:
+def _ambiguity_text(closure: Closure) -> str:
     """Why the verdict is ambiguous."""
     tied = [each for each in closure.effects if each.tied_with]
     if tied:
@@ -196,17 +192,18 @@ def _unsettled(closure: Closure) -> str:
             for each in tied
         )
         return f"the data do not distinguish the candidates: {fits}."
-    found = f"{found_labels(closure)} ({_probability_text(closure.probability)}"
+    effects = f"{found_labels(closure)} ({_probability_text(closure.probability)}"
     if closure.probability < EXPLAINED:
-        return f"{found}, required {EXPLAINED:g}) is not probable enough."
+        return f"{effects}, required {EXPLAINED:g}) is not probable enough."
     rivals = closure.posterior.rivals(closure.names)
     if rivals:
         with_them = " or ".join(_with_probability(closure, name) for name in rivals)
         instead = " or ".join(closure.label(name) for name in rivals)
-        names, one = found_labels(closure), "one of them" if closure.effects[1:] else found_labels(closure)
+        names = found_labels(closure)
+        one_effect = "one of them" if closure.effects[1:] else names
         return (
-            f"{found}) alone, {names} with {with_them}, and {instead} instead of {one} can't be "
-            "distinguished."
+            f"{effects}) alone, {names} with {with_them}, and {instead} instead of {one_effect} can't "
+            "be distinguished."
         )
     if closure.circular:
         verb = "was" if len(closure.circular) == 1 else "were"
@@ -214,29 +211,28 @@ def _unsettled(closure: Closure) -> str:
             f"{labels(closure, closure.circular)} {verb} composed from the held-out dwells: measure others."
         )
     if closure.searched.all():
-        return f"no cycle is held out to confirm {found}). Measure the profile a second time."
+        return f"no cycle is held out to confirm {effects}). Measure the profile a second time."
     if closure.held_out_difference:
-        return f"{found}) is not sufficient: {closure.held_out_difference}"
-    does = "do" if closure.effects[1:] else "does"
-    return f"{found}) {does} not predict the held-out cycle significantly better and to within the noise."
+        return f"{effects}) is not sufficient: {closure.held_out_difference}"
+    verb = "do" if closure.effects[1:] else "does"
+    return f"{effects}) {verb} not predict the held-out cycle significantly better and to within the noise."
 
 
-def _undecided(closure: Closure) -> str:
-    """Why it is neither stated that there is an effect nor that there is none."""
-    nothing = _probability_text(closure.posterior.no_effect_probability)
-    sentence = f"It is not settled whether the residual is noise ({nothing}, required {CLEAN:g})"
-    likely = closure.not_accepted
-    if likely is None:
+def _undecided_sentence(closure: Closure) -> str:
+    """Why neither the presence nor the absence of an effect is stated."""
+    p_noise = _probability_text(closure.posterior.no_effect_probability)
+    sentence = f"It is not settled whether the residual is noise ({p_noise}, required {CLEAN:g})"
+    candidate = closure.not_accepted
+    if candidate is None:
         return f"{sentence}: it may hold an unlisted effect."
-    what = f"{labels(closure, likely.names)} ({_probability_text(likely.probability)})"
-    kind = "set of effects" if likely.names[1:] else "effect"
-    return f"{sentence}. The most probable {kind}, {what}, is not accepted: {likely.reason}."
+    names = f"{labels(closure, candidate.names)} ({_probability_text(candidate.probability)})"
+    kind = "set of effects" if candidate.names[1:] else "effect"
+    return f"{sentence}. The most probable {kind}, {names}, is not accepted: {candidate.reason}."
 
 
 def _with_probability(closure: Closure, name: str) -> str:
-    return (
-        f"{closure.label(name)} ({_probability_text(closure.posterior.effect_probabilities.get(name, 0.0))})"
-    )
+    probability = closure.posterior.effect_probabilities.get(name, 0.0)
+    return f"{closure.label(name)} ({_probability_text(probability)})"
 
 
 def _probability_text(probability: float) -> str:
@@ -246,16 +242,16 @@ def _probability_text(probability: float) -> str:
 
 
 def searched_name(closure: Closure) -> str:
-    """What was searched: "gyro biases", "gyro misalignments xy, yz and zx"."""
+    """Quantity searched: "gyro biases", "gyro misalignments xy, yz and zx"."""
     quantity = closure.quantity
-    what = f"{quantity.sensor} {quantity.label}s" + (
+    name = f"{quantity.sensor} {quantity.label}s" + (
         f" {listed(quantity.axes)}" if quantity.axes[0][1:] else ""
     )
-    return what.replace("biass", "biases")
+    return name.replace("biass", "biases")
 
 
-def title(closure: Closure) -> str:
-    """Heading of a search: "Search for effects", of another quantity than gyro biases with its name."""
+def search_title(closure: Closure) -> str:
+    """Heading of a search: "Search for effects", followed by the quantity if it is not the gyro biases."""
     is_gyro_bias = closure.quantity.is_gyro_bias
     return "Search for effects" + ("" if is_gyro_bias else f": {searched_name(closure)}")
 
@@ -263,47 +259,47 @@ def title(closure: Closure) -> str:
 def probability_sentence(closure: Closure) -> str:
     """Probabilities of the effects, of an unlisted effect, and of no undeclared effect."""
     posterior = closure.posterior
-    likely = {name: p for name, p in posterior.effect_probabilities.items() if p >= _WORTH_STATING}
+    likely = {name: p for name, p in posterior.effect_probabilities.items() if p >= _MIN_STATED}
     parts = []
     for each in closure.effects:
         likely.pop(each.effect.name, None)
-        general = [
+        more_general = [
             name for name in posterior.more_general.get(each.effect.name, ()) if likely.pop(name, None)
         ]
-        law = f" (as such or as {labels(closure, general)})" if general else ""
-        parts.append(f"{each.effect.display_name} {_probability_text(each.probability)}{law}")
+        law_note = f" (as such or as {labels(closure, more_general)})" if more_general else ""
+        parts.append(f"{each.effect.display_name} {_probability_text(each.probability)}{law_note}")
     parts += [f"{closure.label(name)} {_probability_text(p)}" for name, p in likely.items()]
-    follows = max(posterior.process_probabilities, key=lambda name: posterior.process_probabilities[name])
+    followed = max(posterior.process_probabilities, key=lambda name: posterior.process_probabilities[name])
     unknown = f"an unlisted effect {_probability_text(posterior.unlisted_probability)}"
-    parts.append(f"{unknown} (it follows {follows})" if posterior.unlisted_probability >= 0.5 else unknown)
+    parts.append(f"{unknown} (it follows {followed})" if posterior.unlisted_probability >= 0.5 else unknown)
     parts.append(f"no undeclared effect {_probability_text(posterior.no_effect_probability)}")
     return f"Probabilities: {'; '.join(parts)}."
 
 
 def power_sentence(closure: Closure) -> str:
-    """The smallest remainder that the data would have shown; empty where there is one."""
+    """The smallest further effect that would have been detected; empty if a residual remains."""
     sizes = {name: size for name, size in closure.detectable_dph.items() if math.isfinite(size)}
     if not sizes or (closure.verdict == "unexplained" and not closure.differs_held_out):
         return ""
-    low, high = min(sizes, key=lambda name: sizes[name]), max(sizes, key=lambda name: sizes[name])
+    lowest, highest = min(sizes, key=lambda name: sizes[name]), max(sizes, key=lambda name: sizes[name])
     unit = closure.quantity.unit
-    least, most = size_text(sizes[low]), size_text(sizes[high])
-    others = f", and one of {most} {unit} or more if it follows {high}"
-    on = "" if least == most else f" if it follows {low}{others}"
+    smallest, largest = size_text(sizes[lowest]), size_text(sizes[highest])
+    other_structure = f", and one of {largest} {unit} or more if it follows {highest}"
+    structure_note = "" if smallest == largest else f" if it follows {lowest}{other_structure}"
     effect = "A further effect" if closure.effects else "An effect"
     return (
-        f"{effect} of {least} {unit} rms or more would have been detected with "
-        f"{100.0 * REMAINDER_POWER:.0f} % probability{on}; smaller ones are not excluded."
+        f"{effect} of {smallest} {unit} rms or more would have been detected with "
+        f"{100.0 * REMAINDER_POWER:.0f} % probability{structure_note}; smaller ones are not excluded."
     )
 
 
 def before_sentence(closure: Closure) -> str:
     """Residual of the declared model in the dwells searched, compared with the noise."""
-    size = nan_rms(closure.residuals_dph(closure.declared)[closure.searched])
+    rms = nan_rms(closure.residuals_dph(closure.declared)[closure.searched])
     p, quantity, unit = p_phrase(closure.before.p_value), closure.quantity, closure.quantity.unit
     residual = (
         f"The residual of the declared model (a cubic in each {quantity.sensor}'s temperature and one "
-        f"constant per power cycle) is {size_text(size)} {unit} rms in the {closure.searched.sum()} dwells "
+        f"constant per power cycle) is {size_text(rms)} {unit} rms in the {closure.searched.sum()} dwells "
         f"searched; the noise of a measured {quantity.label} is {size_text(closure.noise_dph)} {unit}."
     )
     if closure.before.p_value < LACK_OF_FIT_P:
@@ -312,14 +308,14 @@ def before_sentence(closure: Closure) -> str:
         )
     if closure.effects:
         return (
-            f"{residual} The overall lack of fit is not significant ({p}); the test for a single effect is "
-            "more sensitive."
+            f"{residual} The overall lack of fit is not significant ({p}); the test for a single "
+            "effect is more sensitive."
         )
     return f"{residual} The residual is consistent with noise ({p})."
 
 
 def rejection_sentences(closure: Closure) -> list[str]:
-    """Candidates that are significant alone and not found, by reason."""
+    """Candidates that are significant alone but rejected, grouped by reason."""
     tied = closure.tied
     by_reason: dict[str, list[str]] = {}
     for each in closure.evidence:
@@ -334,30 +330,30 @@ def rejection_sentences(closure: Closure) -> list[str]:
 
 
 def effect_sentences(closure: Closure) -> list[str]:
-    """Each effect with its significance and cross-validation."""
+    """One sentence for each effect, with its significance and cross-validation."""
     is_one_cycle = len(np.unique(closure.campaign.cycle[closure.searched])) == 1
-    return [f"{each.statement} {_evidence_of(each, is_one_cycle)}" for each in closure.effects]
+    return [f"{each.statement} {_evidence_text(each, is_one_cycle)}" for each in closure.effects]
 
 
-def _evidence_of(found: FoundEffect, is_one_cycle: bool) -> str:
+def _evidence_text(effect: FoundEffect, is_one_cycle: bool) -> str:
     significance = (
-        f"{p_phrase(found.p_value)}, corrected for {counted(found.candidate_fits, 'candidate fit')}."
+        f"{p_phrase(effect.p_value)}, corrected for {counted(effect.candidate_fits, 'candidate fit')}."
     )
-    if not found.gains:
+    if not effect.gains:
         reason = (
             "only one cycle was searched" if is_one_cycle else "no cycle determines its size in another one"
         )
         return f"{significance} Not confirmed by cross-validation: {reason}."
-    cycles = "cycle" if len(found.gains) == 1 else "cycles"
-    parts = [f"{share_text(gain)} of chi2 in cycle {cycle}" for cycle, gain in found.gains.items()]
-    against = [str(cycle) for cycle, gain in found.gains.items() if gain <= 0.0]
-    which = f"cycles {listed(against)} contradict" if against[1:] else f"cycle {listed(against)} contradicts"
-    depends = f" It depends on which cycle is held out: {which} it." if against else ""
-    return f"{significance} With its size fitted to the other {cycles}, it explains {listed(parts)}.{depends}"
+    cycles = "cycle" if len(effect.gains) == 1 else "cycles"
+    parts = [f"{share_text(gain)} of chi2 in cycle {cycle}" for cycle, gain in effect.gains.items()]
+    opposed = [str(cycle) for cycle, gain in effect.gains.items() if gain <= 0.0]
+    clause = f"cycles {listed(opposed)} contradict" if opposed[1:] else f"cycle {listed(opposed)} contradicts"
+    note = f" It depends on which cycle is held out: {clause} it." if opposed else ""
+    return f"{significance} With its size fitted to the other {cycles}, it explains {listed(parts)}.{note}"
 
 
 def alternative_sentence(closure: Closure) -> str:
-    """The best other candidate and the odds against it; its share if no effect was found."""
+    """The best alternative and the odds against it; its share if no effect was found."""
     names = set(closure.names)
     same = names.union(*(closure.posterior.more_general.get(name, ()) for name in names))
     others = [each for each in closure.evidence if not each.missing_input and each.effect.name not in same]
@@ -371,21 +367,21 @@ def alternative_sentence(closure: Closure) -> str:
         )
     if not names:
         best = max(others, key=lambda each: each.share)
-        return f"The best candidate alone, {best.effect.display_name}, explains {_share_of(best)}."
-    share = "" if is_noise_only(closure) else f" (explains {_share_of(best)})"
+        return f"The best candidate alone, {best.effect.display_name}, explains {_share_of_excess(best)}."
+    share = "" if is_noise_only(closure) else f" (explains {_share_of_excess(best)})"
     alternative = f"The most probable alternative is {best.effect.display_name} alone{share}; the data"
-    if best.log_odds_against < _EVEN:
+    if best.log_odds_against < _EVEN_LOG_ODDS:
         return f"{alternative} do not prefer {found_labels(closure)}."
     odds = odds_text(best.log_odds_against).replace(">", "more than ")
     return f"{alternative} prefer {found_labels(closure)} by odds of {odds}."
 
 
-def _share_of(each: CandidateResult) -> str:
-    return f"{share_text(each.share)} of the excess variance"
+def _share_of_excess(candidate: CandidateResult) -> str:
+    return f"{share_text(candidate.share)} of the excess variance"
 
 
 def tie_sentences(closure: Closure) -> list[str]:
-    """Effects that fit equally well and the measurement that distinguishes them; or that there are none."""
+    """Candidates that fit equally well and the measurement that distinguishes them, or that none does."""
     not_fitted = {each.effect.name for each in closure.evidence if each.missing_input}
     sentences = []
     for each in closure.effects:
@@ -407,16 +403,16 @@ def tie_sentences(closure: Closure) -> list[str]:
 
 
 def missing_input_sentences(closure: Closure) -> list[str]:
-    """Candidates that were not fitted, by missing input."""
-    labels: dict[str, list[str]] = {}
+    """Candidates that were not fitted, grouped by missing input."""
+    by_input: dict[str, list[str]] = {}
     for each in closure.evidence:
         if each.missing_input is not None:
-            labels.setdefault(each.missing_input, []).append(each.effect.display_name)
-    return [f"Not fitted: {listed(each)}. Missing input: {missing}." for missing, each in labels.items()]
+            by_input.setdefault(each.missing_input, []).append(each.effect.display_name)
+    return [f"Not fitted: {listed(each)}. Missing input: {missing}." for missing, each in by_input.items()]
 
 
 def error_sentence(closure: Closure) -> str:
-    """Held-out error, before and after, compared with the noise."""
+    """Held-out error with the declared model and with the effects, compared with the noise."""
     held_out = ~closure.searched
     if not held_out.any():
         return "No cycle is held out to test the model. Measure the profile a second time."
@@ -427,28 +423,32 @@ def error_sentence(closure: Closure) -> str:
         after = with_sigma(closure.error_after_dph, closure.error_after_sigma_dph)
         models += f" and {after} {unit} with {found_labels(closure)}"
     dwells = counted(int(held_out.sum()), "dwell")
-    sizes = (closure.dwell_noise_dph, closure.prediction_sigma_dph)
-    noise, sigma = (nan_rms(each[held_out]) for each in sizes)
-    far = outliers_text(closure.held_out.outliers)
-    explain = f"explain the {'others' if far else 'errors'}"
+    dwell_sigmas = (closure.dwell_noise_dph, closure.prediction_sigma_dph)
+    noise, sigma = (nan_rms(each[held_out]) for each in dwell_sigmas)
+    outliers = outliers_text(closure.held_out.outliers)
+    conclusion = f"explain the {'others' if outliers else 'errors'}"
     if closure.held_out_axes:
-        explain = f"do not explain the errors of the {closure.quantity.place(closure.held_out_axes)}"
-    off = f" Included in these errors, further than {OUTLIER_SIGMA:.0f} sigma from the prediction: {far}."
+        conclusion = f"do not explain the errors of the {closure.quantity.place(closure.held_out_axes)}"
+    outlier_note = (
+        f" Included in these errors, further than {OUTLIER_SIGMA:.0f} sigma from the prediction: {outliers}."
+        if outliers
+        else ""
+    )
     return (
         f"In {held_out_cycles(closure)} (held out, {dwells}), measured minus predicted {label} is {models}; "
         f"the noise is {size_text(noise)} {unit}. A predicted {label} has a standard uncertainty of "
         f"{size_text(sigma)} {unit}"
-        f"{', as far as the model holds' if closure.verdict == 'unexplained' else ''}.{off if far else ''} "
-        f"Noise and this uncertainty {explain} ({p_phrase(closure.held_out.p_value)})."
+        f"{', as far as the model holds' if closure.verdict == 'unexplained' else ''}.{outlier_note} "
+        f"Noise and this uncertainty {conclusion} ({p_phrase(closure.held_out.p_value)})."
     )
 
 
 def each_held_out_sentence(closure: Closure) -> str:
-    """Whether verdict and effects depend on which cycle is held out; empty if one choice was searched."""
-    possible = [turn for turn in closure.held_out_in_turn if turn.verdict]
+    """Whether the outcome depends on which cycle is held out; empty if only one choice was searched."""
+    trials = [trial for trial in closure.held_out_in_turn if trial.verdict]
     outcomes: dict[tuple[str, tuple[str, ...]], list[int]] = {}
-    for turn in possible:
-        outcomes.setdefault((turn.verdict, tuple(sorted(turn.effects))), []).append(turn.cycle)
+    for trial in trials:
+        outcomes.setdefault((trial.verdict, tuple(sorted(trial.effects))), []).append(trial.cycle)
     if not outcomes:
         return "No cycle can be held out alone." if closure.held_out_in_turn else ""
     texts = [
@@ -461,34 +461,34 @@ def each_held_out_sentence(closure: Closure) -> str:
 
 
 def constants_sentence(closure: Closure) -> str:
-    """Power cycles whose own mean is removed; empty if there is none."""
+    """Power cycles whose mean error is removed; empty if there are none."""
     campaign, searched = closure.campaign, closure.searched
-    unseen = set(campaign.run[~searched].tolist()) - set(campaign.run[searched].tolist())
-    if not unseen:
+    power_cycles = set(campaign.run[~searched].tolist()) - set(campaign.run[searched].tolist())
+    if not power_cycles:
         return ""
     return (
-        f"The mean error of {counted(len(unseen), 'power cycle')} that the search did not use is removed "
-        "before and after: the constant of a power cycle is known only from its own dwells."
+        f"The mean error of {counted(len(power_cycles), 'power cycle')} that the search did not use is "
+        "removed before and after: the constant of a power cycle is known only from its own dwells."
     )
 
 
 def after_sentence(closure: Closure) -> str:
-    """The remaining residual: its size and place, or that it is noise."""
+    """The remaining residual: its size and structure, or that it is noise."""
     if closure.unexplained_part and not closure.differs_held_out:
         return closure.unexplained_part
     after = closure.after
     if math.isnan(after.noise_ratio):
         return "The remaining residual is not tested: the fit leaves no degrees of freedom."
-    scaled = "" if closure.noise_scale < _VISIBLE_NOISE_SCALE else " (with the noise as estimated)"
+    scale_note = "" if closure.noise_scale < _VISIBLE_NOISE_SCALE else " (with the noise as estimated)"
     return (
         f"The remaining residual in the dwells searched is {after.noise_ratio:.2f} times the stated "
-        f"uncertainties{scaled} and follows neither time, temperature, position nor temperature rate "
+        f"uncertainties{scale_note} and follows neither time, temperature, position nor temperature rate "
         f"({p_phrase(after.p_value)})."
     )
 
 
 def sensitivity_sentence(closure: Closure) -> str:
-    """Size of the smallest effect that a search without a finding would have found."""
+    """Size of the smallest effect that the search would have found."""
     return (
         f"An effect on one {closure.quantity.sensor} is detectable from about "
         f"{size_text(smallest_visible_dph(closure))} {closure.quantity.unit} rms, unless it is correlated "

@@ -1,4 +1,4 @@
-"""Estimators in the report of a run: their difference, the fit, the joint solution, the noise of the INS."""
+"""Estimator sections of a run report: difference of the estimators, fit, joint solution, noise of the INS."""
 
 from __future__ import annotations
 
@@ -28,60 +28,62 @@ from gyrobench.bench.report.run_findings import declared_noise
 from gyrobench.bench.report.run_text import POSITION_SIGNIFICANCE, fit_sentence
 from gyrobench.bench.runs.tables.joint_table import JointPlateauRow, JointSigmas
 
-_STATE_SPACE = (
+_STATE_SPACE_TEXT = (
     "Biases are those of the state-space estimator: it fits the full error model of an INS at rest, "
     "with Schuler loop, Earth rate, accelerometer biases and initial errors, to velocity and heading of"
     " a whole dwell. Its uncertainty includes noise and the prior uncertainties of unit and bench."
 )
-_PAPER = (
+_PAPER_TEXT = (
     "Results of the paper's method from the same data are in grey: quadratic fits of the velocities and "
     "slopes of the heading, before and after a turn of 180 deg. Their uncertainty includes noise only."
 )
-_UNKNOWN = "The estimator of these biases is unknown: the dwell table has no column for it."
-_LEAKS = (
+_UNKNOWN_ESTIMATOR = "The estimator of these biases is unknown: the dwell table has no column for it."
+_PAPER_ERRORS_TEXT = (
     "The paper's method neglects the coupling of INS errors. Over windows of ten minutes, a level bias is "
     "8 to 17 % in error because the Schuler loop feeds velocity back into tilt; up to 20 % of one axis "
     "leaks into another through the Earth's rotation; and 10 µg of accelerometer bias appear as up to "
     "0.001 deg/h. The leakage depends on the position, so a difference between positions found only by "
     "the paper's method may be an artefact. The state-space estimator models all of these."
 )
-_DIFFERENCES = (
+_DIFFERENCES_CAPTION = (
     "Bias by the paper's method minus bias by the state-space estimator, for each dwell. Bars are combined "
     "standard uncertainties; both use the same data, so noise alone separates them by less. Points beyond "
     "their bars show systematic errors of the paper's method."
 )
-_FIT = (
+_FIT_TEXT = (
     "The residuals of velocity and heading in each dwell, summed over one-minute blocks, are compared with "
     "the noise: a wrong model leaves slowly varying residuals, which add up."
 )
-_FIT_SIZES = "Residuals of each dwell relative to the expected size; 1 if model and noise are correct."
-_FIT_P_VALUES = (
-    f"Left: {_FIT_SIZES[0].lower()}{_FIT_SIZES[1:]} Right: cumulative distribution of the p-values, "
-    "with its expectation if model and noise are correct, and the band that it leaves with a probability of "
-    f"{100 * POSITION_SIGNIFICANCE:.0f} %."
+_FIT_SIZES_CAPTION = (
+    "Residuals of each dwell relative to the expected size; 1 if model and noise are correct."
+)
+_FIT_P_VALUES_CAPTION = (
+    f"Left: {_FIT_SIZES_CAPTION[0].lower()}{_FIT_SIZES_CAPTION[1:]} Right: cumulative distribution of the "
+    "p-values, with its expectation if model and noise are correct, and the band that it leaves with a "
+    f"probability of {100 * POSITION_SIGNIFICANCE:.0f} %."
 )
 
 
 def estimators_note(rows: Sequence[DwellRow]) -> str:
     """Name the estimators of the report."""
     if any(paper_rows([row]) for row in rows):
-        return f"{_STATE_SPACE} {_PAPER}"
+        return f"{_STATE_SPACE_TEXT} {_PAPER_TEXT}"
     if any(not math.isnan(row.fit_p_value) for row in rows):
-        return f"{_STATE_SPACE} {NO_PAPER}"
-    return _UNKNOWN if rows else ""
+        return f"{_STATE_SPACE_TEXT} {NO_PAPER}"
+    return _UNKNOWN_ESTIMATOR if rows else ""
 
 
 def estimators_section(rows: Sequence[DwellRow], marked_c: Sequence[float] = ()) -> Section | None:
-    """Compare the estimators; None where no good dwell has both."""
-    both = PackedDwells(row for row in rows if has_both(row))
-    if not both:
+    """Comparison of the estimators; None if no unflagged dwell has results of both."""
+    dwells = PackedDwells(row for row in rows if has_both(row))
+    if not dwells:
         return None
-    drawn = (
-        [SectionFigure("estimators", _DIFFERENCES, partial(estimators_figure, rows, marked_c))]
-        if len(both) > 1
+    figures = (
+        [SectionFigure("estimators", _DIFFERENCES_CAPTION, partial(estimators_figure, rows, marked_c))]
+        if len(dwells) > 1
         else []
     )
-    return Section("Comparison of the estimators", [_LEAKS], drawn, [_difference_table(both)])
+    return Section("Comparison of the estimators", [_PAPER_ERRORS_TEXT], figures, [_difference_table(dwells)])
 
 
 def fit_section(rows: Sequence[DwellRow]) -> Section | None:
@@ -89,22 +91,22 @@ def fit_section(rows: Sequence[DwellRow]) -> Section | None:
     sentence = fit_sentence(rows)
     if not sentence:
         return None
-    caption = _FIT_P_VALUES if has_distribution(rows) else _FIT_SIZES
+    caption = _FIT_P_VALUES_CAPTION if has_distribution(rows) else _FIT_SIZES_CAPTION
     return Section(
-        "Goodness of fit", [_FIT, sentence], [SectionFigure("fit", caption, partial(fit_figure, rows))]
+        "Goodness of fit", [_FIT_TEXT, sentence], [SectionFigure("fit", caption, partial(fit_figure, rows))]
     )
 
 
 def _difference_table(rows: Sequence[DwellRow]) -> SectionTable:
     pairs = [differences_dph(row) for row in rows]
-    scale = BiasScale.of(*zip(*(pair for three in pairs for pair in three), strict=True))
+    scale = BiasScale.of(*zip(*(pair for dwell_pairs in pairs for pair in dwell_pairs), strict=True))
     cells = []
     for axis, gyro in enumerate(AXES):
-        own = [three[axis] for three in pairs]
-        rms_dph = math.sqrt(sum(difference**2 for difference, _ in own) / len(own))
-        largest, row = max(zip(own, rows, strict=True), key=lambda each: abs(each[0][0]))
-        where = f"{position_label(row.position)}, {row.gyro_c[axis]:.0f} °C, dwell {row.dwell}"
-        cells.append([gyro_label(gyro), where, scale.text(rms_dph), scale.with_sigma(*largest)])
+        differences = [dwell_pairs[axis] for dwell_pairs in pairs]
+        rms_dph = math.sqrt(sum(difference**2 for difference, _ in differences) / len(differences))
+        largest, row = max(zip(differences, rows, strict=True), key=lambda each: abs(each[0][0]))
+        dwell_text = f"{position_label(row.position)}, {row.gyro_c[axis]:.0f} °C, dwell {row.dwell}"
+        cells.append([gyro_label(gyro), dwell_text, scale.text(rms_dph), scale.with_sigma(*largest)])
     return SectionTable(
         f"Paper's method minus state-space estimator in {scale.unit}, over {counted(len(rows), 'dwell')}",
         ["gyro", "dwell of the largest", "rms", "largest ± combined uncertainty"],
@@ -113,47 +115,53 @@ def _difference_table(rows: Sequence[DwellRow]) -> SectionTable:
     )
 
 
-_TOGETHER = (
+_JOINT_TEXT = (
     "The dwells of each plateau are also solved jointly: they share accelerometer biases, misalignments of "
     "the gyros, and any rate fixed in the navigation frame. Each dwell keeps its own gyro biases."
 )
-_UP = (
+_RATE_UP_TEXT = (
     "An undeclared rate Up, from a wrong latitude for instance, adds to the bias of a vertical gyro that "
     "points up and subtracts when it points down. If the bias is the same in both positions, half the sum of "
     "the two results is the bias and half the difference is the rate."
 )
-_LATITUDE = (
+_LATITUDE_CONCLUSION = (
     "they do with a free rate North, so the latitude error exceeds the declared uncertainty. Use the biases "
     "without the rate Up, and check the latitude in station file and INS."
 )
-_NOT_TRUSTED = "the joint biases of this plateau are invalid."
-_WRONG_FIT_P = 1e-3
-#: An accelerometer bias with a larger uncertainty is not estimated from the data.
-_UNKNOWN_ACCELEROMETER_UG = 100.0
+_INVALID_CONCLUSION = "the joint biases of this plateau are invalid."
+_MISFIT_P = 1e-3
+#: The data do not determine an accelerometer bias with a larger uncertainty.
+_MAX_ACCELEROMETER_SIGMA_UG = 100.0
 
 
-#: By plateau, and whether the gyro was vertical.
-_Sigmas = Mapping[tuple[int, bool], JointSigmas]
+#: Uncertainties by plateau and whether the gyro was vertical.
+_JointSigmasByGroup = Mapping[tuple[int, bool], JointSigmas]
 
 
-def joint_section(sigmas: _Sigmas, plateaus: Sequence[JointPlateauRow]) -> Section | None:
+def joint_section(sigmas: _JointSigmasByGroup, plateaus: Sequence[JointPlateauRow]) -> Section | None:
     """Results of the joint solution; None without its tables."""
     if not (sigmas and plateaus):
         return None
     return Section(
         "Joint solution of each plateau",
         [
-            f"{_TOGETHER} {_gain_sentence(sigmas)}",
-            f"{_UP} {_finding_sentence(plateaus)}",
-            *_misfits(plateaus),
+            f"{_JOINT_TEXT} {_gain_sentence(sigmas)}",
+            f"{_RATE_UP_TEXT} {_finding_sentence(plateaus)}",
+            *_misfit_sentences(plateaus),
         ],
         tables=[_gain_table(sigmas), _plateau_table(plateaus)],
     )
 
 
-def _gain_sentence(sigmas: _Sigmas) -> str:
-    by_way = [[own.gains for (_, up), own in sigmas.items() if up is way] for way in (False, True)]
-    level, vertical = (_smaller(float(np.median([gain for each in own for gain in each]))) for own in by_way)
+def _gain_sentence(sigmas: _JointSigmasByGroup) -> str:
+    gains_by_orientation = [
+        [group.gains for (_, up), group in sigmas.items() if up is is_vertical]
+        for is_vertical in (False, True)
+    ]
+    level, vertical = (
+        _reduction_text(float(np.median([gain for each in group for gain in each])))
+        for group in gains_by_orientation
+    )
     if not (level or vertical):
         return "The joint solution does not reduce the uncertainties (medians)."
     return (
@@ -162,7 +170,7 @@ def _gain_sentence(sigmas: _Sigmas) -> str:
     )
 
 
-def _smaller(gain: float) -> str:
+def _reduction_text(gain: float) -> str:
     """Reduction in percent; empty if it rounds to zero."""
     text = f"{100.0 * (1.0 - 1.0 / gain):.1f}"
     return f"{text} %" if float(text) > 0.0 else ""
@@ -171,37 +179,37 @@ def _smaller(gain: float) -> str:
 def _finding_sentence(plateaus: Sequence[JointPlateauRow]) -> str:
     last = plateaus[-1]
     finding = Finding[last.finding.upper()]
-    where = "Over all plateaus" if last.plateau == 0 else "At this plateau"
+    scope = "Over all plateaus" if last.plateau == 0 else "At this plateau"
     if finding is Finding.NO_PAIR:
-        return f"{where}: {finding.value}."
+        return f"{scope}: {finding.value}."
     rate = f"({1e3 * last.up_rate_dph:+.2f} ± {1e3 * last.up_rate_sigma_dph:.2f}) · 10⁻³ deg/h"
     latitude = f"{last.latitude_error_arcmin:+.2f} ± {last.latitude_error_sigma_arcmin:.2f} arcmin"
     p_value = p_in_brackets(last.up_rate_p_value)
-    text = f"{where} the half-difference is {rate}{p_value}: {finding.value}."
+    text = f"{scope} the half-difference is {rate}{p_value}: {finding.value}."
     if finding in (Finding.LATITUDE, Finding.LATITUDE_OFF, Finding.NOT_CONTRADICTED):
         text += f" Equivalent latitude error: {latitude}; joint_biases.csv also has the biases without it."
     return text
 
 
-def _misfits(plateaus: Sequence[JointPlateauRow]) -> list[str]:
+def _misfit_sentences(plateaus: Sequence[JointPlateauRow]) -> list[str]:
     return [
         f"At plateau {row.plateau} dwells disagree on shared parameters{p_in_brackets(row.fit_p_value)}: "
-        + (_LATITUDE if row.any_north_p_value >= _WRONG_FIT_P else _NOT_TRUSTED)
+        + (_LATITUDE_CONCLUSION if row.any_north_p_value >= _MISFIT_P else _INVALID_CONCLUSION)
         for row in plateaus
-        if row.fit_p_value < _WRONG_FIT_P
+        if row.fit_p_value < _MISFIT_P
     ]
 
 
-def _gain_table(sigmas: _Sigmas) -> SectionTable:
+def _gain_table(sigmas: _JointSigmasByGroup) -> SectionTable:
     cells = []
     for plateau in sorted({plateau for plateau, _ in sigmas}):
         cells.append([str(plateau)])
-        for way in (False, True):
-            own = sigmas.get((plateau, way), JointSigmas())
+        for is_vertical in (False, True):
+            group = sigmas.get((plateau, is_vertical), JointSigmas())
             cells[-1] += [
-                f"{1e3 * float(np.median(own.single_dph)):.2f}",
-                f"{1e3 * float(np.median(own.joint_dph)):.2f}",
-                f"{float(np.median(own.gains)):.3f}",
+                f"{1e3 * float(np.median(group.single_dph)):.2f}",
+                f"{1e3 * float(np.median(group.joint_dph)):.2f}",
+                f"{float(np.median(group.gains)):.3f}",
             ]
     return SectionTable(
         "Median standard uncertainty of a bias, single and joint, 0.001 deg/h, and their ratio",
@@ -224,14 +232,14 @@ def _plateau_table(plateaus: Sequence[JointPlateauRow]) -> SectionTable:
                 "" if math.isnan(row.chamber_set_c) else f"{row.chamber_set_c:g}",
                 str(row.dwells),
                 *(
-                    _accelerometer(
+                    _accelerometer_cell(
                         getattr(row, f"accelerometer_{axis}_ug"),
                         getattr(row, f"accelerometer_{axis}_sigma_ug"),
                     )
                     for axis in AXES
                 ),
-                _signed(1e3 * row.north_rate_dph, 1e3 * row.north_rate_sigma_dph, 2),
-                _signed(1e3 * row.up_rate_dph, 1e3 * row.up_rate_sigma_dph, 2),
+                _cell_with_sigma(1e3 * row.north_rate_dph, 1e3 * row.north_rate_sigma_dph, 2),
+                _cell_with_sigma(1e3 * row.up_rate_dph, 1e3 * row.up_rate_sigma_dph, 2),
                 "" if math.isnan(row.fit_p_value) else p_text(row.fit_p_value),
             ]
             for row in plateaus
@@ -239,23 +247,23 @@ def _plateau_table(plateaus: Sequence[JointPlateauRow]) -> SectionTable:
     )
 
 
-def _accelerometer(bias_ug: float, sigma_ug: float) -> str:
-    return "" if sigma_ug >= _UNKNOWN_ACCELEROMETER_UG else _signed(bias_ug, sigma_ug, 1)
+def _accelerometer_cell(bias_ug: float, sigma_ug: float) -> str:
+    return "" if sigma_ug >= _MAX_ACCELEROMETER_SIGMA_UG else _cell_with_sigma(bias_ug, sigma_ug, 1)
 
 
-def _signed(value: float, sigma: float, decimals: int) -> str:
+def _cell_with_sigma(value: float, sigma: float, decimals: int) -> str:
     return "" if math.isnan(value) else f"{value:+z.{decimals}f} ± {sigma:.{decimals}f}"
 
 
-_TEXT = (
+_NOISE_TEXT = (
     "Allan deviation of the rates and accelerations at rest, from the output of the INS in all unflagged "
     "dwells. The uncertainties of the biases are based on the declared noise: if the measured noise is "
     "larger, they are too small."
 )
-_ESTIMATED = (
+_NOISE_ESTIMATED_TEXT = (
     "The station declares no noise: each dwell was evaluated with the noise estimated from its windows."
 )
-_FIGURE = (
+_NOISE_CAPTION = (
     "Allan deviation with the fitted and the declared random walk. Thin lines: the complete fit, with output "
     "noise at short and tilt caused by the gyros' random walk at long averaging times."
 )
@@ -280,7 +288,7 @@ def noise_section(noise: NoiseEstimate | None, station: Mapping[str, Any]) -> Se
         ]
     return Section(
         "Noise of the INS",
-        [_TEXT if declared else f"{_TEXT} {_ESTIMATED}"],
-        [SectionFigure("noise", _FIGURE, partial(noise_figure, noise, declared))],
+        [_NOISE_TEXT if declared else f"{_NOISE_TEXT} {_NOISE_ESTIMATED_TEXT}"],
+        [SectionFigure("noise", _NOISE_CAPTION, partial(noise_figure, noise, declared))],
         tables,
     )

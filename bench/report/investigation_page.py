@@ -20,45 +20,51 @@ from gyrobench.bench.report.verification_text import outcome_sentence, size_head
 from gyrobench.bench.runs.provenance import watermark_of
 from gyrobench.bench.verification.compensation_verification import VerificationResult
 
-_PURPOSES = {CONFIRM: ", confirmation", TEST_LAW: ", test of the composed law", CALIBRATE: ", for the biases"}
+_PURPOSE_TITLES = {
+    CONFIRM: ", confirmation",
+    TEST_LAW: ", test of the composed law",
+    CALIBRATE: ", for the biases",
+}
 
 
 def write_investigation_page(
-    folder: Path, found: Investigation, source: str, proof: VerificationResult | None
+    folder: Path, investigation: Investigation, source: str, verification: VerificationResult | None
 ) -> Path:
-    """Write figures and page into a folder, with the verification of the compensation if there is one.
+    """Write figures and page into a folder, including the verification of the compensation if given.
 
     Raises RunFolderError if a file can't be written.
     """
     make_folder(folder)
-    first, first_h = found.stages[0].closure.campaign, found.stages[0].spent_h
+    campaign, first_h = investigation.stages[0].closure.campaign, investigation.stages[0].spent_h
     findings = Findings(
         title="Investigation",
         source=source,
-        judgement=text.JUDGEMENTS[found.ended],
-        colour="finished" if found.is_conclusive else "stopped",
-        sentence=" ".join(text.closing_sentences(found)),
+        judgement=text.JUDGEMENTS[investigation.ended],
+        colour="finished" if investigation.is_conclusive else "stopped",
+        sentence=" ".join(text.closing_sentences(investigation)),
         facts={
-            "first table": f"{len(first)} dwells, {first_h or found.repeated_campaign_h:.1f} h",
-            "blocks": f"{len(found.stages) - 1}, {found.spent_h - first_h:.1f} h",
-            "verdict": f"{found.closure.verdict}: {verdict_sentence(found.closure)}",
+            "first table": f"{len(campaign)} dwells, {first_h or investigation.repeated_campaign_h:.1f} h",
+            "blocks": f"{len(investigation.stages) - 1}, {investigation.spent_h - first_h:.1f} h",
+            "verdict": f"{investigation.closure.verdict}: {verdict_sentence(investigation.closure)}",
         },
-        watermark=watermark_of(folder, *found.closure.campaign.sources),
+        watermark=watermark_of(folder, *investigation.closure.campaign.sources),
         sections=[
-            _history(found, approvals_in(folder)),
-            *_blocks(found),
-            *_proof(proof),
-            *closure_sections(found.closure),
+            _history_section(investigation, approvals_in(folder)),
+            *_block_sections(investigation),
+            *_verification_section(verification),
+            *closure_sections(investigation.closure),
         ],
     )
     return write_findings(folder / "investigation.html", findings)
 
 
-def _history(found: Investigation, approvals: Sequence[str]) -> Section:
+def _history_section(investigation: Investigation, approvals: Sequence[str]) -> Section:
     tables = [
-        SectionTable("Blocks in the order of time", text.BLOCK_COLUMNS, text.block_rows(found), words=2)
+        SectionTable(
+            "Blocks in the order of time", text.BLOCK_COLUMNS, text.block_rows(investigation), words=2
+        )
     ]
-    refused = [f"{', then '.join(kinds)}: {reason}" for kinds, reason in found.refused.items()]
+    refused = [f"{', then '.join(kinds)}: {reason}" for kinds, reason in investigation.refused.items()]
     return Section(
         "Probabilities over hours on the bench",
         ["Blocks that the bench refused: " + "; ".join(refused) + "."] if refused else [],
@@ -67,28 +73,28 @@ def _history(found: Investigation, approvals: Sequence[str]) -> Section:
                 "probabilities",
                 "Probability of each effect after each search, by the hours since the first table; numbers: "
                 "the blocks of the table below.",
-                partial(probability_figure, found),
+                partial(probability_figure, investigation),
             )
         ],
-        tables if found.stages[1:] else [],
+        tables if investigation.stages[1:] else [],
         items=approvals,
     )
 
 
-def _blocks(found: Investigation) -> list[Section]:
+def _block_sections(investigation: Investigation) -> list[Section]:
     sections = []
-    for number, stage in enumerate((each for each in found.stages if each.proposal), start=1):
+    for block_number, stage in enumerate((each for each in investigation.stages if each.proposal), start=1):
         proposal, outcome = stage.proposal, stage.outcome
         if proposal is None or outcome is None:
             continue
         rows = [
             [
-                text.title_of(rival),
+                text.hypothesis_label(rival),
                 probability_number(rival.probability),
-                probability_number(after),
+                probability_number(predicted_probability),
                 f"{1e3 * error_dph:.2f}",
             ]
-            for rival, after, error_dph in zip(
+            for rival, predicted_probability, error_dph in zip(
                 stage.rivals, outcome.probabilities, outcome.error_dph, strict=True
             )
         ]
@@ -98,10 +104,10 @@ def _blocks(found: Investigation) -> list[Section]:
             ("hypothesis", "before", "by prediction", "error"),
             rows,
         )
-        purpose = _PURPOSES.get(stage.purpose, "")
+        purpose = _PURPOSE_TITLES.get(stage.purpose, "")
         sections.append(
             Section(
-                f"Block {number}{purpose}: {proposal.block.name}",
+                f"Block {block_number}{purpose}: {proposal.block.name}",
                 [*text.proposal_sentences(proposal, stage.rivals), text.ruled_out_sentence(stage)],
                 tables=[table],
             )
@@ -109,10 +115,10 @@ def _blocks(found: Investigation) -> list[Section]:
     return sections
 
 
-def _proof(proof: VerificationResult | None) -> list[Section]:
-    if proof is None:
+def _verification_section(verification: VerificationResult | None) -> list[Section]:
+    if verification is None:
         return []
-    caption = f"Remaining biases in new measurements, all plateaus, {size_units(proof)}"
-    table = SectionTable(caption, ["compensation", *size_heads(proof)], total_rows(proof))
-    bars = SectionFigure("residuals", f"{caption}, by plateau.", partial(residual_bars_figure, proof))
-    return [Section("Compensation, before and after", [outcome_sentence(proof)], [bars], [table])]
+    caption = f"Remaining biases in new measurements, all plateaus, {size_units(verification)}"
+    table = SectionTable(caption, ["compensation", *size_heads(verification)], total_rows(verification))
+    bars = SectionFigure("residuals", f"{caption}, by plateau.", partial(residual_bars_figure, verification))
+    return [Section("Compensation, before and after", [outcome_sentence(verification)], [bars], [table])]

@@ -12,7 +12,7 @@ from gyrobench.bench.investigation.proposal import Proposal
 from gyrobench.bench.investigation.stages import CONFIRM, Investigation, Stage
 from gyrobench.bench.navigation.positions import AXES
 
-#: Judgement of each end.
+#: Judgement as displayed, by how the investigation ended.
 JUDGEMENTS = {
     "settled": "settled",
     "nothing_found": "nothing found",
@@ -25,17 +25,17 @@ JUDGEMENTS = {
 }
 _MAX_PREDICTIONS = 3
 #: Hypotheses below this probability are ruled out.
-_RULED_OUT = 0.01
+_MAX_RULED_OUT_PROBABILITY = 0.01
 
 
-def title_of(rival: Rival) -> str:
+def hypothesis_label(rival: Rival) -> str:
     """A hypothesis in words."""
     names = listed(rival.labels) or "nothing beyond the declared model"
     return f"{names}, and an unlisted effect" if rival.remainder_dph else names
 
 
 def proposal_sentences(proposal: Proposal, rivals: Sequence[Rival]) -> Iterator[str]:
-    """What a block does, what it is worth, and what each hypothesis predicts."""
+    """Steps of a block, its expected gain of information, and the prediction of each hypothesis."""
     plan = proposal.block.plan
     biases = f" For the biases it replaces {proposal.replaced_h:.1f} h of the procedure."
     yield (
@@ -52,116 +52,125 @@ def proposal_sentences(proposal: Proposal, rivals: Sequence[Rival]) -> Iterator[
             f"{axis} {1e3 * each.mean():+z.1f}" for axis, each in zip(AXES, mean_dph, strict=True)
         )
         yield (
-            f"If it is {title_of(rival)} ({'equal weights for the test' if is_test else weight}), the mean "
-            f"biases are {gyros} x 0.001 deg/h."
+            f"If it is {hypothesis_label(rival)} ({'equal weights for the test' if is_test else weight}), "
+            f"the mean biases are {gyros} x 0.001 deg/h."
         )
 
 
 def ruled_out_sentence(stage: Stage) -> str:
-    """Hypotheses that a block made improbable; empty without any."""
+    """Hypotheses that the results of a block rule out; empty if none."""
     after = stage.outcome.probabilities if stage.outcome else ()
     names = [
-        title_of(rival)
+        hypothesis_label(rival)
         for rival, probability in zip(stage.rivals, after, strict=False)
-        if rival.probability > _RULED_OUT > probability
+        if rival.probability > _MAX_RULED_OUT_PROBABILITY > probability
     ]
     return f"Ruled out by what it predicted: {'; '.join(names)}." if names else ""
 
 
-def _end_sentence(found: Investigation) -> str:
+def _end_sentence(investigation: Investigation) -> str:
     """How the investigation ended, and its cost."""
-    share = f"{100.0 * found.spent_h / found.repeated_campaign_h:.0f} %"
-    if found.calibration:
-        whole = f"{share} of the whole procedure ({found.repeated_campaign_h:.1f} h)"
-        return f"{found.reason} {found.spent_h:.1f} h on the bench, {whole}."
-    blocks = f", {counted(len(found.stages) - 1, 'block')} {found.spent_h:.1f} h" if found.spent_h else ""
-    whole = f" ({share} of repeating the first)" if blocks else ""
-    return f"{found.reason} On the bench: first table {found.repeated_campaign_h:.1f} h{blocks}{whole}."
+    share_text = f"{100.0 * investigation.spent_h / investigation.repeated_campaign_h:.0f} %"
+    if investigation.calibration:
+        comparison = f"{share_text} of the whole procedure ({investigation.repeated_campaign_h:.1f} h)"
+        return f"{investigation.reason} {investigation.spent_h:.1f} h on the bench, {comparison}."
+    block_text = (
+        f", {counted(len(investigation.stages) - 1, 'block')} {investigation.spent_h:.1f} h"
+        if investigation.spent_h
+        else ""
+    )
+    comparison = f" ({share_text} of repeating the first)" if block_text else ""
+    return (
+        f"{investigation.reason} On the bench: first table {investigation.repeated_campaign_h:.1f} "
+        f"h{block_text}{comparison}."
+    )
 
 
-def _calibration_sentence(found: Investigation) -> str:
-    """How certain the biases of an adaptive campaign are; empty for others."""
-    if found.calibration is None:
+def _calibration_sentence(investigation: Investigation) -> str:
+    """Uncertainty of the biases of an adaptive campaign; empty for other campaigns."""
+    if investigation.calibration is None:
         return ""
     return (
         "The rms standard uncertainty of the biases of a gyro, predicted for the procedure, is at most "
-        f"{found.calibration.ratio:.2f} times that of measuring it."
+        f"{investigation.calibration.ratio:.2f} times that of measuring it."
     )
 
 
-def test_sentence(found: Investigation) -> str:
-    """What the block that tested the effects found or a composed law says about them; empty without one."""
-    stage = found.test
+def test_sentence(investigation: Investigation) -> str:
+    """Result of the block that tested the effects found or a composed law; empty without such a block."""
+    stage = investigation.test
     if stage is None or stage.outcome is None:
         return ""
-    after, *others = stage.outcome.error_dph
-    before = min(others)
+    error_with, *errors_without = stage.outcome.error_dph
+    error_without = min(errors_without)
     probability, tested = stage.outcome.probabilities[0], stage.rivals[0]
-    words = ("agrees with", "contradicts")
+    result_words = ("agrees with", "contradicts")
     if stage.purpose == CONFIRM:
-        is_stated = set(tested.names) == set(found.closure.names)
-        own = "the effects found" if len(tested.names) > 1 else "the effect found"
-        subject = own if is_stated else f"{title_of(tested)}, which is not stated by the last search"
-    else:
-        subject, words = (
-            f"the composed law ({tested.candidates[-1].effect.statement})",
-            ("confirms", "refutes"),
+        is_stated = set(tested.names) == set(investigation.closure.names)
+        stated = "the effects found" if len(tested.names) > 1 else "the effect found"
+        subject = (
+            stated if is_stated else f"{hypothesis_label(tested)}, which is not stated by the last search"
         )
-    held, part = "leaves open", "one of them" if len(others) > 1 else "it"
+    else:
+        subject = f"the composed law ({tested.candidates[-1].effect.statement})"
+        result_words = ("confirms", "refutes")
+    result, removed = "leaves open", "one of them" if len(errors_without) > 1 else "it"
     if not stage.outcome.fits:
-        without = "the declared model" if len(others) == 1 else f"the effects found without {part}"
-        held = f"fits neither {without} nor"
-    elif probability >= 1.0 - _RULED_OUT or probability <= _RULED_OUT:
-        held = words[0] if probability > 0.5 else words[1]
+        models = "the declared model" if len(errors_without) == 1 else f"the effects found without {removed}"
+        result = f"fits neither {models} nor"
+    elif probability >= 1.0 - _MAX_RULED_OUT_PROBABILITY or probability <= _MAX_RULED_OUT_PROBABILITY:
+        result = result_words[0] if probability > 0.5 else result_words[1]
     return (
-        f"A block predicted before it was measured {held} {subject}: rms error {1e3 * before:.2f} x 0.001 "
-        f"deg/h without {part}, {1e3 * after:.2f} with it, noise {1e3 * stage.outcome.noise_dph:.2f}."
+        f"A block predicted before it was measured {result} {subject}: rms error {1e3 * error_without:.2f} x "
+        f"0.001 deg/h without {removed}, {1e3 * error_with:.2f} with it, noise "
+        f"{1e3 * stage.outcome.noise_dph:.2f}."
     )
 
 
-def forecast_sentence(found: Investigation) -> str:
-    """Blocks whose temperatures are far from their forecast; empty without any."""
-    off_k = {
-        str(number): stage.outcome.off_forecast_k
-        for number, stage in enumerate(found.stages, start=1)
+def forecast_sentence(investigation: Investigation) -> str:
+    """Blocks whose temperatures differ far from their forecast; empty if none."""
+    deviations_k = {
+        str(block_number): stage.outcome.off_forecast_k
+        for block_number, stage in enumerate(investigation.stages, start=1)
         if stage.outcome and stage.outcome.off_forecast_k
     }
-    if not off_k:
+    if not deviations_k:
         return ""
     return (
-        f"The gyro temperatures of block {listed([*off_k])} differ by up to {max(off_k.values()):.0f} K from "
-        "the forecast. Check that the bench carries out the steps of its plan."
+        f"The gyro temperatures of block {listed([*deviations_k])} differ by up to "
+        f"{max(deviations_k.values()):.0f} K from the forecast. Check that the bench carries out the steps "
+        "of its plan."
     )
 
 
-def closing_sentences(found: Investigation) -> list[str]:
-    """How the investigation ended, what its test says, and what to check."""
+def closing_sentences(investigation: Investigation) -> list[str]:
+    """How the investigation ended, the result of its test, and what to check."""
     return [
         *filter(
             None,
             [
-                _end_sentence(found),
-                _calibration_sentence(found),
-                test_sentence(found),
-                forecast_sentence(found),
+                _end_sentence(investigation),
+                _calibration_sentence(investigation),
+                test_sentence(investigation),
+                forecast_sentence(investigation),
             ],
         )
     ]
 
 
-def block_rows(found: Investigation) -> list[list[str]]:
-    """A row for each block: what, hours, and what was most probable before and after."""
+def block_rows(investigation: Investigation) -> list[list[str]]:
+    """One row for each block: name, hours, most probable hypothesis before and after."""
     rows = []
-    for number, stage in enumerate(found.stages[:-1], start=1):
-        after = found.stages[number]
+    for block_number, stage in enumerate(investigation.stages[:-1], start=1):
+        after = investigation.stages[block_number]
         if stage.proposal is not None:
             rows.append(
                 [
-                    str(number),
+                    str(block_number),
                     stage.proposal.block.name,
                     f"{after.spent_h - stage.spent_h:.1f}",
-                    _leading(stage.closure),
-                    _leading(after.closure),
+                    _most_probable(stage.closure),
+                    _most_probable(after.closure),
                 ]
             )
     return rows
@@ -170,6 +179,6 @@ def block_rows(found: Investigation) -> list[list[str]]:
 BLOCK_COLUMNS = ("block", "what", "hours", "most probable before", "after")
 
 
-def _leading(closure: Closure) -> str:
+def _most_probable(closure: Closure) -> str:
     best = rivals_of(closure)[0]
-    return f"{title_of(best)}, {probability_number(best.probability)}"
+    return f"{hypothesis_label(best)}, {probability_number(best.probability)}"

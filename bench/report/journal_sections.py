@@ -1,4 +1,4 @@
-"""The journal in the report of a run: faults, holds, repeats, commands, notes; durations."""
+"""Journal sections of a run report: faults, holds, repeats, commands, notes; durations of steps."""
 
 from __future__ import annotations
 
@@ -19,62 +19,67 @@ from gyrobench.bench.report.page import Mark, Section, SectionTable
 class KindDuration:
     """Planned and actual duration of the steps of one kind."""
 
-    kind: str  #: Name of the kind for people: "go to".
+    kind: str  #: Name of the kind as displayed: "go to".
     count: int  #: Finished steps of the plan.
-    #: planned_s, took_s: Sums over them; of a step that was done again, took_s has each time.
+    #: planned_s, actual_s: Sums over the steps; actual_s includes every execution of a repeated step.
     planned_s: float
-    took_s: float
-    repeats: int = 0  #: How often one of them was done again.
+    actual_s: float
+    repeats: int = 0  #: Number of repeated executions.
 
     @property
     def difference(self) -> str:
         """Actual minus planned duration: "+0:12:05", and in percent of the plan."""
-        late_s = self.took_s - self.planned_s
-        text = f"{'-' if round(late_s) < 0 else '+'}{clock_time(abs(late_s))}"
+        late_s = self.actual_s - self.planned_s
+        text = f"{'-' if round(late_s) < 0 else '+'}{duration_text(abs(late_s))}"
         return f"{text} ({100.0 * late_s / self.planned_s:+.1f} %)" if self.planned_s > 0.0 else text
 
     @property
     def cells(self) -> list[str]:
-        """Kind, number, planned and actual duration, and their difference."""
-        durations = clock_time(self.planned_s), clock_time(self.took_s)
+        """Cells of a table row: kind, number, planned and actual duration, and their difference."""
+        durations = duration_text(self.planned_s), duration_text(self.actual_s)
         return [self.kind, str(self.count), *durations, self.difference]
 
 
-def durations_by_kind(took: Iterable[KindDuration]) -> list[KindDuration]:
-    """Sums by kind, longest first, and the total last; empty if no step has finished."""
-    kinds = sorted(took, key=lambda each: -each.took_s)
-    count, planned_s, took_s, repeats = (sum(getattr(each, name) for each in kinds) for name in _SUMS)
-    return [*kinds, KindDuration("all", count, planned_s, took_s, repeats)] if kinds else []
+def durations_by_kind(durations: Iterable[KindDuration]) -> list[KindDuration]:
+    """Durations by kind, longest first, followed by the total; empty if no step has finished."""
+    by_duration = sorted(durations, key=lambda each: -each.actual_s)
+    count, planned_s, actual_s, repeats = (
+        sum(getattr(each, name) for each in by_duration) for name in _SUMMED_FIELDS
+    )
+    return [*by_duration, KindDuration("all", count, planned_s, actual_s, repeats)] if by_duration else []
 
 
-def add_step(took: dict[str, KindDuration], entry: Mapping[str, Any], finished: set[object]) -> None:
-    """Add an entry of a journal to the sums by kind, if a step has finished with it.
+def add_step_duration(
+    durations: dict[str, KindDuration], entry: Mapping[str, Any], finished_steps: set[object]
+) -> None:
+    """Add a journal entry to the durations by kind if it is the end of a step.
 
-    ``finished``: numbers of the steps before it, to which its own is added.
+    ``finished_steps``: numbers of the steps finished before; the number of this step is added.
     """
     if entry.get("event") == "step_finished" and {"kind", "step", "planned_s", "took_s"} <= entry.keys():
         kind = str(entry["kind"]).replace("_", " ")
-        sums, again = took.get(kind, KindDuration(kind, 0, 0.0, 0.0)), entry["step"] in finished
-        finished.add(entry["step"])
-        took[kind] = KindDuration(
+        sums = durations.get(kind, KindDuration(kind, 0, 0.0, 0.0))
+        is_repeat = entry["step"] in finished_steps
+        finished_steps.add(entry["step"])
+        durations[kind] = KindDuration(
             kind,
-            sums.count + (not again),
-            sums.planned_s + (0.0 if again else float(entry["planned_s"])),
-            sums.took_s + float(entry["took_s"]),
-            sums.repeats + again,
+            sums.count + (not is_repeat),
+            sums.planned_s + (0.0 if is_repeat else float(entry["planned_s"])),
+            sums.actual_s + float(entry["took_s"]),
+            sums.repeats + is_repeat,
         )
 
 
 def step_durations(journal: Iterable[Mapping[str, Any]]) -> list[KindDuration]:
     """Durations of the finished steps of a journal, by kind."""
-    took: dict[str, KindDuration] = {}
-    finished: set[object] = set()
+    durations: dict[str, KindDuration] = {}
+    finished_steps: set[object] = set()
     for entry in journal:
-        add_step(took, entry, finished)
-    return list(took.values())
+        add_step_duration(durations, entry, finished_steps)
+    return list(durations.values())
 
 
-def clock_time(duration_s: float) -> str:
+def duration_text(duration_s: float) -> str:
     """Write a duration as h:mm:ss, to the nearest second."""
     seconds = round(duration_s)
     return f"{seconds // 3600}:{seconds // 60 % 60:02d}:{seconds % 60:02d}"
@@ -82,14 +87,14 @@ def clock_time(duration_s: float) -> str:
 
 Entry = Mapping[str, Any]
 
-_SUMS = ("count", "planned_s", "took_s", "repeats")
-#: Longest table; beyond it, events are grouped.
+_SUMMED_FIELDS = ("count", "planned_s", "actual_s", "repeats")
+#: Largest number of rows; if there are more events, they are grouped.
 MAX_ROWS = 60
 
 _MAX_TIME_S = 1e12
 _NUMBERS = re.compile(r"\d+(?:[.:]\d+)*")
-#: Most important first: these keep their rows when events are grouped.
-_KINDS = (
+#: Kinds of events, most important first: the less important are grouped first.
+_KINDS_BY_IMPORTANCE = (
     "interlock",
     "held",
     "dwell flagged",
@@ -102,7 +107,7 @@ _KINDS = (
     "note",
     "exchange repeated",
 )
-_MARKS: Mapping[str, Mark] = MappingProxyType(
+_ROW_MARKS: Mapping[str, Mark] = MappingProxyType(
     {
         "interlock": "bad",
         "ended": "bad",
@@ -111,47 +116,50 @@ _MARKS: Mapping[str, Mark] = MappingProxyType(
         "soak not settled": "doubtful",
     }
 )
-_QUIET = "The journal has no fault, hold, repeat, command or note."
-_ALL = "Times from the start. Repeated events are counted in one row; journal.jsonl has all of them"
+_NO_EVENTS = "The journal has no fault, hold, repeat, command or note."
+_TABLE_CAPTION = "Times from the start. Repeated events are counted in one row; journal.jsonl has all of them"
 
 
 @dataclass(frozen=True)
 class RunEvent:
-    """An event, or several alike: times of the first and last, number, and outcome."""
+    """An event, or several equal ones: times of the first and last, number, and outcome."""
 
     first_s: float
     last_s: float
     kind: str
-    what: str
+    description: str
     outcome: str
     count: int = 1
 
     @property
     def time(self) -> str:
-        """Time of the first, and of the last where there are several, as h:mm:ss."""
+        """Time of the event, or of the first and last of several, as h:mm:ss."""
         if self.count == 1:
-            return clock_time(self.first_s)
-        return f"{clock_time(self.first_s)} to {clock_time(self.last_s)}"
+            return duration_text(self.first_s)
+        return f"{duration_text(self.first_s)} to {duration_text(self.last_s)}"
 
 
 def run_events(journal: Sequence[Entry]) -> list[RunEvent]:
-    """Events of a journal in order, equal ones grouped.
+    """Events of a journal in order; equal events are grouped.
 
-    More than :data:`MAX_ROWS` are grouped further: first those that differ only in numbers, then all of a
-    kind, repeated exchanges first.
+    If there are more than :data:`MAX_ROWS`, events that differ only in numbers are grouped, then all events
+    of one kind after another, least important kinds first.
     """
-    events = _grouped(_events(journal), lambda each: (each.kind, each.what, each.outcome))
+    events = _group_events(_collect_events(journal), lambda each: (each.kind, each.description, each.outcome))
     if len(events) > MAX_ROWS:
-        events = _grouped(events, lambda each: (each.kind, _shape(each.what), _shape(each.outcome)))
-    for kind in reversed(_KINDS):
+        events = _group_events(
+            events,
+            lambda each: (each.kind, _without_numbers(each.description), _without_numbers(each.outcome)),
+        )
+    for kind in reversed(_KINDS_BY_IMPORTANCE):
         if len(events) > MAX_ROWS:
-            events = _grouped(events, partial(_kind_or_itself, kind))
+            events = _group_events(events, partial(_kind_key, kind))
     return sorted(events, key=lambda each: each.first_s)
 
 
-def durations_section(took: Iterable[KindDuration]) -> Section:
+def durations_section(durations: Iterable[KindDuration]) -> Section:
     """Planned and actual durations in a table."""
-    kinds = durations_by_kind(took)
+    kinds = durations_by_kind(durations)
     title = "Planned and actual duration"
     if not kinds:
         return Section(title, ["No step was finished."])
@@ -166,72 +174,77 @@ def events_section(journal: Sequence[Entry]) -> Section:
     """Events of a run in a table."""
     events = run_events(journal)
     if not events:
-        return Section("Flags, holds and retries", [_QUIET])
+        return Section("Flags, holds and retries", [_NO_EVENTS])
     counts: Counter[str] = Counter()
     for each in events:
         counts[each.kind] += each.count
-    summary = ", ".join(f"{kind} ({counts[kind]})" for kind in _KINDS if counts[kind])
+    summary = ", ".join(f"{kind} ({counts[kind]})" for kind in _KINDS_BY_IMPORTANCE if counts[kind])
     rows = [
         (
             each.time,
             f"{each.kind}{f' ({each.count} times)' if each.count > 1 else ''}",
-            each.what,
+            each.description,
             each.outcome,
         )
         for each in events
     ]
     table = SectionTable(
-        _ALL,
+        _TABLE_CAPTION,
         ["time / h:mm:ss", "kind", "what", "outcome"],
         rows,
         words=4,
-        marks=[_MARKS.get(each.kind, "") for each in events],
+        marks=[_ROW_MARKS.get(each.kind, "") for each in events],
     )
-    texts = [f"Events: {summary}.", *_unsettled_sentence(journal)]
+    texts = [f"Events: {summary}.", *_unsettled_soaks(journal)]
     return Section("Flags, holds and retries", texts, tables=[table])
 
 
-def _unsettled_sentence(journal: Iterable[Entry]) -> list[str]:
-    """How many soaks ended by their time, and the largest rate at their end; empty without any."""
-    found = [entry for entry in journal if entry.get("event") == "soak_not_settled"]
-    rates = [rate for entry in found if isinstance(rate := entry.get("rate_c_per_h"), int | float)]
+def _unsettled_soaks(journal: Iterable[Entry]) -> list[str]:
+    """Sentence with the number of soaks that reached their time limit, and the largest rate; else empty."""
+    soaks = [entry for entry in journal if entry.get("event") == "soak_not_settled"]
+    rates = [rate for entry in soaks if isinstance(rate := entry.get("rate_c_per_h"), int | float)]
     worst = f"; the largest rate of a gyro was {max(rates):.3g} °C/h" if rates else ""
-    number = f"{counted(len(found), 'soak')} ended by at_most_s before the gyros had settled"
-    return [f"{number}{worst}."] if found else []
+    sentence = f"{counted(len(soaks), 'soak')} ended by at_most_s before the gyros had settled"
+    return [f"{sentence}{worst}."] if soaks else []
 
 
-def _events(journal: Iterable[Entry]) -> list[RunEvent]:
-    gathered = _Gathered()
+def _collect_events(journal: Iterable[Entry]) -> list[RunEvent]:
+    collector = _EventCollector()
     for entry in journal:
-        if read := gathered.readers.get(str(entry.get("event"))):
-            read(entry)
-    return gathered.events
+        if handle := collector.handlers.get(str(entry.get("event"))):
+            handle(entry)
+    return collector.events
 
 
-class _Gathered:
-    """Events in order; later entries add the outcome of earlier ones."""
+class _EventCollector:
+    """Events in order; later entries set the outcome of earlier events."""
 
     def __init__(self) -> None:
         self.events: list[RunEvent] = []
-        self._open: dict[tuple[str, str], list[int]] = {}
-        self._dropped: object = ""
-        self.readers: Mapping[str, Callable[[Entry], object]] = {
+        self._without_outcome: dict[tuple[str, str], list[int]] = {}
+        self._drop_reason: object = ""
+        self.handlers: Mapping[str, Callable[[Entry], object]] = {
             "tripped": self._tripped,
             "made_safe": self._made_safe,
             "held": self._held,
             "continued": self._continued,
             "retry": self._retry,
-            "answers_again": lambda entry: self._close("retry", entry.get("instrument"), "answers again"),
+            "answers_again": lambda entry: self._set_outcome(
+                "retry", entry.get("instrument"), "answers again"
+            ),
             "dwell_given_up": self._given_up,
             "dwell_finished": self._finished,
             "dwell_skipped": lambda entry: self._add(entry, "dwell skipped", f"dwell {entry.get('dwell')}"),
             "ordered": lambda entry: self._add(
-                entry, "command", str(entry.get("order")), f"by {_who(entry)}"
+                entry, "command", str(entry.get("order")), f"by {_command_source(entry)}"
             ),
             "run_started": self._started,
             "run_resumed": self._resumed,
             "compensation_decided": lambda entry: self._add(
-                entry, "command", f"compensation {entry.get('which')}: {entry.get('answer')}", _by(entry)
+                entry,
+                "command",
+                f"compensation {entry.get('which')}: {entry.get('answer')}",
+                _by_operator(entry),
             ),
             "unit_dropped": self._unit_dropped,
             "run_ended": self._ended,
@@ -244,102 +257,108 @@ class _Gathered:
             ),
         }
 
-    def _add(self, entry: Entry, kind: str, what: str, outcome: str = "") -> int:
-        at_s = _seconds(entry.get("time_s")) or 0.0
-        self.events.append(RunEvent(at_s, at_s, kind, what, outcome))
+    def _add(self, entry: Entry, kind: str, description: str, outcome: str = "") -> int:
+        time_s = _valid_seconds(entry.get("time_s")) or 0.0
+        self.events.append(RunEvent(time_s, time_s, kind, description, outcome))
         return len(self.events) - 1
 
-    def _await(self, topic: str, key: object, index: int) -> None:
-        self._open.setdefault((topic, str(key)), []).append(index)
+    def _expect_outcome(self, topic: str, key: object, index: int) -> None:
+        self._without_outcome.setdefault((topic, str(key)), []).append(index)
 
-    def _close(self, topic: str, key: object, outcome: str) -> None:
-        for index in self._open.pop((topic, str(key)), []):
+    def _set_outcome(self, topic: str, key: object, outcome: str) -> None:
+        for index in self._without_outcome.pop((topic, str(key)), []):
             self.events[index] = replace(self.events[index], outcome=outcome)
 
     def _tripped(self, entry: Entry) -> None:
-        self._await("safe", None, self._add(entry, "interlock", str(entry.get("why"))))
+        self._expect_outcome("safe", None, self._add(entry, "interlock", str(entry.get("why"))))
 
     def _made_safe(self, entry: Entry) -> None:
-        found = entry.get("actions")
-        actions = [each for each in found if isinstance(each, Mapping)] if isinstance(found, list) else []
+        actions_entry = entry.get("actions")
+        actions = (
+            [each for each in actions_entry if isinstance(each, Mapping)]
+            if isinstance(actions_entry, list)
+            else []
+        )
         failed = [str(action.get("what")) for action in actions if action.get("problem")]
-        self._close("safe", None, f"safe state NOT reached: {listed(failed)}" if failed else "made safe")
+        self._set_outcome(
+            "safe", None, f"safe state NOT reached: {listed(failed)}" if failed else "made safe"
+        )
 
     def _held(self, entry: Entry) -> None:
         index = self._add(entry, "held", str(entry.get("why")), f"waits for {entry.get('waits_for')}")
-        self._await("hold", None, index)
+        self._expect_outcome("hold", None, index)
 
     def _continued(self, entry: Entry) -> None:
-        held_s = _seconds(entry.get("held_s"))
-        after = f" after {clock_time(held_s)}" if held_s is not None else ""
-        self._close("hold", None, f"continued by {_who(entry)}{after}")
+        held_s = _valid_seconds(entry.get("held_s"))
+        after = f" after {duration_text(held_s)}" if held_s is not None else ""
+        self._set_outcome("hold", None, f"continued by {_command_source(entry)}{after}")
 
     def _retry(self, entry: Entry) -> None:
         instrument = entry.get("instrument")
         error = str(entry.get("error"))
-        what = error if error.startswith(f"{instrument}") else f"{instrument}: {error}"
-        self._await("retry", instrument, self._add(entry, "exchange repeated", what))
+        description = error if error.startswith(f"{instrument}") else f"{instrument}: {error}"
+        self._expect_outcome("retry", instrument, self._add(entry, "exchange repeated", description))
 
     def _given_up(self, entry: Entry) -> None:
         dwell = entry.get("dwell")
         index = self._add(entry, "dwell repeated", f"dwell {dwell}: {entry.get('why')}", "not measured again")
-        self._await("dwell", dwell, index)
+        self._expect_outcome("dwell", dwell, index)
 
     def _finished(self, entry: Entry) -> None:
         marks, flags = entry.get("marks"), entry.get("flags")
         dwell = marks.get("dwell") if isinstance(marks, Mapping) else None
-        self._close("dwell", dwell, "measured again, flagged" if flags else "measured again, good")
+        self._set_outcome("dwell", dwell, "measured again, flagged" if flags else "measured again, good")
         if flags:
             self._add(entry, "dwell flagged", f"dwell {dwell}: {flags}", "excluded from the bins")
 
     def _started(self, entry: Entry) -> None:
         if entry.get("operator"):
-            self._add(entry, "command", "start", _by(entry))
+            self._add(entry, "command", "start", _by_operator(entry))
 
     def _resumed(self, entry: Entry) -> None:
         next_step = entry.get("next_step")
-        self._close("hold", None, "the run ended during the hold")
+        self._set_outcome("hold", None, "the run ended during the hold")
         by = f" by {entry['operator']}" if entry.get("operator") else ""
         self._add(entry, "resumed", f"The run was interrupted and resumed{by}.", f"from step {next_step}")
 
     def _unit_dropped(self, entry: Entry) -> None:
-        self._dropped = entry.get("why")  # with which the journal of the unit ends
-        self._add(entry, "unit dropped", f"{entry.get('unit')}: {self._dropped}")
+        self._drop_reason = entry.get("why")  # also the reason at the end of the unit's journal
+        self._add(entry, "unit dropped", f"{entry.get('unit')}: {self._drop_reason}")
 
     def _ended(self, entry: Entry) -> None:
-        if entry.get("ended") != "finished" and entry.get("reason") != self._dropped:
+        if entry.get("ended") != "finished" and entry.get("reason") != self._drop_reason:
             ending = run_ending(str(entry.get("ended")), str(entry.get("reason")))
             self._add(entry, "ended", f"The run {ending}")
 
 
-def _by(entry: Entry) -> str:
+def _by_operator(entry: Entry) -> str:
     return f"by {entry['operator']}" if entry.get("operator") else ""
 
 
-def _who(entry: Entry) -> str:
-    """Source of a command, with the operator's name where it is known and not in the source."""
-    by, operator = describe_source(str(entry.get("by"))), str(entry.get("operator") or "")
-    return f"{operator} ({by})" if operator and operator not in by else by
+def _command_source(entry: Entry) -> str:
+    """Source of a command, with the operator's name if known and not part of the source."""
+    source, operator = describe_source(str(entry.get("by"))), str(entry.get("operator") or "")
+    return f"{operator} ({source})" if operator and operator not in source else source
 
 
-def _seconds(value: object) -> float | None:
+def _valid_seconds(value: object) -> float | None:
     return float(value) if isinstance(value, int | float) and abs(value) < _MAX_TIME_S else None
 
 
-def _grouped(events: Iterable[RunEvent], key: Callable[[RunEvent], object]) -> list[RunEvent]:
-    """Group events of the same key at the place of the first."""
+def _group_events(events: Iterable[RunEvent], key: Callable[[RunEvent], object]) -> list[RunEvent]:
+    """Merge events with equal keys into one, at the position of the first."""
     groups: dict[object, RunEvent] = {}
-    for each in events:
-        first = groups.setdefault(key(each), each)
-        if first is not each:
-            groups[key(each)] = replace(first, last_s=each.last_s, count=first.count + each.count)
+    for event in events:
+        first = groups.setdefault(key(event), event)
+        if first is not event:
+            groups[key(event)] = replace(first, last_s=event.last_s, count=first.count + event.count)
     return list(groups.values())
 
 
-def _kind_or_itself(kind: str, event: RunEvent) -> object:
+def _kind_key(kind: str, event: RunEvent) -> object:
     return kind if event.kind == kind else event
 
 
-def _shape(text: str) -> str:
+def _without_numbers(text: str) -> str:
     """Text without its numbers."""
     return _NUMBERS.sub("…", text)

@@ -1,6 +1,6 @@
-"""HTML pages that need nothing beside them, and the same as PDF: parts as data, one template, findings.json.
+"""Self-contained HTML pages and their PDF: sections as data, one template, and findings.json.
 
-Pages of findings (search, verification, batch) and the report of a run are all made of sections.
+Pages of findings (search, verification, batch) and the report of a run all consist of sections.
 """
 
 from __future__ import annotations
@@ -25,73 +25,73 @@ from gyrobench.bench.foundations.files import make_folder, parse_json, write_who
 from gyrobench.bench.foundations.memory import free_memory
 from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.foundations.text import capitalised
-from gyrobench.bench.report.figures.style import is_drawn, save_figure, save_vectors, stamp
+from gyrobench.bench.report.figures.style import draw_watermark, is_up_to_date, save_figure, save_vectors
 
-#: Name of the file that keeps findings beside their page, for the report of the run.
+#: Name of the file with the findings of a page, in the folder of the page; the run report reads it.
 FINDINGS_FILE = "findings.json"
 
 #: Highlight of a row: an error, a warning, a sum.
 Mark = Literal["", "bad", "doubtful", "sum"]
 
-_CONFIG = ConfigDict(extra="forbid", arbitrary_types_allowed=True)
-_NOT_SAVED = Field(exclude=True)
-_PAGE = "page.html.j2"
+_STRICT_CONFIG = ConfigDict(extra="forbid", arbitrary_types_allowed=True)
+_NOT_IN_FILE = Field(exclude=True)
+_TEMPLATE_FILE = "page.html.j2"
 
 
-@dataclass(frozen=True, config=_CONFIG)
+@dataclass(frozen=True, config=_STRICT_CONFIG)
 class SectionTable:
     """A table of texts."""
 
-    caption: str  #: What it shows, with units.
-    #: header, rows: One cell for each column; the last cell of a shorter row spans the rest. A second line of
-    #: a cell is grey.
+    caption: str  #: Content of the table, with units.
+    #: header, rows: One cell for each column; the last cell of a shorter row spans the remaining columns. The
+    #: second line of a cell is grey.
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
-    words: int = 1  #: Number of columns of words at the left; the others hold numbers.
-    marks: Sequence[Mark] = ()  #: Highlight of each row; without any, none.
+    words: int = 1  #: Number of text columns at the left; the others hold numbers.
+    marks: Sequence[Mark] = ()  #: Highlight of each row; empty: no highlights.
 
 
-@dataclass(frozen=True, eq=False, config=_CONFIG)
+@dataclass(frozen=True, eq=False, config=_STRICT_CONFIG)
 class SectionFigure:
-    """How to draw a figure, or its PNG file; the name of the file without suffix; and a caption."""
+    """A figure with its caption: ``figure`` draws it or is its PNG file, ``name`` is the stem of the file."""
 
     name: Annotated[str, Field(pattern="^[a-z0-9_]{1,80}$")]
     caption: str
-    figure: Annotated[Callable[[], Any] | Path | None, _NOT_SAVED] = None
+    figure: Annotated[Callable[[], Any] | Path | None, _NOT_IN_FILE] = None
 
 
-@dataclass(frozen=True, config=_CONFIG)
+@dataclass(frozen=True, config=_STRICT_CONFIG)
 class Box:
-    """A statement in a box: colour ("finished", "stopped", "failed", "open"), its gist, text, and notes."""
+    """A statement in a box: colour ("finished", "stopped", "failed", "open"), headline, text and notes."""
 
     colour: str
-    gist: str
+    headline: str
     text: str
     notes: Sequence[str] = ()
 
 
-@dataclass(frozen=True, eq=False, config=_CONFIG)
+@dataclass(frozen=True, eq=False, config=_STRICT_CONFIG)
 class Section:
-    """One part of a page; its contents stand in the order of the attributes. A path among items is a link."""
+    """One part of a page; its contents appear in the order of the attributes. Paths among items are links."""
 
     title: str
-    boxes: Annotated[Sequence[Box], _NOT_SAVED] = Field(default=(), kw_only=True)
+    boxes: Annotated[Sequence[Box], _NOT_IN_FILE] = Field(default=(), kw_only=True)
     paragraphs: Sequence[str] = ()
-    facts: Annotated[Mapping[str, str], _NOT_SAVED] = Field(default={}, kw_only=True)
-    items: Annotated[Sequence[str | PurePosixPath], _NOT_SAVED] = Field(default=(), kw_only=True)
+    facts: Annotated[Mapping[str, str], _NOT_IN_FILE] = Field(default={}, kw_only=True)
+    items: Annotated[Sequence[str | PurePosixPath], _NOT_IN_FILE] = Field(default=(), kw_only=True)
     figures: Sequence[SectionFigure] = ()
     tables: Sequence[SectionTable] = ()
-    sections: Annotated[Sequence[Section], _NOT_SAVED] = Field(default=(), kw_only=True)
+    sections: Annotated[Sequence[Section], _NOT_IN_FILE] = Field(default=(), kw_only=True)
 
 
-@dataclass(frozen=True, eq=False, config=_CONFIG)
+@dataclass(frozen=True, eq=False, config=_STRICT_CONFIG)
 class Findings:
     """Result of an analysis, as a separate page and as a chapter of the report of its run."""
 
     title: str
     source: str  #: What was analysed.
     judgement: str  #: Verdict in a word or two.
-    colour: Annotated[str, Field(pattern="^[a-z]+$")]  #: Of the verdict, as in :class:`Box`.
+    colour: Annotated[str, Field(pattern="^[a-z]+$")]  #: Colour of the verdict, as in :class:`Box`.
     sentence: str  #: The verdict in a sentence.
     facts: Mapping[str, str]  #: Names and values.
     sections: Sequence[Section]  #: The details.
@@ -111,11 +111,18 @@ _FINDINGS = TypeAdapter(Findings)
 def render_page(
     page: Section, source: str, watermark: str, title: str = "", sign_off: str | None = None
 ) -> Iterator[str]:
-    """Give a page, whose figures are PNG files, as HTML text, part by part.
+    """Yield a page, whose figures are PNG files, as HTML text, part by part.
 
-    The source is the line below the page's title. ``watermark`` is a word across every page, with which there
-    is no table to sign, or empty. ``title`` is that of the browser's window, ``sign_off`` the name, which may
-    be empty, for a sign-off table; it comes with a table of contents.
+    Parameters
+    ----------
+    source : str
+        Line below the title of the page.
+    watermark : str
+        Word across every page, or empty; a page with a watermark has no sign-off table.
+    title : str
+        Title of the browser window.
+    sign_off : str, optional
+        Name in the sign-off table, may be empty; None: neither sign-off table nor table of contents.
     """
     return _template().generate(
         page=page,
@@ -127,7 +134,7 @@ def render_page(
 
 
 def page_templates(package: str) -> Environment:
-    """Templates of a package's pages: what they show is escaped, what they lack is an error."""
+    """Template environment of a package: values are escaped, undefined variables raise an error."""
     return Environment(
         loader=PackageLoader(package),
         autoescape=True,
@@ -141,24 +148,28 @@ def page_templates(package: str) -> Environment:
 def _template() -> Template:
     environment = page_templates("gyrobench.bench.report")
     environment.filters["data_uri"] = _data_uri
-    return environment.get_template(_PAGE)
+    return environment.get_template(_TEMPLATE_FILE)
 
 
 def with_figure_files(
     folder: Path, sections: Iterable[Section], watermark: str, key: str = "", vectors: Sequence[str] = ()
 ) -> list[Section]:
-    """Draw the figures of sections into an existing folder; gives the sections with PNG files.
+    """Draw the figures of sections into an existing folder; returns the sections with PNG files.
 
-    ``watermark`` is a word across each figure, or empty. Files that hold the key, a hash of all that the
-    figures show, are kept. ``vectors`` are further formats of all figures, ``svg`` and ``pdf``.
+    ``watermark`` is a word across each figure, or empty. ``key`` is a hash of all that the figures show:
+    files that contain it are not drawn again. ``vectors`` are further formats of all figures, ``svg`` and
+    ``pdf``.
 
     Raises RunFolderError if a file can't be written.
     """
-    gc.freeze()  # or each collection below looks at all modules
+    gc.freeze()  # else each collection below scans all modules
     try:
         return [
             replace(
-                section, figures=[_as_file(folder, each, key, watermark, vectors) for each in section.figures]
+                section,
+                figures=[
+                    _with_figure_file(folder, each, key, watermark, vectors) for each in section.figures
+                ],
             )
             for section in sections
         ]
@@ -167,7 +178,7 @@ def with_figure_files(
 
 
 def write_findings(path: Path, findings: Findings) -> Path:
-    """Write the page, its figures into ``figures/`` and ``findings.json`` beside it; its folder exists.
+    """Write the page, with ``figures/`` and ``findings.json`` beside it, into an existing folder.
 
     Raises RunFolderError if a file can't be written.
     """
@@ -181,7 +192,7 @@ def write_findings(path: Path, findings: Findings) -> Path:
 
 
 def read_findings_file(folder: Path) -> Findings:
-    """Read the findings of a page; missing pictures are left out.
+    """Read the findings of a page; figures whose files are missing are left out.
 
     Raises DocumentError if the file can't be read or is invalid.
     """
@@ -192,37 +203,37 @@ def read_findings_file(folder: Path) -> Findings:
     except ValueError as error:
         raise DocumentError(f"{path}: not a file of findings: {error}") from error
     return replace(
-        findings, sections=[_with_pictures(each, folder / "figures") for each in findings.sections]
+        findings, sections=[_with_existing_figures(each, folder / "figures") for each in findings.sections]
     )
 
 
-def _with_pictures(section: Section, folder: Path) -> Section:
-    pictures = [(each, folder / f"{each.name}.png") for each in section.figures]
-    return replace(section, figures=[replace(each, figure=path) for each, path in pictures if path.is_file()])
+def _with_existing_figures(section: Section, folder: Path) -> Section:
+    paths = [(each, folder / f"{each.name}.png") for each in section.figures]
+    return replace(section, figures=[replace(each, figure=path) for each, path in paths if path.is_file()])
 
 
-def _as_file(
-    folder: Path, drawn: SectionFigure, key: str, watermark: str, vectors: Sequence[str]
+def _with_figure_file(
+    folder: Path, section_figure: SectionFigure, key: str, watermark: str, vectors: Sequence[str]
 ) -> SectionFigure:
-    if drawn.figure is None or isinstance(drawn.figure, Path):
-        return drawn
-    path = folder / f"{drawn.name}.png"
-    if vectors or not is_drawn(path, key):
-        figure = drawn.figure()
-        stamp(figure, watermark)
+    if section_figure.figure is None or isinstance(section_figure.figure, Path):
+        return section_figure
+    path = folder / f"{section_figure.name}.png"
+    if vectors or not is_up_to_date(path, key):
+        figure = section_figure.figure()
+        draw_watermark(figure, watermark)
         save_figure(figure, path, key)
         save_vectors(figure, path, vectors)
         del figure
         free_memory()
-    return replace(drawn, figure=path)
+    return replace(section_figure, figure=path)
 
 
 def _data_uri(path: Path) -> str:
-    kind = "svg+xml" if path.suffix == ".svg" else "png"
-    return f"data:image/{kind};base64,{base64.b64encode(path.read_bytes()).decode()}"
+    media_type = "svg+xml" if path.suffix == ".svg" else "png"
+    return f"data:image/{media_type};base64,{base64.b64encode(path.read_bytes()).decode()}"
 
 
-_LACKING = (
+_PANGO_MISSING = (
     "can't load the library Pango, needed for PDF: {}. Install it (Debian, Ubuntu: "
     "`apt-get install libpango-1.0-0 libpangoft2-1.0-0 libharfbuzz-subset0`; macOS: `brew install pango`), "
     "or print report.html in a browser."
@@ -230,30 +241,31 @@ _LACKING = (
 
 
 def write_pdf(page: Path, pdf: Path) -> Path:
-    """Convert a page to PDF; raises what :func:`pdf_of` does.
+    """Convert a page to a PDF file.
 
-    Raises RunFolderError if the file can't be written.
+    Raises RunFolderError if the file can't be written, and the errors of :func:`pdf_of`.
     """
     write_whole(pdf, pdf_of(page.read_text(encoding="utf-8")))
     return pdf
 
 
 def pdf_of(page: str, attachments: Mapping[str, bytes] | None = None, variant: str | None = None) -> bytes:
-    """Convert a self-contained HTML page to PDF with tags.
+    """Convert a self-contained HTML page to tagged PDF.
 
-    ``attachments``: files inside the PDF, by name. ``variant``: as "pdf/a-3a"; default: plain PDF. Raises
-    GyrobenchError if a system library is missing, and MissingPackageError if weasyprint is not installed.
+    ``attachments``: content of files embedded in the PDF, by name. ``variant``: for instance "pdf/a-3a";
+    default: plain PDF. Raises GyrobenchError if a system library is missing, and MissingPackageError if
+    weasyprint is not installed.
     """
     try:
         html, urls = require("weasyprint"), require("weasyprint.urls")
     except OSError as error:
-        raise GyrobenchError(_LACKING.format(str(error).splitlines()[0])) from error
+        raise GyrobenchError(_PANGO_MISSING.format(str(error).splitlines()[0])) from error
     for name in ("weasyprint", "fontTools"):
         logging.getLogger(name).setLevel(logging.ERROR)
-    # Pictures are embedded: no other address is fetched.
+    # Images are embedded as data URIs; no other address is fetched.
     document = html.HTML(string=page, url_fetcher=urls.URLFetcher(allowed_protocols=["data"]))
-    added = [
+    embedded_files = [
         html.Attachment(file_obj=io.BytesIO(content), name=name, relationship="Source")
         for name, content in (attachments or {}).items()
     ]
-    return document.write_pdf(pdf_variant=variant, pdf_tags=True, attachments=added)  # type: ignore[no-any-return]
+    return document.write_pdf(pdf_variant=variant, pdf_tags=True, attachments=embedded_files)  # type: ignore[no-any-return]

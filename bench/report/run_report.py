@@ -1,4 +1,4 @@
-"""The report of a run, of one unit or several: one HTML file that needs nothing beside it."""
+"""The report of a run, of one unit or several: one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -57,11 +57,11 @@ from gyrobench.bench.report.figures.bias import (
     position_difference_figure,
     position_pair_figure,
 )
-from gyrobench.bench.report.figures.budget import shares
-from gyrobench.bench.report.figures.temperatures import DRAWN, TelemetryValues, temperature_figure
+from gyrobench.bench.report.figures.budget import variance_shares
+from gyrobench.bench.report.figures.temperatures import DRAWN_COLUMNS, TelemetryValues, temperature_figure
 from gyrobench.bench.report.journal_sections import Entry, durations_section, events_section
 from gyrobench.bench.report.page import Box, Section, SectionFigure, render_page, with_figure_files
-from gyrobench.bench.report.run_content import RunContent, read_run, with_joint
+from gyrobench.bench.report.run_content import RunContent, read_run, with_joint_solution
 from gyrobench.bench.report.run_findings import run_findings, signs_sentence
 from gyrobench.bench.report.run_text import VERDICT_COLOURS
 from gyrobench.bench.runs.folder import JOURNAL, RunFolder
@@ -74,14 +74,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_PROGRAMS = ("gyrobench", "python", "platform")
-_TIME = "%Y-%m-%d %H:%M:%S"
-_MAX_OFFSET_S = 86_000.0
+_VERSION_KEYS = ("gyrobench", "python", "platform")
+_TIME_FORMAT = "%Y-%m-%d %H:%M:%S"
+_MAX_UTC_OFFSET_S = 86_000.0
 _INTERRUPTED = "It was killed or is still running: the journal has no end."
 _NO_BIAS = "No dwell gave a bias."
 _NOT_JUDGED = "A run with a damaged file is not judged."
 _DWELL_BANDS = " Bands and bars are dwells by position; a hollow bar is a flagged dwell."
-_HASHES = (
+_HASHES_TEXT = (
     "SHA-256 of the files in the run folder. The hash of a log in parts is that of the list of its parts' "
     "hashes, as printed by: sha256sum can/*.blf | sha256sum"
 )
@@ -96,63 +96,63 @@ def write_report(
     vectors: Sequence[str] = (),
     are_tables_new: bool = False,
 ) -> Path:
-    """Write ``report.html`` and the figures of a run, from what its folder holds; returns the report.
+    """Write ``report.html`` and the figures of a run from the files in its folder; returns its path.
 
-    The report names parts that are missing because the run failed or was interrupted, and replaces an
-    earlier one. A run that has ended is sealed with it.
+    An existing report is replaced. The report lists the files that are missing because the run failed or was
+    interrupted. A run that has ended is sealed with its report.
 
     Raises RunFolderError if a file can't be written.
 
     Parameters
     ----------
     prepared_by : str
-        Name for the sign-off, kept in the run; without one the name kept, or a blank line.
+        Name for the sign-off, stored in the run; default: the stored name, or a blank line.
     out : Path, optional
         Output folder; default: the run folder.
     before : RunFolder, optional
-        Run before a change, to compare with this one.
+        Run before a change, compared with this one.
     mark_temperatures_c : sequence of float
-        Temperatures in degC that figures mark beside those of the procedure.
+        Temperatures in degC that figures mark in addition to those of the procedure.
     vectors : sequence of str
-        Formats beside PNG that the figures are written in: ``svg``, ``pdf``.
+        Further formats of the figures, besides PNG: ``svg``, ``pdf``.
     are_tables_new : bool
-        Whether the tables were computed again since the last seal.
+        Whether the tables were recomputed since the last seal.
     """
-    into = RunFolder(out or folder.path)
+    target = RunFolder(out or folder.path)
     if prepared_by:
         note_preparer(folder, prepared_by)
     content = read_run(folder, are_tables_new)
-    by = prepared_by or str(content.provenance.get("prepared_by", ""))
-    make_folder(into.figures)
+    preparer = prepared_by or str(content.provenance.get("prepared_by", ""))
+    make_folder(target.figures)
     marked_c = [*content.marked_temperatures_c, *mark_temperatures_c]
     earlier = read_run(before) if before else None
-    compared = [before_after_section(earlier, content, marked_c)] if earlier else []
+    comparison = [before_after_section(earlier, content, marked_c)] if earlier else []
     key = _figures_key(content, earlier, marked_c)
-    readings = partial(read_telemetry, folder.telemetry, DRAWN) if content.has_readings else None
-    content = _shown(content)
-    drawn = run_figures(readings, content.dwells, content.bins, content.acceptance, marked_c)
-    figures = [SectionFigure(name, "", figure) for name, figure in drawn]
+    readings = partial(read_telemetry, folder.telemetry, DRAWN_COLUMNS) if content.has_readings else None
+    content = _without_unused_data(content)
+    figures_of_run = run_figures(readings, content.dwells, content.bins, content.acceptance, marked_c)
+    figures = [SectionFigure(name, "", figure) for name, figure in figures_of_run]
     if not has_rotations(content.coefficients):
         figures += budget_figures(content.budget)
-    [own, *sections] = with_figure_files(
-        into.figures,
-        [Section("", figures=figures), *compared, *_analysis_sections(content, marked_c)],
+    [drawn_figures, *sections] = with_figure_files(
+        target.figures,
+        [Section("", figures=figures), *comparison, *_analysis_sections(content, marked_c)],
         content.watermark,
         key,
         vectors,
     )
-    content = with_joint(content, folder)
-    hashes = _hashes(folder, content.problems)
-    paths = [each.figure for each in own.figures if isinstance(each.figure, Path)]
-    write_whole(into.report, map(str.encode, render(content, paths, sections, hashes, by)))
+    content = with_joint_solution(content, folder)
+    hashes = _data_hashes(folder, content.problems)
+    paths = [each.figure for each in drawn_figures.figures if isinstance(each.figure, Path)]
+    write_whole(target.report, map(str.encode, render(content, paths, sections, hashes, preparer)))
     if out is None:
-        known = {path: digest for each in hashes for path, digest in each.parts.items()}
-        keep_sealed(folder, known, are_tables_new)
-    return into.report
+        sha256_by_path = {path: digest for each in hashes for path, digest in each.parts.items()}
+        keep_sealed(folder, sha256_by_path, are_tables_new)
+    return target.report
 
 
-def _shown(content: RunContent) -> RunContent:
-    """The content without readings, and what the report does not show: figures need the memory."""
+def _without_unused_data(content: RunContent) -> RunContent:
+    """Content without telemetry and without tables that the report does not show, to free memory."""
     if has_rotations(content.coefficients) or plateau_findings(content.coefficients):
         return replace(content, telemetry={})
     stated = [row for row in content.budget.stated if row.result == "bin"]
@@ -160,24 +160,23 @@ def _shown(content: RunContent) -> RunContent:
 
 
 def _figures_key(content: RunContent, before: RunContent | None, marked_c: Sequence[float]) -> str:
-    """Hash of what the figures show and of the code that draws them."""
+    """Hash of the data that the figures show and of the code that draws them."""
     code = sorted(file_sha256(each) for each in Path(__file__).parent.rglob("*.py"))
     inputs = (
-        *(content.dwells, content.bins, content.acceptance, content.noise, shares(content.budget)),
+        *(content.dwells, content.bins, content.acceptance, content.noise, variance_shares(content.budget)),
         *(content.coefficients, content.characteristics, before.bins if before else None),
         [content.station, marked_c, code, __version__, matplotlib.__version__],
     )
-    shown = hashlib.sha256()
+    digest = hashlib.sha256()
     with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
         for each in inputs:
-            for part in (
-                each if isinstance(each, Sequence) else [each]
-            ):  # one by one: all would take megabytes
-                shown.update(repr(part).encode())
-            shown.update(b";")
-    for name in DRAWN if content.telemetry else ():
-        shown.update(content.telemetry[name].tobytes())
-    return shown.hexdigest()
+            # Row by row: the text of all rows would take megabytes.
+            for item in each if isinstance(each, Sequence) else [each]:
+                digest.update(repr(item).encode())
+            digest.update(b";")
+    for name in DRAWN_COLUMNS if content.telemetry else ():
+        digest.update(content.telemetry[name].tobytes())
+    return digest.hexdigest()
 
 
 def render(
@@ -187,13 +186,13 @@ def render(
     hashes: Sequence[DataHash] = (),
     prepared_by: str = "",
 ) -> Iterator[str]:
-    """Give the report as HTML text, part by part.
+    """Yield the report as HTML text, part by part.
 
-    ``figures`` are PNG files by the names of :func:`run_figures`; ``sections``, also with PNG files, come
-    before the dwells.
+    ``figures``: PNG files, named as by :func:`run_figures`. ``sections``: further sections with PNG files,
+    placed before the dwells.
     """
-    drawn = {path.stem: path for path in figures}
-    unit, facts = serial_number_of(content), head_lines(content)
+    paths_by_name = {path.stem: path for path in figures}
+    unit, facts = serial_number_of(content), head_facts(content)
     check = calibration_check_sentence(content.calibration_check) if content.calibration_check else ""
     no_bias = "" if content.bins or check else _NO_BIAS
     no_dwell = f"{facts['dwells']}, without a turn." if check else "No dwell was measured."
@@ -202,17 +201,17 @@ def render(
     parts = [
         acceptance_section(content.acceptance),
         comparison_section(
-            content.bins, content.acceptance, drawn, no_bias, check, estimators_note(content.dwells)
+            content.bins, content.acceptance, paths_by_name, no_bias, check, estimators_note(content.dwells)
         ),
-        _temperature_section(content, drawn),
-        *(gyro_section(gyro, content.bins, drawn) for gyro in AXES),
+        _temperature_section(content, paths_by_name),
+        *(gyro_section(gyro, content.bins, paths_by_name) for gyro in AXES),
         *sections,
         joint_section(content.joint_sigmas, content.joint_plateaus),
-        *(found.chapter for found in content.chapters),
+        *(findings.chapter for findings in content.chapters),
         dwells_section(content.dwells, no_dwell),
         events_section(content.journal),
         _list_section("Approvals of the investigation", content.approvals),
-        durations_section(content.took),
+        durations_section(content.step_durations),
         _list_section("Assumptions of the procedure", content.procedure.get("assumptions")),
         _instruments_section(content),
         _hashes_section(hashes),
@@ -227,9 +226,9 @@ def render(
         boxes=verdict_boxes(content),
         facts=facts,
         figures=[
-            replace(each, figure=drawn[each.name])
+            replace(each, figure=paths_by_name[each.name])
             for each in budget_figures(content.budget)
-            if each.name in drawn
+            if each.name in paths_by_name
         ],
         tables=[coefficients_overview(content.coefficients)] if has_rotations(content.coefficients) else [],
         sections=[part for part in parts if part],
@@ -244,7 +243,7 @@ def _subject(content: RunContent) -> str:
     return "Gyro bias" if content.dwells or not content.characteristics else "Gyro characteristics"
 
 
-def _hashes(folder: RunFolder, problems: list[str]) -> list[DataHash]:
+def _data_hashes(folder: RunFolder, problems: list[str]) -> list[DataHash]:
     try:
         return data_hashes(folder)
     except RunFolderError as error:
@@ -253,7 +252,7 @@ def _hashes(folder: RunFolder, problems: list[str]) -> list[DataHash]:
 
 
 def _analysis_sections(content: RunContent, marked_c: Sequence[float]) -> list[Section]:
-    """Sections that this run has data for."""
+    """Sections of the analyses for which the run has data."""
     sections = [
         coefficients_section(content.coefficients, content.budget),
         *characteristics_sections(content.characteristics),
@@ -267,13 +266,13 @@ def _analysis_sections(content: RunContent, marked_c: Sequence[float]) -> list[S
 
 
 def verdict_boxes(content: RunContent) -> list[Box]:
-    """Damaged files, how the run ended, and the verdict on the unit."""
+    """Boxes at the top: damaged files, how the run ended, the verdict on the unit, and doubts about it."""
     facts, acceptance = content.facts, content.acceptance
     boxes = damage_boxes(content.damage)
-    if JOURNAL in content.damage:  # the entries before the damage do not give the end
-        return [*boxes, Box("failed", content.ending, ""), *_not_judged(content)]
+    if JOURNAL in content.damage:  # the entries before the damage do not state how the run ended
+        return [*boxes, Box("failed", content.ending, ""), *_not_judged_boxes(content)]
     is_safe = not any(action.get("problem") for action in facts.safe_state)
-    notes = [f"Unfinished step: {_open_step_of(content)}."] if _open_step_of(content) else []
+    notes = [f"Unfinished step: {_unfinished_step(content)}."] if _unfinished_step(content) else []
     notes += [
         f"Past due: {each.get('found')}; acknowledged by {each.get('operator')}."
         for each in content.entries("past_due")
@@ -281,28 +280,28 @@ def verdict_boxes(content: RunContent) -> list[Box]:
     notes += [] if is_safe else ["The safe state was not fully reached; see the section Safe state."]
     colour = facts.ended if is_safe and facts.ended in ("finished", "stopped") else "failed"
     boxes.append(Box(colour, content.ending, content.reason or ("" if facts.ended else _INTERRUPTED), notes))
-    boxes += [verdict_box(acceptance)] if acceptance else _not_judged(content)
-    if doubts := plateau_findings(content.coefficients):
-        where = listed(sorted({each.partition(":")[0] for each in doubts}))
-        text = f"{where}: see the section on coefficients."
+    boxes += [verdict_box(acceptance)] if acceptance else _not_judged_boxes(content)
+    if findings_by_plateau := plateau_findings(content.coefficients):
+        plateaus = listed(sorted({each.partition(":")[0] for each in findings_by_plateau}))
+        text = f"{plateaus}: see the section on coefficients."
         boxes.append(Box(VERDICT_COLOURS["marginal"], "Coefficients in doubt.", text))
-    if found := budget_box(content.budget):
-        boxes.append(found)
-    findings = run_findings(
+    if box := budget_box(content.budget):
+        boxes.append(box)
+    run_problems = run_findings(
         content.dwells, content.station, content.noise, content.joint_plateaus, content.reason
     )
-    boxes += [Box("failed", title, text) for title, text in findings.items()]
+    boxes += [Box("failed", title, text) for title, text in run_problems.items()]
     if text := signs_sentence(facts, content.station, RunFolder.station):
         boxes.append(Box(VERDICT_COLOURS["marginal"], "Signal map not tested.", text))
     return boxes
 
 
 def damage_boxes(damage: Mapping[str, str]) -> list[Box]:
-    """A statement for each damaged file, see :func:`gyrobench.bench.report.run_content.damage_of`."""
+    """One box for each damaged file, see :func:`gyrobench.bench.report.run_content.damage_of`."""
     return [Box("failed", f"{name} can't be used.", text) for name, text in damage.items()]
 
 
-def _not_judged(content: RunContent) -> list[Box]:
+def _not_judged_boxes(content: RunContent) -> list[Box]:
     return [Box(VERDICT_COLOURS["not judged"], "Unit not judged.", _NOT_JUDGED)] if content.damage else []
 
 
@@ -318,30 +317,32 @@ def _list_section(title: str, items: object) -> Section | None:
 
 
 def _instruments_section(content: RunContent) -> Section:
-    instruments, own = instruments_of(content), content.provenance
-    versions = {name: own[name] for name in _PROGRAMS if name in own} | own.get("packages", {})
+    instruments, provenance = instruments_of(content), content.provenance
+    versions = {name: provenance[name] for name in _VERSION_KEYS if name in provenance} | provenance.get(
+        "packages", {}
+    )
     parts = [
         _list_section("Resolution of the INS output", content.last("resolution").get("lines")),
         Section("Versions", [", ".join(f"{name} {version}" for name, version in versions.items())])
         if versions
         else None,
-        Section("SHA-256 of the input files", facts=_texts(own["files_sha256"]))
-        if own.get("files_sha256")
+        Section("SHA-256 of the input files", facts=_as_texts(provenance["files_sha256"]))
+        if provenance.get("files_sha256")
         else None,
     ]
     return Section(
         "Instruments and software",
         paragraphs=[] if instruments else ["The instruments are unknown."],
-        facts=_texts(instruments),
+        facts=_as_texts(instruments),
         sections=[part for part in parts if part],
     )
 
 
 def _hashes_section(hashes: Sequence[DataHash]) -> Section | None:
-    names = {
+    hashes_by_name = {
         f"{each.name} ({each.count} files)" if each.count > 1 else each.name: each.sha256 for each in hashes
     }
-    return Section("Data of this report", paragraphs=[_HASHES], facts=names) if hashes else None
+    return Section("Data of this report", paragraphs=[_HASHES_TEXT], facts=hashes_by_name) if hashes else None
 
 
 def _safe_state_section(content: RunContent) -> Section:
@@ -350,25 +351,25 @@ def _safe_state_section(content: RunContent) -> Section:
         return Section("Safe state", [f"{JOURNAL} can't be used."])
     if not actions:
         return Section("Safe state", ["The journal has no safe state."])
-    texts = [
+    items = [
         f"{action.get('what', 'unnamed action')}{': failed: ' if problem else ''}{problem}"
         for action in actions
         for problem in [str(action.get("problem") or "")]
     ]
-    return Section("Safe state", items=texts)
+    return Section("Safe state", items=items)
 
 
-def _texts(facts: Mapping[str, object]) -> dict[str, str]:
+def _as_texts(facts: Mapping[str, object]) -> dict[str, str]:
     return {str(name): str(value) for name, value in facts.items()}
 
 
 def serial_number_of(content: RunContent) -> str:
-    """Serial number of the unit, or of several; empty where none is known."""
+    """Serial number of the unit, or of several units; empty if unknown."""
     units = {row.unit for row in content.dwells} | {row.unit for row in content.calibration_check}
     return ", ".join(sorted(units - {""})) or content.facts.unit
 
 
-def _dwells_text(content: RunContent) -> str:
+def _dwell_counts(content: RunContent) -> str:
     flagged = sum(bool(row.flags) for row in content.dwells)
     texts = [f"{len(content.dwells)} measured, {flagged} of them flagged"] if content.dwells else []
     texts += [dwells_text(content.calibration_check)] if content.calibration_check else []
@@ -381,68 +382,70 @@ def _dwells_text(content: RunContent) -> str:
     return "; ".join(texts) or "none"
 
 
-def head_lines(content: RunContent) -> dict[str, str]:
-    """Unit, procedure, bench, operator and times of a run; unknown ones are left out."""
-    facts, own = content.facts, content.provenance
-    options = {**own.get("options", {}), **facts.options}
+def head_facts(content: RunContent) -> dict[str, str]:
+    """Unit, procedure, bench, operator and times of a run by label; unknown values are omitted."""
+    facts, provenance = content.facts, content.provenance
+    options = {**provenance.get("options", {}), **facts.options}
     resumed = f", resumed {counted(facts.resumes, 'time')}" if facts.resumes else ""
     is_end_known = JOURNAL not in content.damage
-    begun = parse_utc(own.get("started_utc") or facts.started_utc)
+    started = parse_utc(provenance.get("started_utc") or facts.started_utc)
     lines = {
         "unit": serial_number_of(content) or "serial number unknown",
         "procedure": facts.procedure or content.procedure.get("procedure"),
         "purpose": content.procedure.get("description"),
         "bench": facts.station or content.station.get("station"),
-        "started by": " on ".join(str(own[name]) for name in ("operator", "host") if own.get(name)),
-        "started": _both_times(begun, 0.0, own),
-        "ended": _both_times(begun, facts.last_s, own) if facts.ended and is_end_known else "",
+        "started by": " on ".join(
+            str(provenance[name]) for name in ("operator", "host") if provenance.get(name)
+        ),
+        "started": _utc_and_local(started, 0.0, provenance),
+        "ended": _utc_and_local(started, facts.last_s, provenance) if facts.ended and is_end_known else "",
         "duration": f"{hours_minutes(facts.last_s)} h{resumed}" if facts.last_s and is_end_known else "",
-        "dwells": _dwells_text(content),
+        "dwells": _dwell_counts(content),
         "options": ", ".join(f"{name} {value}" for name, value in options.items()),
     }
     return {name: str(value) for name, value in lines.items() if value}
 
 
-def _both_times(begun: datetime | None, after_s: float, provenance: Entry) -> str:
-    """Time in UTC, and in local time of the bench where its offset is known."""
-    if begun is None:
+def _utc_and_local(started: datetime | None, after_s: float, provenance: Entry) -> str:
+    """Time in UTC, and in local time of the bench if its offset from UTC is known."""
+    if started is None:
         return ""
     try:
-        moment = begun.astimezone(UTC) + timedelta(seconds=after_s)
-        text = f"{moment.strftime(_TIME)} UTC"
+        time = started.astimezone(UTC) + timedelta(seconds=after_s)
+        text = f"{time.strftime(_TIME_FORMAT)} UTC"
         offset_s = provenance.get("utc_offset_s")
-        if not isinstance(offset_s, int | float) or not abs(offset_s) < _MAX_OFFSET_S:
+        if not isinstance(offset_s, int | float) or not abs(offset_s) < _MAX_UTC_OFFSET_S:
             return text
         if not offset_s:
             return f"{text} (local time is UTC)"
-        local = moment.astimezone(timezone(timedelta(seconds=offset_s)))
+        local = time.astimezone(timezone(timedelta(seconds=offset_s)))
     except OverflowError:
         return ""
-    return f"{text}, {local.strftime(_TIME)} local time ({local.tzname()})"
+    return f"{text}, {local.strftime(_TIME_FORMAT)} local time ({local.tzname()})"
 
 
-def _open_step_of(content: RunContent) -> str:
-    """Step that had started and not finished when the run ended; empty if none."""
+def _unfinished_step(content: RunContent) -> str:
+    """Step that was in progress when the run ended; empty if none."""
     if content.facts.ended == "finished":
         return ""
     last = content.last_step
     if last.get("event") != "step_started":
         return ""
-    where = f" ({last['label']})" if last.get("label") else ""
-    return f"{last.get('step', '?')}, {last.get('what', 'unknown kind')}{where}"
+    label = f" ({last['label']})" if last.get("label") else ""
+    return f"{last.get('step', '?')}, {last.get('what', 'unknown kind')}{label}"
 
 
 def instruments_of(content: RunContent) -> dict[str, str]:
-    """Identity of each instrument."""
-    known = dict(content.provenance.get("instruments", {}))
+    """Identification of each instrument, by instrument."""
+    instruments = dict(content.provenance.get("instruments", {}))
     identity = content.last("ins_identified").get("identity")
     if isinstance(identity, Mapping):
         identity = ", ".join(f"{name} {value}" for name, value in identity.items())
-    return known | ({"INS": identity} if identity else {})
+    return instruments | ({"INS": identity} if identity else {})
 
 
 def figures_of(content: RunContent) -> Iterator[tuple[str, Callable[[], Figure]]]:
-    """Figures of a run that there are data for, see :func:`run_figures`."""
+    """Figures of a run for which there are data, see :func:`run_figures`."""
     readings = (lambda: content.telemetry) if content.has_readings else None
     return run_figures(
         readings, content.dwells, content.bins, content.acceptance, content.marked_temperatures_c
@@ -456,10 +459,10 @@ def run_figures(
     acceptance: Acceptance | None = None,
     marked_c: Sequence[float] = (),
 ) -> Iterator[tuple[str, Callable[[], Figure]]]:
-    """Figures that there are data for.
+    """Figures for which there are data: yields the name of each and a function that draws it.
 
-    These are temperature, bias_x, bias_y, bias_z, position_pair and position_differences. Yields the name of
-    each and a function that draws it. ``readings`` gives the telemetry; None where there is none.
+    The names are temperature, bias_x, bias_y, bias_z, position_pair and position_differences. ``readings``
+    returns the telemetry; None without telemetry.
     """
     if readings or dwells:
         yield "temperature", lambda: temperature_figure(readings() if readings else {}, dwells, marked_c)

@@ -1,4 +1,4 @@
-"""Results and findings in sentences, the same in report and terminal."""
+"""Sentences about the results of a run, the same in report and terminal."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from gyrobench.bench.foundations.text import counted, listed, plural
 from gyrobench.bench.navigation.positions import AXES, gyro_label, position_label
 from gyrobench.bench.report.number_format import dph_with_sigma, p_phrase, size_text, temperature_ranges
 
-#: Result without positions to compare.
+#: Sentence for a gyro without positions to compare.
 NOTHING_TO_COMPARE = "Nothing to compare: no temperature bin has dwells in two positions of one power cycle."
 
-#: Significance level of the differences between positions, per gyro.
+#: Significance level of the differences between positions, for each gyro.
 POSITION_SIGNIFICANCE = 0.01
 
-_AS_EXPECTED = "Error model and noise explain the data."
-_TOO_SMALL = (
+_DATA_EXPLAINED = "Error model and noise explain the data."
+_UNCERTAINTY_TOO_SMALL = (
     "The noise is larger than assumed, or the error model lacks an effect; the uncertainties are too small."
 )
-_TOO_LARGE = "The noise is smaller than assumed; the uncertainties are too large."
+_UNCERTAINTY_TOO_LARGE = "The noise is smaller than assumed; the uncertainties are too large."
 
 
-def differing(comparisons: Iterable[PositionComparison]) -> list[PositionComparison]:
+def significant_differences(comparisons: Iterable[PositionComparison]) -> list[PositionComparison]:
     """Comparisons with a significant difference, corrected for the bins of the gyro (Bonferroni)."""
     comparisons = list(comparisons)
     gyros = [each.gyro for each in comparisons]
@@ -41,83 +41,87 @@ def equality_sentence(comparisons: Sequence[PositionComparison]) -> str:
         return NOTHING_TO_COMPARE
     count = len(comparisons)
     corrected = f"corrected for {count} comparisons" if count > 1 else "one comparison"
-    different = differing(comparisons)
+    different = significant_differences(comparisons)
     if not different:
-        where = temperature_ranges(comparisons)
+        ranges = temperature_ranges(comparisons)
         return (
-            f"No significant difference between positions from {where} (no p < {POSITION_SIGNIFICANCE:g}, "
+            f"No significant difference between positions from {ranges} (no p < {POSITION_SIGNIFICANCE:g}, "
             f"{corrected})."
         )
-    worst = max(different, key=lambda each: each.largest_difference_dph)
-    high, low = map(position_label, worst.largest_pair)
-    difference = dph_with_sigma(worst.largest_difference_dph, worst.largest_difference_sigma_dph)
+    largest = max(different, key=lambda each: each.largest_difference_dph)
+    high, low = map(position_label, largest.largest_pair)
+    difference = dph_with_sigma(largest.largest_difference_dph, largest.largest_difference_sigma_dph)
     return (
         f"The bias differs between positions in {len(different)} of {count} bins: from "
         f"{temperature_ranges(different)} (p < {POSITION_SIGNIFICANCE:g}, {corrected}). Largest difference "
-        f"from {temperature_ranges([worst])}: {high} above {low} by {difference} (k = 1)."
+        f"from {temperature_ranges([largest])}: {high} above {low} by {difference} (k = 1)."
     )
 
 
 def power_cycle_sentence(bins: Iterable[BiasBin]) -> str:
-    """Where positions of different power cycles are not compared; empty if nowhere."""
-    apart = disconnected_bins(bins)
-    if not apart:
+    """Temperatures at which positions of different power cycles are not compared; empty if none."""
+    bins_not_compared = disconnected_bins(bins)
+    if not bins_not_compared:
         return ""
     return (
-        f"From {temperature_ranges(apart)} several power cycles measured different positions. Only positions "
-        "of the same power cycle are compared there."
+        f"From {temperature_ranges(bins_not_compared)} several power cycles measured different positions. "
+        "Only positions of the same power cycle are compared there."
     )
 
 
 def scatter_sentence(bins: Iterable[BiasBin]) -> str:
-    """Where dwells of one position scatter more than their uncertainties explain; empty if nowhere."""
+    """Bins in which dwells of one position scatter more than their uncertainties; empty if none."""
     tested = [each for each in bins if each.count > 1]
-    wide = [each for each in tested if each.spread_p_value < POSITION_SIGNIFICANCE / len(tested)]
-    if not wide:
+    scattered = [each for each in tested if each.spread_p_value < POSITION_SIGNIFICANCE / len(tested)]
+    if not scattered:
         return ""
-    places = ", ".join(f"{position_label(each.position)} {temperature_ranges([each])}" for each in wide)
+    names = ", ".join(f"{position_label(each.position)} {temperature_ranges([each])}" for each in scattered)
     return (
         "Dwells of the same position and bin scatter more than their uncertainties explain; the "
-        f"uncertainty of the mean and the p-value are too small at {places}."
+        f"uncertainty of the mean and the p-value are too small at {names}."
     )
 
 
 def agreement_sentence(
     comparisons: Sequence[PositionComparison], by_paper: Sequence[PositionComparison]
 ) -> str:
-    """Whether the paper's method finds the same bins different; empty without its results."""
+    """Whether the paper's method finds differences in the same bins; empty without its results."""
     if not by_paper:
         return ""
-    ours = {each.bin_low_c: each for each in differing(comparisons)}
-    theirs = {each.bin_low_c: each for each in differing(by_paper)}
-    more = [each for low, each in theirs.items() if low not in ours]
-    fewer = [each for low, each in ours.items() if low not in theirs]
-    if not more and not fewer:
+    state_space = {each.bin_low_c: each for each in significant_differences(comparisons)}
+    paper = {each.bin_low_c: each for each in significant_differences(by_paper)}
+    only_paper = [each for low, each in paper.items() if low not in state_space]
+    only_state_space = [each for low, each in state_space.items() if low not in paper]
+    if not only_paper and not only_state_space:
         return "The paper's method agrees."
-    parts = [f"it also finds a difference from {temperature_ranges(more)}"] if more else []
-    parts += [f"it finds none from {temperature_ranges(fewer)}"] if fewer else []
+    parts = [f"it also finds a difference from {temperature_ranges(only_paper)}"] if only_paper else []
+    parts += [f"it finds none from {temperature_ranges(only_state_space)}"] if only_state_space else []
     return f"The paper's method disagrees: {', and '.join(parts)}."
 
 
 def fit_sentence(rows: Iterable[DwellRow]) -> str:
-    """Whether error model and noise explain the data of the dwells; empty without tests."""
+    """Whether error model and noise explain the data of the dwells; empty if no dwell was tested."""
     tested = [row for row in rows if not math.isnan(row.fit_p_value)]
     if not tested:
         return ""
     p_values = [row.fit_p_value for row in tested]
-    chance = uniformity_p_value(p_values)
-    if chance < POSITION_SIGNIFICANCE:
-        size, verdict = ("too small", _TOO_SMALL) if median(p_values) < 0.5 else ("too large", _TOO_LARGE)
+    p_uniform = uniformity_p_value(p_values)
+    if p_uniform < POSITION_SIGNIFICANCE:
+        description, verdict = (
+            ("too small", _UNCERTAINTY_TOO_SMALL)
+            if median(p_values) < 0.5
+            else ("too large", _UNCERTAINTY_TOO_LARGE)
+        )
     else:
-        size, verdict = "as expected", f"{_AS_EXPECTED}{_outlier_sentence(tested)}"
+        description, verdict = "as expected", f"{_DATA_EXPLAINED}{_outlier_sentence(tested)}"
     ratios = [row.fit_ratio for row in tested]
     if len(tested) == 1:
-        size = f"{ratios[0]:.2f} times as large as expected ({p_phrase(p_values[0])})"
-        return f"Residuals of the only dwell tested are {size}. {verdict}"
+        description = f"{ratios[0]:.2f} times as large as expected ({p_phrase(p_values[0])})"
+        return f"Residuals of the only dwell tested are {description}. {verdict}"
     return (
         f"Residuals of {len(tested)} dwells are {min(ratios):.2f} to {max(ratios):.2f} times as large as "
-        f"expected, median {median(ratios):.2f}; their p-values are {size} (Kolmogorov-Smirnov "
-        f"{p_phrase(chance)}). {verdict}"
+        f"expected, median {median(ratios):.2f}; their p-values are {description} (Kolmogorov-Smirnov "
+        f"{p_phrase(p_uniform)}). {verdict}"
     )
 
 
@@ -125,9 +129,9 @@ def _outlier_sentence(rows: Sequence[DwellRow]) -> str:
     outliers = [row for row in rows if row.fit_p_value < POSITION_SIGNIFICANCE / len(rows)]
     if not outliers:
         return ""
-    which = f"dwell{'s' if len(outliers) > 1 else ''} {listed([str(row.dwell) for row in outliers])}"
+    dwells = f"dwell{'s' if len(outliers) > 1 else ''} {listed([str(row.dwell) for row in outliers])}"
     smallest = min(row.fit_p_value for row in outliers)
-    return f" Outlying: {which} (smallest {p_phrase(smallest)})."
+    return f" Outlying: {dwells} (smallest {p_phrase(smallest)})."
 
 
 #: Colours of the template's box, by verdict.
@@ -135,57 +139,57 @@ VERDICT_COLOURS: Mapping[RunVerdict, str] = MappingProxyType(
     {"accepted": "finished", "marginal": "stopped", "rejected": "failed", "not judged": "open"}
 )
 _NO_LIMITS = "The procedure has no acceptance limits."
-_NOTHING = "No plateau has good dwells in two positions."
-_UNDECIDED = "The uncertainty is too large for a verdict. {}."
-_DECIDED = "{:.0f} cycles in one run, instead of {}, give one if the differences stay as measured"
-_COMMON = (
+_NO_COMPARABLE_DWELLS = "No plateau has good dwells in two positions."
+_NO_VERDICT = "The uncertainty is too large for a verdict. {}."
+_CYCLES_ADVICE = "{:.0f} cycles in one run, instead of {}, give one if the differences stay as measured"
+_COMMON_ERRORS_ADVICE = (
     "More cycles do not decide, because {} deg/h of it are the same in all of them: reduce its largest "
     "contributions in budget.csv"
 )
-_MAX_CYCLES = 20
-_LACKING = (
+_MAX_ADVISED_CYCLES = 20
+_NOT_COMPARED = (
     "{} not compared with the others of the plateau, so the unit can't be accepted. Measure all positions of "
     "{} again in one power cycle."
 )
-_MAX_PLATEAUS = 3
 _UNCONNECTED = (
     "No plateau compares {}, so the unit can't be accepted. Measure a position of each group on one plateau."
 )
+_MAX_NAMED_PLATEAUS = 3
 
 
 def acceptance_sentence(acceptance: Acceptance) -> str:
-    """Reason of the verdict on the unit."""
+    """Reason for the verdict on the unit."""
     if acceptance.limits is None:
         return _NO_LIMITS
-    limit = _limit(acceptance)
+    limit = _limits_text(acceptance)
     with_confidence = f"with {100.0 * acceptance.limits.confidence:g} % confidence"
     match acceptance.verdict:
         case "accepted":
-            return f"All gyros are within {limit} at {_plateaus(acceptance)}, {with_confidence}."
+            return f"All gyros are within {limit} at {_plateau_counts(acceptance)}, {with_confidence}."
         case "rejected":
-            return f"{_gyros(acceptance, 'fail')} beyond {limit}, {with_confidence}."
+            return f"{_gyros_with_verdict(acceptance, 'fail')} beyond {limit}, {with_confidence}."
         case "marginal":
-            advice = _UNDECIDED.format(_deciding_cycles(acceptance))
-            return f"{_gyros(acceptance, 'marginal')} near {limit}. {advice}"
+            advice = _NO_VERDICT.format(_measurement_advice(acceptance))
+            return f"{_gyros_with_verdict(acceptance, 'marginal')} near {limit}. {advice}"
     if acceptance.judgements and acceptance.not_measured:
-        return _lacking_sentence(acceptance)
+        return _not_measured_sentence(acceptance)
     if acceptance.judgements and acceptance.unconnected:
         groups = (" and ".join(map(position_label, group)) for group in acceptance.unconnected)
         return _UNCONNECTED.format(" with ".join(groups))
-    return _NOTHING
+    return _NO_COMPARABLE_DWELLS
 
 
-def _deciding_cycles(acceptance: Acceptance) -> str:
+def _measurement_advice(acceptance: Acceptance) -> str:
     marginal = [each for each in acceptance.judgements if each.verdict == "marginal"]
-    last = max(marginal, key=lambda each: each.cycles_to_decide)
-    if last.is_limited_by_common_errors:
-        return _COMMON.format(size_text(last.common_sigma_dph))
-    if last.cycles_to_decide > _MAX_CYCLES:
+    slowest = max(marginal, key=lambda each: each.cycles_to_decide)
+    if slowest.is_limited_by_common_errors:
+        return _COMMON_ERRORS_ADVICE.format(size_text(slowest.common_sigma_dph))
+    if slowest.cycles_to_decide > _MAX_ADVISED_CYCLES:
         return "Measure more cycles"
-    return _DECIDED.format(last.cycles_to_decide, last.passes)
+    return _CYCLES_ADVICE.format(slowest.cycles_to_decide, slowest.passes)
 
 
-def _limit(acceptance: Acceptance) -> str:
+def _limits_text(acceptance: Acceptance) -> str:
     limits = acceptance.limits
     if limits is None:
         return ""
@@ -195,25 +199,25 @@ def _limit(acceptance: Acceptance) -> str:
     return text if limits.bias_dph is None else f"{text} or that of {limits.bias_dph:g} deg/h for the bias"
 
 
-def _lacking_sentence(acceptance: Acceptance) -> str:
-    places = ((each.cycle, each.chamber_set_c, each.position) for each in acceptance.not_measured)
-    dwells = list(dict.fromkeys(places))
+def _not_measured_sentence(acceptance: Acceptance) -> str:
+    dwells_of_gyros = ((each.cycle, each.chamber_set_c, each.position) for each in acceptance.not_measured)
+    dwells = list(dict.fromkeys(dwells_of_gyros))
     plateaus = list(dict.fromkeys((cycle, set_c) for cycle, set_c, _ in dwells))
-    named = [
+    plateau_names = [
         f"cycle {cycle}" + ("" if set_c is None else f" at {set_c:zg} °C in the chamber")
-        for cycle, set_c in plateaus[:_MAX_PLATEAUS]
+        for cycle, set_c in plateaus[:_MAX_NAMED_PLATEAUS]
     ]
-    if more := len(plateaus) - len(named):
-        named.append(counted(more, "other plateau"))
-    were = plural(len(dwells), "was", "were")
-    return _LACKING.format(f"{counted(len(dwells), 'planned dwell')} {were}", listed(named))
+    if unnamed := len(plateaus) - len(plateau_names):
+        plateau_names.append(counted(unnamed, "other plateau"))
+    verb = plural(len(dwells), "was", "were")
+    return _NOT_COMPARED.format(f"{counted(len(dwells), 'planned dwell')} {verb}", listed(plateau_names))
 
 
-def _plateaus(acceptance: Acceptance) -> str:
+def _plateau_counts(acceptance: Acceptance) -> str:
     bins = {(each.bin_low_c, each.bin_high_c) for each in acceptance.judgements}
     return f"{counted(acceptance.plateaus, 'plateau')} in {counted(len(bins), 'temperature bin')}"
 
 
-def _gyros(acceptance: Acceptance, verdict: str) -> str:
+def _gyros_with_verdict(acceptance: Acceptance, verdict: str) -> str:
     names = [gyro_label(gyro) for gyro in AXES if acceptance.gyros.get(gyro) == verdict]
     return f"{listed(names)} {'is' if len(names) == 1 else 'are'}"

@@ -1,4 +1,4 @@
-"""The report of a run with several units: the units side by side, and the report of each."""
+"""Report of a run with several units: a comparison of the units, and links to the report of each."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from gyrobench.bench.report.journal_sections import durations_section, events_se
 from gyrobench.bench.report.number_format import BiasScale
 from gyrobench.bench.report.page import Mark, Section, SectionTable, render_page
 from gyrobench.bench.report.run_content import RunContent, read_run
-from gyrobench.bench.report.run_report import damage_boxes, head_lines, write_report
+from gyrobench.bench.report.run_report import damage_boxes, head_facts, write_report
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.seal import keep_sealed
 
 
 def units_section(folder: RunFolder) -> Section:
-    """The units of a run side by side: verdict, mean bias of each gyro, dwells, and why one was dropped."""
+    """Comparison of the units of a run: verdict, mean bias of each gyro, dwells, and why one was dropped."""
     units = [read_run(unit) for unit in folder.unit_folders]
-    return _units_section(read_run(folder), units)
+    return _section_of_units(read_run(folder), units)
 
 
 def write_units_report(folder: RunFolder, prepared_by: str = "", vectors: Sequence[str] = ()) -> Path:
-    """Write the report of each unit, and ``report.html`` of the run with all of them; returns the latter.
+    """Write the report of each unit and the ``report.html`` of the run; returns the path of the latter.
 
     A run that has ended is sealed with it. Raises RunFolderError if a file can't be written.
     """
@@ -34,7 +34,7 @@ def write_units_report(folder: RunFolder, prepared_by: str = "", vectors: Sequen
         write_report(unit, prepared_by, vectors=vectors)
     content = read_run(folder)
     units = [read_run(unit) for unit in folder.unit_folders]
-    facts = head_lines(content)
+    facts = head_facts(content)
     facts["unit"] = ", ".join(unit.name for unit in units)
     facts.pop("dwells", None)
     procedure = str(content.procedure.get("procedure", ""))
@@ -43,10 +43,10 @@ def write_units_report(folder: RunFolder, prepared_by: str = "", vectors: Sequen
         boxes=[box for each in (content, *units) for box in damage_boxes(each.damage)],
         facts=facts,
         sections=[
-            _units_section(content, units),
+            _section_of_units(content, units),
             Section("Reports", items=[PurePosixPath("units", unit.name, "report.html") for unit in units]),
             events_section(content.journal),
-            durations_section(content.took),
+            durations_section(content.step_durations),
         ],
     )
     text = render_page(page, f"Run {content.name}, {procedure}", content.watermark, sign_off=prepared_by)
@@ -55,9 +55,9 @@ def write_units_report(folder: RunFolder, prepared_by: str = "", vectors: Sequen
     return folder.report
 
 
-def _units_section(run: RunContent, units: Sequence[RunContent]) -> Section:
-    dropped = {str(entry.get("unit")): str(entry.get("why")) for entry in run.entries("unit_dropped")}
-    means = {unit.name: _means(unit) for unit in units}
+def _section_of_units(run: RunContent, units: Sequence[RunContent]) -> Section:
+    drop_reasons = {str(entry.get("unit")): str(entry.get("why")) for entry in run.entries("unit_dropped")}
+    means = {unit.name: _mean_biases(unit) for unit in units}
     pairs = [pair for each in means.values() for pair in each]
     scale = BiasScale.of([mean for mean, _ in pairs], [sigma for _, sigma in pairs])
     rows = []
@@ -66,24 +66,24 @@ def _units_section(run: RunContent, units: Sequence[RunContent]) -> Section:
         flagged = sum(bool(row.flags) for row in unit.dwells)
         dwells = f"{len(unit.dwells)}" + (f", {flagged} flagged" if flagged else "")
         verdict = unit.acceptance.verdict if unit.acceptance else "not judged"
-        rows.append([unit.name, "dropped" if unit.name in dropped else verdict, dwells, *cells])
+        rows.append([unit.name, "dropped" if unit.name in drop_reasons else verdict, dwells, *cells])
     header = ["unit", "verdict", "dwells", *map(gyro_label, AXES)]
     caption = (
         f"Mean bias over the dwells without flags with its standard error, {scale.unit}; it includes the "
         "change with temperature. The bins are in the report of each unit."
     )
-    marks: list[Mark] = ["bad" if unit.name in dropped else "" for unit in units]
-    reasons = [f"Unit {number} was dropped: {why}" for number, why in dropped.items()]
+    marks: list[Mark] = ["bad" if unit.name in drop_reasons else "" for unit in units]
+    reasons = [f"Unit {unit_name} was dropped: {reason}" for unit_name, reason in drop_reasons.items()]
     table = SectionTable(caption, header, rows, words=2, marks=marks)
     return Section("Units", paragraphs=reasons, tables=[table])
 
 
-def _means(unit: RunContent) -> list[tuple[float, float]]:
-    """Mean bias of each gyro over the dwells without flags, and its standard error, deg/h; none without."""
-    biases = np.array([row.bias_dph for row in unit.dwells if not row.flags])
-    if not len(biases):
+def _mean_biases(unit: RunContent) -> list[tuple[float, float]]:
+    """Mean bias of each gyro over the unflagged dwells and its standard error, deg/h; empty without any."""
+    biases_dph = np.array([row.bias_dph for row in unit.dwells if not row.flags])
+    if not len(biases_dph):
         return []
-    own = np.array([row.sigma_dph for row in unit.dwells if not row.flags])
-    scatter = biases.std(axis=0, ddof=1) if len(biases) > 1 else own[0]
-    sigma = np.maximum(scatter, np.sqrt((own**2).mean(axis=0))) / np.sqrt(len(biases))
-    return list(zip(biases.mean(axis=0).tolist(), sigma.tolist(), strict=True))
+    sigmas_dph = np.array([row.sigma_dph for row in unit.dwells if not row.flags])
+    scatter_dph = biases_dph.std(axis=0, ddof=1) if len(biases_dph) > 1 else sigmas_dph[0]
+    mean_sigma_dph = np.maximum(scatter_dph, np.sqrt((sigmas_dph**2).mean(axis=0))) / np.sqrt(len(biases_dph))
+    return list(zip(biases_dph.mean(axis=0).tolist(), mean_sigma_dph.tolist(), strict=True))

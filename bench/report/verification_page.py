@@ -1,4 +1,4 @@
-"""The page of a verification (verification.html), and its section of the report."""
+"""The page of a verification (verification.html)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import counted, hours_minutes, listed, plain_name, plural
 from gyrobench.bench.report.closure_text import searched_name, verdict_sentence
 from gyrobench.bench.report.figures.verification import (
-    coefficients_left_figure,
+    coefficient_residuals_figure,
     day_figure,
     mission_figure,
     residual_bars_figure,
@@ -30,8 +30,8 @@ from gyrobench.bench.report.verification_text import (
     LABELS,
     NOT_CONFIRMED,
     change_sentences,
+    compensation_rows,
     model_sentences,
-    number_rows,
     outcome,
     outcome_sentence,
     plateau_rows,
@@ -39,29 +39,29 @@ from gyrobench.bench.report.verification_text import (
     size_heads,
     size_units,
     total_rows,
-    with_text,
+    with_compensation,
 )
 from gyrobench.bench.runs.provenance import watermark_of
 from gyrobench.bench.verification.compensation_verification import IN_WORDS, VerificationResult
 
-_RESIDUALS = (
+_RESIDUALS_CAPTION = (
     "Residual with each compensation at each plateau: gyro temperature in °C, in brackets the cycle where "
     "there are several. The black lines are the noise."
 )
-_DAY = (
+_DAY_CAPTION = (
     "Position error over a day at rest of a rotational INS with the biases measured at each temperature. The "
     "black line is the largest error expected from the measurement noise alone."
 )
-_TOTAL = "All plateaus: rms of bias and varying bias, otherwise the maximum; {}"
-_TOTAL_OF_SOME = (
+_TOTAL_CAPTION = "All plateaus: rms of bias and varying bias, otherwise the maximum; {}"
+_TOTAL_COMMON_CAPTION = (
     "All plateaus: rms of bias and varying bias over the dwells that are valid in all runs, otherwise the "
     "maximum over the plateaus with a value in all runs; {}"
 )
-_NUMBERS = (
+_COMPENSATION_CAPTION = (
     "Numbers of the compensation and their standard uncertainties, by gyro, as in compensation.yaml. Those "
     "of one gyro are correlated: the uncertainty of what is subtracted is stated under Residual."
 )
-_PLATEAUS = (
+_PLATEAUS_CAPTION = (
     "By mean gyro temperature in °C; fit: whether the model was fitted at the temperature, between fitted "
     "temperatures, or outside them; {}"
 )
@@ -75,7 +75,7 @@ _MISSION_CAPTION = (
     "Distance from the true position with the coefficients left at the plateau where it is largest after a "
     "day. Dashed: by their uncertainty 95 % of all missions stay below, up to 1, 8 and 24 h."
 )
-_SCHEME = (
+_MISSION_TEXT = (
     "The mission is a mechanisation of the increments of a dual-axis rotational INS at rest: sixteen half "
     "turns at 10 deg/s between rests of 3 min, of which the last eight retrace the first eight; fixed "
     "altitude, a start without error, and coefficients constant at those of one plateau. What is not "
@@ -88,29 +88,29 @@ def _mission_sentence(result: VerificationResult) -> str:
     """Position error after each time, with each compensation."""
     times = listed([f"{hours:g}" for hours in HOURS])
     errors = [
-        f"{', '.join(map(_nmi, each.worst.error.stated_nmi))} nmi {with_text(each)}"
+        f"{', '.join(map(_nmi_text, each.worst.error.stated_nmi))} nmi {with_compensation(each)}"
         for each in result.coefficients
     ]
-    high = ", ".join(map(_nmi, result.coefficients[-1].worst.error.high_nmi))
+    limits = ", ".join(map(_nmi_text, result.coefficients[-1].worst.error.high_nmi))
     return (
         f"A mission with the coefficients left errs by up to ({times} h): {'; '.join(errors)}. By the "
-        f"uncertainty of the last, 95 % of all are below {high} nmi."
+        f"uncertainty of the last, 95 % of all are below {limits} nmi."
     )
 
 
-def _nmi(distance_nmi: float) -> str:
+def _nmi_text(distance_nmi: float) -> str:
     return f"{distance_nmi:.2g}" if distance_nmi < 1.0 else f"{distance_nmi:.1f}"
 
 
 def _coefficient_table(result: VerificationResult) -> SectionTable:
     results = result.coefficients
-    head = ["coefficient", "unit", *(LABELS[each.compensation] for each in results), "noise"]
+    header = ["coefficient", "unit", *(LABELS[each.compensation] for each in results), "noise"]
     rows = []
-    for place, known in enumerate(COEFFICIENTS):
-        sizes = [*(each.rms[place] for each in results), results[-1].noise[place]]
+    for index, coefficient in enumerate(COEFFICIENTS):
+        sizes = [*(each.rms[index] for each in results), results[-1].noise[index]]
         texts = ["not observable" if np.isnan(size) else f"{size:.3g}" for size in sizes]
-        rows.append([f"{plain_name(known.name)} {known.axis}", known.unit, *texts])
-    return SectionTable("Rms over the plateaus", head, rows, words=2)
+        rows.append([f"{plain_name(coefficient.name)} {coefficient.axis}", coefficient.unit, *texts])
+    return SectionTable("Rms over the plateaus", header, rows, words=2)
 
 
 def _mission_table(result: VerificationResult) -> SectionTable:
@@ -119,18 +119,20 @@ def _mission_table(result: VerificationResult) -> SectionTable:
             LABELS[each.compensation],
             f"{each.worst.gyro_c:z.0f}",
             *(
-                f"{_nmi(stated)} (< {_nmi(high)})"
-                for stated, high in zip(each.worst.error.stated_nmi, each.worst.error.high_nmi, strict=True)
+                f"{_nmi_text(error_nmi)} (< {_nmi_text(limit_nmi)})"
+                for error_nmi, limit_nmi in zip(
+                    each.worst.error.stated_nmi, each.worst.error.high_nmi, strict=True
+                )
             ),
         ]
         for each in result.coefficients
     ]
-    head = ["compensation", "°C", *(f"{hours:g} h" for hours in HOURS)]
-    return SectionTable("Position error in nmi, in brackets the limit of 95 %", head, rows)
+    header = ["compensation", "°C", *(f"{hours:g} h" for hours in HOURS)]
+    return SectionTable("Position error in nmi, in brackets the limit of 95 %", header, rows)
 
 
-def _coefficient_parts(result: VerificationResult) -> list[Section]:
-    """Sections of the page; none where no coefficients were compensated."""
+def _coefficient_sections(result: VerificationResult) -> list[Section]:
+    """Sections about all coefficients; empty list if none were compensated."""
     if not result.coefficients:
         return []
     return [
@@ -138,14 +140,14 @@ def _coefficient_parts(result: VerificationResult) -> list[Section]:
             "All coefficients",
             figures=[
                 SectionFigure(
-                    "coefficients", _COEFFICIENTS_CAPTION, partial(coefficients_left_figure, result)
+                    "coefficients", _COEFFICIENTS_CAPTION, partial(coefficient_residuals_figure, result)
                 )
             ],
             tables=[_coefficient_table(result)],
         ),
         Section(
             "A mission of a rotational INS",
-            [_mission_sentence(result), _SCHEME],
+            [_mission_sentence(result), _MISSION_TEXT],
             [SectionFigure("mission", _MISSION_CAPTION, partial(mission_figure, result))],
             [_mission_table(result)],
         ),
@@ -153,24 +155,31 @@ def _coefficient_parts(result: VerificationResult) -> list[Section]:
 
 
 def verification_sections(result: VerificationResult) -> list[Section]:
-    """Compensations, residual, a day of a rotational INS, definitions."""
+    """Sections: compensations, residual, a day of a rotational INS, coefficients, definitions."""
     units, heads = size_units(result), size_heads(result)
-    total = _TOTAL if result.is_complete or len(result.results) < 2 else _TOTAL_OF_SOME
-    totals = SectionTable(total.format(units), ["compensation", *heads], total_rows(result))
-    plateaus = SectionTable(
-        _PLATEAUS.format(units), ["°C", "cycle", "fit", "compensation", *heads], plateau_rows(result), words=4
+    caption = _TOTAL_CAPTION if result.is_complete or len(result.results) < 2 else _TOTAL_COMMON_CAPTION
+    totals_table = SectionTable(caption.format(units), ["compensation", *heads], total_rows(result))
+    plateaus_table = SectionTable(
+        _PLATEAUS_CAPTION.format(units),
+        ["°C", "cycle", "fit", "compensation", *heads],
+        plateau_rows(result),
+        words=4,
     )
-    numbers = SectionTable(_NUMBERS, ["number", "x", "y", "z"], number_rows(result.models))
-    figures = [SectionFigure("residuals", _RESIDUALS, partial(residual_bars_figure, result))]
-    day = SectionFigure("day", _DAY, partial(day_figure, result))
+    compensation_table = SectionTable(
+        _COMPENSATION_CAPTION, ["number", "x", "y", "z"], compensation_rows(result.models)
+    )
+    figures = [SectionFigure("residuals", _RESIDUALS_CAPTION, partial(residual_bars_figure, result))]
+    day_section_figure = SectionFigure("day", _DAY_CAPTION, partial(day_figure, result))
     has_day = any(plateau.day for each in result.results for plateau in each.plateaus)
     return [
         Section(
-            "Compensations", model_sentences(result.closure, result.models, result.searches), tables=[numbers]
+            "Compensations",
+            model_sentences(result.closure, result.models, result.searches),
+            tables=[compensation_table],
         ),
-        Section("Residual", change_sentences(result), figures, [totals, plateaus]),
-        *([Section("A day of a rotational INS", figures=[day])] if has_day else []),
-        *_coefficient_parts(result),
+        Section("Residual", change_sentences(result), figures, [totals_table, plateaus_table]),
+        *([Section("A day of a rotational INS", figures=[day_section_figure])] if has_day else []),
+        *_coefficient_sections(result),
         Section("Definitions", reading_sentences(result)),
     ]
 
@@ -180,7 +189,7 @@ _COLOURS = {CONFIRMED: "finished", IMPROVED: "stopped", NOT_CONFIRMED: "failed",
 
 
 def verification_findings(result: VerificationResult) -> Findings:
-    """Judgement, facts and all sections, with at least one compensation measured."""
+    """Judgement, facts and all sections; at least one compensation must have been measured."""
     judgement = outcome(result)
     return Findings(
         title="Verification of a compensation",
@@ -196,8 +205,8 @@ def verification_findings(result: VerificationResult) -> Findings:
 def write_verification_page(folder: Path, result: VerificationResult, dwells: Path | None = None) -> Path:
     """Write figures and page into an existing folder.
 
-    ``dwells`` is the table that the model was fitted to: the report of its run includes only a page with its
-    hash. Raises RunFolderError if a file can't be written.
+    ``dwells`` is the table that the model was fitted to: the run report includes these findings only if the
+    hash of its table is the same. Raises RunFolderError if a file can't be written.
     """
     findings = replace(
         verification_findings(result),
@@ -209,17 +218,17 @@ def write_verification_page(folder: Path, result: VerificationResult, dwells: Pa
 
 def _facts(result: VerificationResult) -> dict[str, str]:
     closure = result.closure
-    measured = [with_text(each) for each in result.results]
-    others = {f"search, {searched_name(each)}": _verdict(each) for each in result.searches}
+    measured = [with_compensation(each) for each in result.results]
+    others = {f"search, {searched_name(each)}": _verdict_text(each) for each in result.searches}
     return {
-        f"search, {searched_name(closure)}" if others else "search": _verdict(closure),
+        f"search, {searched_name(closure)}" if others else "search": _verdict_text(closure),
         **others,
         "compensations": f"{counted(len(measured), 'run')}: {listed(measured)}",
         "dwells": f"{result.dwells} per run, at {counted(len(result.plateaus), 'plateau')}",
     }
 
 
-def _verdict(closure: Closure) -> str:
+def _verdict_text(closure: Closure) -> str:
     return f"{closure.verdict}. {verdict_sentence(closure)}"
 
 
@@ -232,7 +241,7 @@ def verification_plan(
 ) -> Section:
     """Verdict of the search, compensations, and duration of the remaining runs.
 
-    ``searches``: of other coefficients.
+    ``searches``: searches in other coefficients.
     """
     sentences = model_sentences(closure, models, searches)
     if missing:

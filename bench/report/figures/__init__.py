@@ -1,10 +1,10 @@
-"""All figures of reports and pages, one module a subject; none touches the global state of matplotlib."""
+"""Figures of reports and pages, one module for each subject, without changes of matplotlib's global state."""
 
 import importlib.util
 import sys
 
 if "gyrobench.bench.cli" in sys.modules:
-    # The names of glyphs, which take 15 ms to import, are needed for PDF alone.
+    # The glyph names take 15 ms to import and are needed only for PDF.
     _glyphs = importlib.util.find_spec("fontTools.agl")
     if _glyphs and _glyphs.loader and _glyphs.name not in sys.modules:
         _glyphs.loader = importlib.util.LazyLoader(_glyphs.loader)
@@ -13,6 +13,6 @@ if "gyrobench.bench.cli" in sys.modules:
 
     import matplotlib.artist
 
-    # To write documentation for all classes of artists takes a third of the time to import matplotlib.
+    # Generating the documentation of all artist classes takes a third of the import time of matplotlib.
     matplotlib.artist.kwdoc = lambda artist: ""  # noqa: ARG005
     matplotlib.artist.Artist._update_set_signature_and_docstring = classmethod(lambda _: None)  # type: ignore[attr-defined]  # noqa: SLF001

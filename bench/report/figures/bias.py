@@ -29,20 +29,20 @@ from gyrobench.bench.report.figures.style import (
     common_legend,
     draw_points,
     house_style,
+    label_empty,
     mark_temperatures,
     new_figure,
-    say_empty,
 )
 from gyrobench.bench.report.number_format import PAPER, STATE_SPACE, BiasScale, scale_of_bins
-from gyrobench.bench.report.run_text import POSITION_SIGNIFICANCE, differing
+from gyrobench.bench.report.run_text import POSITION_SIGNIFICANCE, significant_differences
 
-#: Title of legends: what bars and numbers are.
-_BARS = f"{BARS}; numbers: dwells"
-#: Where the number of a line stands, in points from the end of its bar: of lines that coincide none covers
-#: another. By the place of a position or gyro: column; rows above for the first three, below for the others.
-_COLUMN_PT, _ROW_PT = 7.5, (2.0, -6.5)
-_PLACES = ("x_up", "z_up", "y_up", "x_down", "z_down", "y_down")
-#: Margin above and below the biases, as matplotlib's.
+#: Legend title: meaning of bars and numbers.
+_LEGEND_TITLE = f"{BARS}; numbers: dwells"
+#: Offset of the number of dwells from the end of a bar, points. Each position or gyro has a slot, so that the
+#: numbers of coinciding lines do not overlap: three columns above the bar, three below.
+_NUMBER_COLUMN_PT, _NUMBER_ROW_PT = 7.5, (2.0, -6.5)
+_NUMBER_SLOTS = ("x_up", "z_up", "y_up", "x_down", "z_down", "y_down")
+#: Axis range relative to the range of the biases, as in matplotlib.
 _MARGIN = 1.1
 
 
@@ -60,14 +60,14 @@ class _Panel:
         return not (any(self.dwells.values()) or self.bins)
 
     @property
-    def of_bins(self) -> list[tuple[float, float]]:
-        """Biases with their uncertainties, deg/h."""
+    def bin_biases(self) -> list[tuple[float, float]]:
+        """Biases of the bins with their uncertainties, deg/h."""
         return [(each.bias_dph, each.sigma_dph) for each in self.bins]
 
     @property
-    def of_dwells(self) -> list[tuple[float, float]]:
-        """The same of the dwells."""
-        return [(bias, sigma) for own in self.dwells.values() for _, bias, sigma in own]
+    def dwell_biases(self) -> list[tuple[float, float]]:
+        """Biases of the dwells with their uncertainties, deg/h."""
+        return [(bias, sigma) for values in self.dwells.values() for _, bias, sigma in values]
 
 
 @house_style
@@ -81,12 +81,13 @@ def bias_figure(
     """Draw one gyro's bias against its own temperature, a line for each position.
 
     Counterpart of the paper's Figs. 8 and 9, or 12 and 13. Single dwells without flags are faint; the lines
-    join the weighted means of the bins. All with standard uncertainties. Results of the paper's
-    method, if any, are in a second panel on the same scale. Figures with the same minimum span of the axis
-    have the same scale; see :func:`bias_span_dph`. Lines mark the temperatures ``marked_c`` in degC.
+    join the weighted means of the bins. Bars are standard uncertainties. Results of the paper's method, if
+    any, are in a second panel on the same scale. ``span_dph`` is the minimum span of the bias axis, see
+    :func:`bias_span_dph`: figures with the same span have the same scale. Lines mark the temperatures
+    ``marked_c`` in degC.
     """
-    both = _both_panels(gyro, dwells, bins)
-    panels = both[:1] if both[1].is_empty else both
+    estimator_panels = _panels_of_estimators(gyro, dwells, bins)
+    panels = estimator_panels[:1] if estimator_panels[1].is_empty else estimator_panels
     scale = _scale(panels)
     figure = new_figure(4.2)
     all_axes = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
@@ -94,30 +95,33 @@ def bias_figure(
         _draw_panel(axes, panel, scale, marked_c)
         axes.set(xlabel="temperature of the gyro / °C")
     all_axes[0].set(ylabel=f"bias / ({scale.unit})")
-    _widen(all_axes[0], span_dph * scale.factor)
+    _widen_to_span(all_axes[0], span_dph * scale.factor)
     all_axes[0].set_title(gyro_label(gyro) if len(panels) == 1 else f"{gyro_label(gyro)}, {STATE_SPACE}")
-    if both[0].is_empty:
-        say_empty(all_axes[0], "no dwell gave a bias")
-    common_legend(figure, all_axes[:1], ncols=len(POSITIONS), title=_BARS)
+    if estimator_panels[0].is_empty:
+        label_empty(all_axes[0], "no dwell gave a bias")
+    common_legend(figure, all_axes[:1], ncols=len(POSITIONS), title=_LEGEND_TITLE)
     return figure
 
 
 def bias_span_dph(dwells: Sequence[DwellRow], bins: Sequence[BiasBin]) -> float:
-    """Largest range of the biases of any gyro with their uncertainties."""
+    """Largest range of the biases of one gyro including their uncertainties, over the gyros."""
     spans = []
     for gyro in AXES:
-        panels = _both_panels(gyro, dwells, bins)
-        pairs = [pair for panel in panels for pair in (*panel.of_bins, *panel.of_dwells)]
-        known = [pair for pair in pairs if not math.isnan(sum(pair))]
-        ends = [bias + sign * sigma for bias, sigma in known for sign in (-1.0, 1.0)]
+        panels = _panels_of_estimators(gyro, dwells, bins)
+        pairs = [pair for panel in panels for pair in (*panel.bin_biases, *panel.dwell_biases)]
+        finite = [pair for pair in pairs if not math.isnan(sum(pair))]
+        ends = [bias + sign * sigma for bias, sigma in finite for sign in (-1.0, 1.0)]
         spans.append(max(ends) - min(ends) if ends else 0.0)
     return max(spans)
 
 
-def _both_panels(gyro: str, dwells: Iterable[DwellRow], bins: Iterable[BiasBin]) -> list[_Panel]:
+def _panels_of_estimators(gyro: str, dwells: Iterable[DwellRow], bins: Iterable[BiasBin]) -> list[_Panel]:
     axis = AXES.index(gyro)
-    own = [each for each in bins if each.gyro == gyro]
-    panels = [_Panel(STATE_SPACE, {}, _filled(own)), _Panel(PAPER, {}, _filled(paper_bins(own)))]
+    gyro_bins = [each for each in bins if each.gyro == gyro]
+    panels = [
+        _Panel(STATE_SPACE, {}, _not_empty(gyro_bins)),
+        _Panel(PAPER, {}, _not_empty(paper_bins(gyro_bins))),
+    ]
     for row in dwells:
         for panel, rows in zip(panels, ([row], paper_rows([row])), strict=True):
             panel.dwells.setdefault(row.position, []).extend(
@@ -128,21 +132,21 @@ def _both_panels(gyro: str, dwells: Iterable[DwellRow], bins: Iterable[BiasBin])
     return panels
 
 
-def _widen(axes: Axes, span: float) -> None:
+def _widen_to_span(axes: Axes, span: float) -> None:
     low, high = axes.get_ylim()
     if high - low < _MARGIN * span:
         middle = 0.5 * (low + high)
         axes.set_ylim(middle - 0.5 * _MARGIN * span, middle + 0.5 * _MARGIN * span)
 
 
-def _filled(bins: Iterable[BiasBin]) -> list[BiasBin]:
+def _not_empty(bins: Iterable[BiasBin]) -> list[BiasBin]:
     return [each for each in bins if not each.is_empty]
 
 
 def _scale(panels: Iterable[_Panel]) -> BiasScale:
     panels = list(panels)
-    pairs = [pair for panel in panels for pair in panel.of_bins] or [
-        pair for panel in panels for pair in panel.of_dwells
+    pairs = [pair for panel in panels for pair in panel.bin_biases] or [
+        pair for panel in panels for pair in panel.dwell_biases
     ]
     return BiasScale.of(*(zip(*pairs, strict=True) if pairs else ((), ())))
 
@@ -180,31 +184,35 @@ def _draw_bins(axes: Axes, bins: Sequence[BiasBin], scale: BiasScale) -> None:
     if not bins:
         return
     position = bins[0].position
-    style, place = POSITION_STYLES[position], _PLACES.index(position)
-    look = {"linestyle": style.line, "marker": style.marker, "color": style.colour}
-    _draw_line(axes, bins, scale, place, label=position_label(position), markerfacecolor=style.face, **look)
+    style, slot = POSITION_STYLES[position], _NUMBER_SLOTS.index(position)
+    style_options = {"linestyle": style.line, "marker": style.marker, "color": style.colour}
+    _draw_line(
+        axes, bins, scale, slot, label=position_label(position), markerfacecolor=style.face, **style_options
+    )
 
 
-def _draw_line(axes: Axes, bins: Sequence[BiasBin], scale: BiasScale, place: int, **look: Any) -> None:
-    """Join bins by a line, each with its bar and its number of dwells at one of six places around it."""
-    row, column = divmod(place, 3)
+def _draw_line(
+    axes: Axes, bins: Sequence[BiasBin], scale: BiasScale, slot: int, **style_options: Any
+) -> None:
+    """Join bins by a line, each with its bar and its number of dwells in one of six slots around it."""
+    row, column = divmod(slot, 3)
     axes.errorbar(
         [each.temperature_c for each in bins],
         [each.bias_dph * scale.factor for each in bins],
         [each.sigma_dph * scale.factor for each in bins],
         markersize=5.5,
         capsize=2.0,
-        **look,
+        **style_options,
     )
     for each in bins:
         axes.annotate(
             str(each.count),
             (each.temperature_c, (each.bias_dph + (1 - 2 * row) * each.sigma_dph) * scale.factor),
-            (_COLUMN_PT * (column - 1), _ROW_PT[row]),
+            (_NUMBER_COLUMN_PT * (column - 1), _NUMBER_ROW_PT[row]),
             textcoords="offset points",
             ha="center",
             fontsize=5.5,
-            color=look["color"],
+            color=style_options["color"],
         )
 
 
@@ -225,11 +233,11 @@ def before_after_figure(
         for position in POSITIONS:
             _draw_bins(axes, [each for each in bins if each.position == position], scale)
         if not bins:
-            say_empty(axes, "no dwell gave a bias")
+            label_empty(axes, "no dwell gave a bias")
     panels[0].set(ylabel=f"bias / ({scale.unit})")
     for axes in panels if any(runs) else ():
         mark_temperatures(axes, "x", marked_c)
-    common_legend(figure, panels, ncols=len(POSITIONS), title=_BARS)
+    common_legend(figure, panels, ncols=len(POSITIONS), title=_LEGEND_TITLE)
     return figure
 
 
@@ -239,21 +247,21 @@ def position_pair_figure(bins: Sequence[BiasBin], marked_c: Sequence[float] = ()
 
     Lines mark the temperatures ``marked_c`` in degC.
     """
-    filled = _filled(bins)
-    pairs = [[each for each in filled if each.position == position] for position in ("z_up", "y_up")]
-    scale = scale_of_bins([each for own in pairs for each in own])
+    filled_bins = _not_empty(bins)
+    pairs = [[each for each in filled_bins if each.position == position] for position in ("z_up", "y_up")]
+    scale = scale_of_bins([each for bins_of_position in pairs for each in bins_of_position])
     figure = new_figure(3.4)
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
-    for axes, own in zip(panels, pairs, strict=True):
-        axes.set(title=position_label(own[0].position), xlabel="temperature of the gyro / °C")
-        for place, gyro in enumerate(AXES):
+    for axes, bins_of_position in zip(panels, pairs, strict=True):
+        axes.set(title=position_label(bins_of_position[0].position), xlabel="temperature of the gyro / °C")
+        for slot, gyro in enumerate(AXES):
             colour, line, marker = GYRO_STYLES[gyro]
-            of_gyro = [each for each in own if each.gyro == gyro]
-            look = {"linestyle": line, "marker": marker, "color": colour}
-            _draw_line(axes, of_gyro, scale, place, label=gyro_label(gyro), **look)
+            gyro_bins = [each for each in bins_of_position if each.gyro == gyro]
+            style_options = {"linestyle": line, "marker": marker, "color": colour}
+            _draw_line(axes, gyro_bins, scale, slot, label=gyro_label(gyro), **style_options)
         mark_temperatures(axes, "x", marked_c)
     panels[0].set(ylabel=f"bias / ({scale.unit})")
-    common_legend(figure, panels, ncols=len(AXES), title=_BARS)
+    common_legend(figure, panels, ncols=len(AXES), title=_LEGEND_TITLE)
     return figure
 
 
@@ -269,19 +277,21 @@ def position_difference_figure(
     """Draw the largest difference between positions in every bin of the three gyros.
 
     Filled markers are significant differences; see
-    :func:`gyrobench.bench.report.run_text.differing`. Acceptance limits are red lines.
+    :func:`gyrobench.bench.report.run_text.significant_differences`. Acceptance limits are red lines.
     """
-    found = differing(comparisons)
+    significant = significant_differences(comparisons)
     scale = BiasScale.of(
         [each.largest_difference_dph for each in comparisons],
         [each.largest_difference_sigma_dph for each in comparisons],
     )
     figure = new_figure(3.6)
     axes = figure.add_subplot()
-    for number, gyro in enumerate(AXES):
-        for is_found in (True, False):
-            chosen = [each for each in comparisons if each.gyro == gyro and (each in found) is is_found]
-            _draw_differences(axes, chosen, scale, shift=0.22 * (number - 1), is_found=is_found)
+    for index, gyro in enumerate(AXES):
+        for is_significant in (True, False):
+            selected = [
+                each for each in comparisons if each.gyro == gyro and (each in significant) is is_significant
+            ]
+            _draw_differences(axes, selected, scale, shift=0.22 * (index - 1), is_significant=is_significant)
     axes.set(
         title="Largest difference between two positions",
         xlabel="temperature of the gyro, bin / °C",
@@ -296,7 +306,7 @@ def position_difference_figure(
         mark_temperatures(axes, "x", marked_c)
         common_legend(figure, [axes], "upper center", ncols=len(AXES), title=BARS)
     else:
-        say_empty(axes, "no bin has dwells in two positions")
+        label_empty(axes, "no bin has dwells in two positions")
     return figure
 
 
@@ -315,13 +325,17 @@ def _mark_limit(axes: Axes, limit: float, name: str) -> None:
 
 
 def _draw_differences(
-    axes: Axes, comparisons: Sequence[PositionComparison], scale: BiasScale, shift: float, is_found: bool
+    axes: Axes,
+    comparisons: Sequence[PositionComparison],
+    scale: BiasScale,
+    shift: float,
+    is_significant: bool,
 ) -> None:
     if not comparisons:
         return
     gyro = comparisons[0].gyro
     colour, _, marker = GYRO_STYLES[gyro]
-    verdict = f"p < {POSITION_SIGNIFICANCE:g}" if is_found else "not significant"
+    verdict = f"p < {POSITION_SIGNIFICANCE:g}" if is_significant else "not significant"
     widths = [each.bin_high_c - each.bin_low_c for each in comparisons]
     axes.errorbar(
         [0.5 * (c.bin_low_c + c.bin_high_c) + shift * w for c, w in zip(comparisons, widths, strict=True)],
@@ -331,7 +345,7 @@ def _draw_differences(
         linestyle="none",
         marker=marker,
         markersize=5.0,
-        markerfacecolor=colour if is_found else "white",
+        markerfacecolor=colour if is_significant else "white",
         color=colour,
         elinewidth=0.9,
         capsize=2.0,

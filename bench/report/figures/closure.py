@@ -17,8 +17,8 @@ from gyrobench.bench.report.figures.style import (
     GYRO_STYLES,
     common_legend,
     house_style,
+    label_empty,
     new_figure,
-    say_empty,
     text_width_in,
 )
 from gyrobench.bench.report.number_format import BiasScale, p_phrase, share_text
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Bars before and after; candidates that are found, tied, or neither.
+#: Colours of bars before and after, and of candidates that are found, tied, or neither.
 _BEFORE_COLOUR, _AFTER_COLOUR = "#AAAAAA", "#0072B2"
 _FOUND_COLOUR, _TIED_COLOUR, _OTHER_COLOUR = "#0072B2", "#E69F00", "#CCCCCC"
 _KIND_COLOURS = {"found": _FOUND_COLOUR, "tied": _TIED_COLOUR, "others": _OTHER_COLOUR}
@@ -35,28 +35,28 @@ _NOTE_COLOUR, _NOISE_COLOUR, _BAND_COLOUR = "#666666", "#222222", "#E3E3E3"
 _NOISE_LABEL = "± noise (k = 1)"
 _HELD_OUT_COLOUR = "#D55E00"
 _PERCENT = 100.0
-_MARGIN, _POINT_SIZE, _BAR_HEIGHT_IN, _MAX_POWER = 1.1, 2.2, 0.27, 12.0
-#: Share of a position's width over which its dwells are spread, in the order of time.
-_SPREAD = 0.7
-#: Characters in a line of a label below one of three panels.
+_AXIS_MARGIN, _POINT_SIZE, _BAR_HEIGHT_IN, _MAX_POWER = 1.1, 2.2, 0.27, 12.0
+#: Width over which the dwells of a position are spread in the order of time, relative to its spacing.
+_DWELL_SPREAD = 0.7
+#: Line length, in characters, of a label below one of three panels.
 _LABEL_WIDTH = 32
-#: And of a note beside the candidates' bars.
+#: Line length, in characters, of a note beside the bars of candidates.
 _NOTE_WIDTH = 68
 _BINS_C, _MAX_BINS = (5.0, 10.0, 20.0, 50.0), 12
 
 
 def _draw_dwells(
-    axes: Axes, along: FloatArray, values: FloatArray, searched: BoolArray, gyro: str, size: float = 2.6
+    axes: Axes, abscissa: FloatArray, values: FloatArray, searched: BoolArray, gyro: str, size: float = 2.6
 ) -> None:
     """Draw a point for each dwell (n,) of a gyro; held-out dwells are hollow."""
     colour, _, marker = GYRO_STYLES[gyro]
-    for label, chosen, edge, face in (
+    for label, selected, edge, face in (
         ("searched", searched, colour, colour),
         ("held out", ~searched, _HELD_OUT_COLOUR, "white"),
     ):
         axes.plot(
-            along[chosen],
-            values[chosen],
+            abscissa[selected],
+            values[selected],
             linestyle="none",
             marker=marker,
             markersize=size,
@@ -78,15 +78,15 @@ def closure_residual_figure(closure: Closure, gyro: str) -> Figure:
     residuals = {name: closure.residuals_dph(model)[:, axis] for name, model in models_of(closure).items()}
     noise = nan_rms(closure.dwell_noise_dph[:, axis])
     scale = scale_of_errors(closure)
-    against = _against(closure, axis)
-    largest = _MARGIN * scale.factor * max(float(np.nanmax(np.abs(each))) for each in residuals.values())
+    abscissae = _abscissae(closure, axis)
+    largest = _AXIS_MARGIN * scale.factor * max(float(np.nanmax(np.abs(each))) for each in residuals.values())
     figure = new_figure(0.8 + 1.75 * len(residuals), right_in=0.07, bottom_in=0.65, hspace=0.22)
-    grid = figure.subplots(len(residuals), len(against), sharex="col", sharey=True, squeeze=False)
+    grid = figure.subplots(len(residuals), len(abscissae), sharex="col", sharey=True, squeeze=False)
     for row, (name, values_dph) in zip(grid, residuals.items(), strict=True):
         row[0].set_title(f"{closure.quantity.headings[axis]}, {name}")
         row[0].set_ylim(-largest, largest)
-        for axes, along in zip(row, against.values(), strict=True):
-            _draw_dwells(axes, along, values_dph * scale.factor, closure.searched, gyro, size=_POINT_SIZE)
+        for axes, abscissa in zip(row, abscissae.values(), strict=True):
+            _draw_dwells(axes, abscissa, values_dph * scale.factor, closure.searched, gyro, size=_POINT_SIZE)
             axes.axhspan(
                 -noise * scale.factor,
                 noise * scale.factor,
@@ -94,7 +94,7 @@ def closure_residual_figure(closure: Closure, gyro: str) -> Figure:
                 zorder=0.5,
                 label=_NOISE_LABEL,
             )
-    for axes, label in zip(grid[-1], against, strict=True):
+    for axes, label in zip(grid[-1], abscissae, strict=True):
         axes.set_xlabel(label, fontsize=8)
     names = _positions(closure)
     grid[-1, -1].set_xticks(range(len(names)), list(map(position_label, names)), fontsize=7, rotation=90)
@@ -103,22 +103,22 @@ def closure_residual_figure(closure: Closure, gyro: str) -> Figure:
     return figure
 
 
-def _against(closure: Closure, axis: int) -> dict[str, FloatArray]:
+def _abscissae(closure: Closure, axis: int) -> dict[str, FloatArray]:
     campaign = closure.campaign
     return {
         "temperature / °C": campaign.gyro_c[:, axis],
         "time / h": (campaign.middle_s - campaign.start_s[0]) / S_PER_H,
         "temperature rate / (K/h)": campaign.rate_c_per_h[:, axis],
-        "position": _places(closure),
+        "position": _position_abscissae(closure),
     }
 
 
-def _places(closure: Closure) -> FloatArray:
+def _position_abscissae(closure: Closure) -> FloatArray:
     """Index of each dwell's position, spread in the order of time."""
     names = _positions(closure)
-    place = np.array([names.index(each) for each in closure.campaign.position], dtype=np.float64)
-    part = np.arange(len(place)) / max(len(place) - 1, 1)
-    return place + _SPREAD * (part - 0.5)
+    index = np.array([names.index(each) for each in closure.campaign.position], dtype=np.float64)
+    time_share = np.arange(len(index)) / max(len(index) - 1, 1)
+    return index + _DWELL_SPREAD * (time_share - 0.5)
 
 
 def _positions(closure: Closure) -> list[str]:
@@ -129,24 +129,24 @@ def _positions(closure: Closure) -> list[str]:
 def closure_evidence_figure(closure: Closure) -> Figure:
     """Draw the share of excess variance explained by each candidate alone.
 
-    Without excess variance the bars show the p-values, on a logarithmic scale.
+    If there is no excess variance, the bars show the p-values on a logarithmic scale.
     """
     names = [each.effect.display_name for each in closure.evidence]
     figure = new_figure(1.5 + _BAR_HEIGHT_IN * len(names), left_in=0.15 + text_width_in(names, 9))
     axes = figure.add_subplot()
     found, tied = set(closure.names), closure.tied
     by_p_value = is_noise_only(closure)
-    for place, each in enumerate(closure.evidence):
+    for row, each in enumerate(closure.evidence):
         name = each.effect.name
         kind = "found" if name in found else "tied" if name in tied else "others"
         if each.missing_input is None:
             power = min(-math.log10(max(each.p_value, 1e-300)), _MAX_POWER)
             length = power if by_p_value else _PERCENT * min(max(each.share, 0.0), 1.0)
             share = "" if by_p_value else f"{share_text(each.share)}, "
-            axes.barh(place, length, color=_KIND_COLOURS[kind], height=0.7, label=kind)
-            _note(axes, length, place, share + p_phrase(each.p_value))
+            axes.barh(row, length, color=_KIND_COLOURS[kind], height=0.7, label=kind)
+            _annotate_bar(axes, length, row, share + p_phrase(each.p_value))
         else:
-            _note(axes, 0.0, place, fill(f"not fitted; missing: {each.missing_input}", _NOTE_WIDTH))
+            _annotate_bar(axes, 0.0, row, fill(f"not fitted; missing: {each.missing_input}", _NOTE_WIDTH))
     axes.set_yticks(range(len(names)), names)
     for label, each in zip(axes.get_yticklabels(), closure.evidence, strict=True):
         label.set_color(_NOTE_COLOUR if each.missing_input else "black")
@@ -168,40 +168,40 @@ def closure_evidence_figure(closure: Closure) -> Figure:
     return figure
 
 
-def _note(axes: Axes, length: float, place: int, text: str) -> None:
+def _annotate_bar(axes: Axes, length: float, row: int, text: str) -> None:
     axes.annotate(
-        text, (length, place), (4, 0), textcoords="offset points", va="center", fontsize=7, color=_NOTE_COLOUR
+        text, (length, row), (4, 0), textcoords="offset points", va="center", fontsize=7, color=_NOTE_COLOUR
     )
 
 
 @house_style
-def closure_effect_figure(closure: Closure, found: FoundEffect) -> Figure:
+def closure_effect_figure(closure: Closure, effect: FoundEffect) -> Figure:
     """Draw partial residuals for each gyro: measured bias minus the model without the main term.
 
     The main term is the one that changes the gyro's bias most in the dwells searched. A monotonic
     function of time is drawn over time. The line is the fitted term.
     """
-    columns = found.candidate.columns(closure.campaign)
-    rest_dph = closure.residuals_dph(closure.model)
-    parts = {
-        axis: _MainTerm(closure, found, columns, axis)
+    columns = effect.candidate.columns(closure.campaign)
+    residual_dph = closure.residuals_dph(closure.model)
+    main_terms = {
+        axis: _MainTerm(closure, effect, columns, axis)
         for axis, name in enumerate(closure.quantity.axes)
-        if name in found.axes
+        if name in effect.axes
     }
     scale = scale_of_errors(closure)
     figure = new_figure(3.1, right_in=0.07, bottom_in=0.6, top_in=0.5, wspace=0.2)
     all_axes = figure.subplots(1, len(AXES), sharey=True)
     for axis, (axes, gyro) in enumerate(zip(all_axes, AXES, strict=True)):
         axes.set_title(closure.quantity.headings[axis])
-        if axis not in parts:
-            say_empty(axes, "not significant")
+        if axis not in main_terms:
+            label_empty(axes, "not significant")
             axes.set_xticks([])
             continue
         noise = nan_rms(closure.dwell_noise_dph[:, axis])
-        _draw(axes, parts[axis], rest_dph[:, axis], noise, scale, closure.searched, gyro)
+        _draw_main_term(axes, main_terms[axis], residual_dph[:, axis], noise, scale, closure.searched, gyro)
     figure.supylabel(f"partial residual / ({scale.unit})", x=0.005, fontsize=9)
-    first = all_axes[min(parts)]
-    figure.suptitle(found.effect.display_name.capitalize(), fontsize=9)
+    first = all_axes[min(main_terms)]
+    figure.suptitle(effect.effect.display_name.capitalize(), fontsize=9)
     common_legend(figure, [first])
     return figure
 
@@ -209,36 +209,36 @@ def closure_effect_figure(closure: Closure, found: FoundEffect) -> Figure:
 class _MainTerm:
     """The term that changes one gyro's bias most: abscissa and its label, bias (n,) without its mean."""
 
-    def __init__(self, closure: Closure, found: FoundEffect, columns: FloatArray, axis: int) -> None:
+    def __init__(self, closure: Closure, effect: FoundEffect, columns: FloatArray, axis: int) -> None:
         campaign, searched = closure.campaign, closure.searched
-        parts_dph = columns[:, axis] * found.sizes_dph[axis]
-        term = int(np.argmax(np.std(parts_dph[searched], axis=0)))
-        self.along: FloatArray = (columns / found.weights)[:, axis, term]
-        self.label = found.candidate.form.terms[term]
-        self.bias_dph: FloatArray = parts_dph[:, term] - parts_dph[searched, term].mean()
-        if np.all(np.diff(self.along) >= 0.0):
-            self.along = (campaign.middle_s - campaign.start_s[0]) / S_PER_H
+        terms_dph = columns[:, axis] * effect.sizes_dph[axis]
+        term = int(np.argmax(np.std(terms_dph[searched], axis=0)))
+        self.abscissa: FloatArray = (columns / effect.weights)[:, axis, term]
+        self.label = effect.candidate.form.terms[term]
+        self.bias_dph: FloatArray = terms_dph[:, term] - terms_dph[searched, term].mean()
+        if np.all(np.diff(self.abscissa) >= 0.0):
+            self.abscissa = (campaign.middle_s - campaign.start_s[0]) / S_PER_H
             self.label = "time / h"
 
 
-def _draw(
+def _draw_main_term(
     axes: Axes,
     main: _MainTerm,
-    rest_dph: FloatArray,
+    residual_dph: FloatArray,
     noise_dph: float,
     scale: BiasScale,
     searched: BoolArray,
     gyro: str,
 ) -> None:
-    values = (rest_dph + main.bias_dph) * scale.factor
-    order = np.argsort(main.along, kind="stable")
-    along, line = main.along[order], main.bias_dph[order] * scale.factor
+    values = (residual_dph + main.bias_dph) * scale.factor
+    order = np.argsort(main.abscissa, kind="stable")
+    abscissa, line = main.abscissa[order], main.bias_dph[order] * scale.factor
     band = noise_dph * scale.factor
     axes.fill_between(
-        along, line - band, line + band, color=_BAND_COLOUR, zorder=0.5, linewidth=0, label=_NOISE_LABEL
+        abscissa, line - band, line + band, color=_BAND_COLOUR, zorder=0.5, linewidth=0, label=_NOISE_LABEL
     )
-    _draw_dwells(axes, main.along, values, searched, gyro)
-    axes.plot(along, line, color="black", linewidth=1.0, label="fit")
+    _draw_dwells(axes, main.abscissa, values, searched, gyro)
+    axes.plot(abscissa, line, color="black", linewidth=1.0, label="fit")
     axes.set_xlabel(fill(main.label, _LABEL_WIDTH), fontsize=8)
 
 
@@ -257,11 +257,11 @@ def closure_error_figure(closure: Closure) -> Figure:
         for axis, heading in enumerate(closure.quantity.headings)
     }
     for name in POSITIONS:
-        chosen = held_out & (np.array(closure.campaign.position) == name)
-        if chosen.any():
-            groups[position_label(name)] = np.repeat(chosen[:, np.newaxis], len(AXES), axis=1)
-    _bars(upper, closure, groups, scale)
-    _bars(lower, closure, temperature_groups(closure), scale)
+        selected = held_out & (np.array(closure.campaign.position) == name)
+        if selected.any():
+            groups[position_label(name)] = np.repeat(selected[:, np.newaxis], len(AXES), axis=1)
+    _draw_bars(upper, closure, groups, scale)
+    _draw_bars(lower, closure, temperature_groups(closure), scale)
     upper.axvline(len(AXES) - 0.5, color="#bbbbbb", linewidth=0.8)
     upper.set_title(f"Error in {held_out_cycles(closure)} (held out)")
     lower.set_xlabel("gyro temperature / °C")
@@ -285,16 +285,16 @@ def temperature_groups(closure: Closure) -> dict[str, BoolArray]:
     return {name: chosen for name, chosen in groups.items() if chosen.any()}
 
 
-def _bars(axes: Axes, closure: Closure, groups: dict[str, BoolArray], scale: BiasScale) -> None:
+def _draw_bars(axes: Axes, closure: Closure, groups: dict[str, BoolArray], scale: BiasScale) -> None:
     models = models_of(closure)
-    places = np.arange(len(groups))
+    positions = np.arange(len(groups))
     width = 0.8 / len(models)
     colours = (_BEFORE_COLOUR, _AFTER_COLOUR)
-    for number, ((label, model), colour) in enumerate(zip(models.items(), colours, strict=False)):
+    for index, ((label, model), colour) in enumerate(zip(models.items(), colours, strict=False)):
         errors_dph = closure.residuals_dph(model)
         heights = [nan_rms(errors_dph[chosen]) * scale.factor for chosen in groups.values()]
-        axes.bar(places - 0.4 + (number + 0.5) * width, heights, width, color=colour, label=label)
+        axes.bar(positions - 0.4 + (index + 0.5) * width, heights, width, color=colour, label=label)
     noise = [nan_rms(closure.dwell_noise_dph[chosen]) * scale.factor for chosen in groups.values()]
-    axes.hlines(noise, places - 0.45, places + 0.45, color=_NOISE_COLOUR, linewidth=1.4, label="noise")
-    axes.set_xticks(places, list(groups), fontsize=7)
+    axes.hlines(noise, positions - 0.45, positions + 0.45, color=_NOISE_COLOUR, linewidth=1.4, label="noise")
+    axes.set_xticks(positions, list(groups), fontsize=7)
     axes.grid(visible=False, axis="x")

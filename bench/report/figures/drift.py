@@ -13,19 +13,19 @@ from matplotlib.figure import Figure
 
 from gyrobench.bench.foundations.text import bin_label
 from gyrobench.bench.navigation.positions import AXES, gyro_label
-from gyrobench.bench.report.figures.style import BARS_SHORT, fitted_figure, house_style, say_empty
+from gyrobench.bench.report.figures.style import BARS_SHORT, fitted_figure, house_style, label_empty
 from gyrobench.bench.report.number_format import BiasScale, p_text
 from gyrobench.bench.runs.index.run_biases import Trend, months_since_first
 
 _MARKERS = "os^Dv<>P*X"
-_OFFSET_DAYS = 0.6
-#: A panel, at least; a line of a legend, and the head of a legend with what is between two panels.
+_BIN_OFFSET_DAYS = 0.6
+#: Heights: minimum of a panel, a line of a legend, and the head of a legend with the gap between panels.
 _PANEL_INCHES, _LINE_INCHES, _HEAD_INCHES = 2.2, 0.19, 0.8
 
 
 @house_style
 def trend_figure(unit: str, trends: Sequence[Trend]) -> Figure:
-    """Draw the levels of a unit's gyros, one panel a gyro, one colour a temperature bin.
+    """Draw the biases of a unit over its runs, one panel for each gyro, one colour for each temperature bin.
 
     Significant slopes have a solid line, others a dotted one.
     """
@@ -37,12 +37,12 @@ def trend_figure(unit: str, trends: Sequence[Trend]) -> Figure:
     scale = BiasScale.of([each.bias_dph for each in trends], [each.sigma_dph for each in trends])
     lows_c = sorted({each.quantity.bin_low_c for each in trends})
     for gyro, panel in zip(AXES, panels, strict=True):
-        mine = [each for each in trends if each.quantity.gyro == gyro]
-        for each in mine:
-            _draw(panel, each, scale, lows_c.index(each.quantity.bin_low_c), len(lows_c))
+        gyro_trends = [each for each in trends if each.quantity.gyro == gyro]
+        for each in gyro_trends:
+            _draw_trend(panel, each, scale, lows_c.index(each.quantity.bin_low_c), len(lows_c))
         panel.set_title(gyro_label(gyro))
         panel.set_ylabel(f"bias / ({scale.unit})")
-        if mine:
+        if gyro_trends:
             panel.legend(
                 loc="center left",
                 bbox_to_anchor=(1.0, 0.5),
@@ -50,7 +50,7 @@ def trend_figure(unit: str, trends: Sequence[Trend]) -> Figure:
                 title_fontsize=8,
             )
         else:
-            say_empty(panel, "no uncompensated bias")
+            label_empty(panel, "no uncompensated bias")
     locator = AutoDateLocator(minticks=3, maxticks=9)
     panels[-1].xaxis.set_major_locator(locator)
     panels[-1].xaxis.set_major_formatter(ConciseDateFormatter(locator))
@@ -59,10 +59,10 @@ def trend_figure(unit: str, trends: Sequence[Trend]) -> Figure:
     return figure
 
 
-def _draw(panel: Axes, trend: Trend, scale: BiasScale, number: int, bins: int) -> None:
-    colour = mpl.colormaps["viridis"](number / max(bins, 2))
-    apart = timedelta(days=_OFFSET_DAYS * (number - (bins - 1) / 2.0))
-    times = [run.started_utc + apart for run in trend.runs]
+def _draw_trend(panel: Axes, trend: Trend, scale: BiasScale, bin_index: int, bin_count: int) -> None:
+    colour = mpl.colormaps["viridis"](bin_index / max(bin_count, 2))
+    offset = timedelta(days=_BIN_OFFSET_DAYS * (bin_index - (bin_count - 1) / 2.0))
+    times = [run.started_utc + offset for run in trend.runs]
     quantity = trend.quantity
     label = f"{bin_label(quantity.bin_low_c, quantity.bin_high_c)} °C"
     if trend.p_value == trend.p_value:
@@ -76,7 +76,7 @@ def _draw(panel: Axes, trend: Trend, scale: BiasScale, number: int, bins: int) -
         np.asarray(times),
         scale.factor * np.array([run.bias_dph for run in trend.runs]),
         scale.factor * np.array([run.sigma_dph for run in trend.runs]),
-        fmt=_MARKERS[number % len(_MARKERS)],
+        fmt=_MARKERS[bin_index % len(_MARKERS)],
         color=colour,
         markersize=3.5,
         elinewidth=0.9,

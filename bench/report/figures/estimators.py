@@ -1,4 +1,4 @@
-"""How the estimators differ, whether the error model explains the data, and the noise of the INS."""
+"""Difference of the estimators, goodness of fit of the error model, and noise of the INS."""
 
 from __future__ import annotations
 
@@ -30,15 +30,17 @@ from gyrobench.bench.report.figures.style import (
     common_legend,
     draw_points,
     house_style,
+    label_empty,
     mark_temperatures,
     new_figure,
-    say_empty,
     text_width_in,
 )
 from gyrobench.bench.report.number_format import PAPER, STATE_SPACE, BiasScale
 from gyrobench.bench.report.run_text import POSITION_SIGNIFICANCE
 
-_DODGE = 0.012  # of the range of temperatures, between neighbouring positions
+_POSITION_OFFSET = (
+    0.012  # horizontal offset between neighbouring positions, relative to the temperature range
+)
 
 
 @house_style
@@ -52,47 +54,53 @@ def estimators_figure(dwells: Iterable[DwellRow], marked_c: Sequence[float] = ()
     for row in dwells:
         if has_both(row):
             points[row.position].append(np.column_stack([row.gyro_c, differences_dph(row)]))
-    both = {position: np.array(own) for position, own in points.items() if own}
+    by_position = {position: np.array(values) for position, values in points.items() if values}
     scale = BiasScale.of(
-        *np.concatenate([own.reshape(-1, 3) for own in both.values()]).T[1:] if both else ((), ())
+        *np.concatenate([values.reshape(-1, 3) for values in by_position.values()]).T[1:]
+        if by_position
+        else ((), ())
     )
     figure = new_figure(3.6, left_in=0.85)
     panels = figure.subplots(1, len(AXES), sharex=True, sharey=True)
     for axis, (gyro, axes) in enumerate(zip(AXES, panels, strict=True)):
         axes.set_title(gyro_label(gyro))
         axes.axhline(0.0, color="#444444", linewidth=0.9)
-        _draw_estimator_differences(axes, axis, both, scale, marked_c)
+        _draw_estimator_differences(axes, axis, by_position, scale, marked_c)
     panels[0].set_ylabel(f"{PAPER} minus\n{STATE_SPACE} / ({scale.unit})")
     panels[1].set_xlabel("temperature of the gyro / °C")
     common_legend(figure, panels[:1], ncols=len(POSITIONS), title=BARS)
-    if not both:
-        say_empty(panels[1], "the paper's method gave no bias")
+    if not by_position:
+        label_empty(panels[1], "the paper's method gave no bias")
     return figure
 
 
 def has_both(row: DwellRow) -> bool:
-    """Whether a dwell has no flags, and both estimates."""
+    """Whether a dwell is unflagged and has both estimates."""
     return bool(not row.flags and paper_rows([row]))
 
 
 def differences_dph(row: DwellRow) -> list[tuple[float, float]]:
-    """Paper's method minus state-space bias for each gyro, and combined uncertainties."""
-    both = zip(row.bias_dph, row.sigma_dph, row.paper_bias_dph, row.paper_sigma_dph, strict=True)
-    return [(paper - bias, math.hypot(sigma, paper_sigma)) for bias, sigma, paper, paper_sigma in both]
+    """Bias by the paper's method minus state-space bias for each gyro, with combined uncertainties."""
+    estimates = zip(row.bias_dph, row.sigma_dph, row.paper_bias_dph, row.paper_sigma_dph, strict=True)
+    return [(paper - bias, math.hypot(sigma, paper_sigma)) for bias, sigma, paper, paper_sigma in estimates]
 
 
 def _draw_estimator_differences(
-    axes: Axes, axis: int, both: Mapping[str, FloatArray], scale: BiasScale, marked_c: Sequence[float]
+    axes: Axes, axis: int, by_position: Mapping[str, FloatArray], scale: BiasScale, marked_c: Sequence[float]
 ) -> None:
-    """``both``: temperature in degC, difference and uncertainty in deg/h of each dwell and gyro."""
-    temperatures_c = np.concatenate([np.zeros(0), *(own[:, axis, 0] for own in both.values())])
-    dodge_c = _DODGE * float(np.nanmax(temperatures_c) - np.nanmin(temperatures_c)) if both else 0.0
-    for place, (position, style) in enumerate(POSITION_STYLES.items()):
-        if position in both:
-            temperature_c, difference_dph, sigma_dph = both[position][:, axis].T
+    """``by_position``: temperature in degC, difference and uncertainty in deg/h of each dwell and gyro."""
+    temperatures_c = np.concatenate([np.zeros(0), *(values[:, axis, 0] for values in by_position.values())])
+    offset_c = (
+        _POSITION_OFFSET * float(np.nanmax(temperatures_c) - np.nanmin(temperatures_c))
+        if by_position
+        else 0.0
+    )
+    for index, (position, style) in enumerate(POSITION_STYLES.items()):
+        if position in by_position:
+            temperature_c, difference_dph, sigma_dph = by_position[position][:, axis].T
             draw_points(
                 axes,
-                temperature_c + (place - 2.5) * dodge_c,
+                temperature_c + (index - 2.5) * offset_c,
                 difference_dph * scale.factor,
                 sigma_dph * scale.factor,
                 style.colour,
@@ -103,17 +111,17 @@ def _draw_estimator_differences(
                 markersize=4.0,
                 markerfacecolor=style.face,
             )
-    if both:
+    if by_position:
         mark_temperatures(axes, "x", marked_c)
 
 
 #: Probability of the band, matching the significance level of the test.
 _BAND = 1.0 - POSITION_SIGNIFICANCE
-#: Least number of p-values for a distribution.
+#: Smallest number of p-values for a distribution.
 _MIN_FOR_DISTRIBUTION = 5
-#: Minimum range of the residuals' axis.
-_RATIOS = (0.8, 1.2)
-_MARGIN = 0.05
+#: Minimum range of the axis of residual ratios.
+_MIN_RATIO_RANGE = (0.8, 1.2)
+_AXIS_MARGIN = 0.05
 
 
 @house_style
@@ -128,7 +136,7 @@ def fit_figure(dwells: Iterable[DwellRow]) -> Figure:
     panels = figure.subplots(1, len(ratios), width_ratios=ratios, squeeze=False)[0]
     panels[0].set(title="Size of residuals", xlabel="dwell", ylabel="residual / expected")
     if not tested:
-        say_empty(panels[0], "no dwell tested")
+        label_empty(panels[0], "no dwell tested")
         return figure
     _draw_ratios(panels[0], tested)
     for axes in panels[1:]:
@@ -149,11 +157,11 @@ def _tested(dwells: Iterable[DwellRow]) -> list[DwellRow]:
 def _draw_ratios(axes: Axes, rows: Sequence[DwellRow]) -> None:
     axes.axhline(1.0, color="#444444", linewidth=0.9)
     for position, style in POSITION_STYLES.items():
-        own = [row for row in rows if row.position == position]
-        if own:
+        position_rows = [row for row in rows if row.position == position]
+        if position_rows:
             axes.plot(
-                [row.dwell for row in own],
-                [row.fit_ratio for row in own],
+                [row.dwell for row in position_rows],
+                [row.fit_ratio for row in position_rows],
                 label=position_label(position),
                 linestyle="none",
                 marker=style.marker,
@@ -175,11 +183,13 @@ def _draw_ratios(axes: Axes, rows: Sequence[DwellRow]) -> None:
     _set_ranges(axes, [row.dwell for row in rows], [row.fit_ratio for row in rows])
 
 
-def _set_ranges(axes: Axes, numbers: Sequence[int], ratios: Sequence[float]) -> None:
-    low, high = min(*ratios, _RATIOS[0]), max(*ratios, _RATIOS[1])
-    margin = _MARGIN * (high - low)
-    side = max(_MARGIN * (max(numbers) - min(numbers)), 0.5)
-    axes.set(ylim=(low - margin, high + margin), xlim=(min(numbers) - side, max(numbers) + side))
+def _set_ranges(axes: Axes, dwells: Sequence[int], ratios: Sequence[float]) -> None:
+    low, high = min(*ratios, _MIN_RATIO_RANGE[0]), max(*ratios, _MIN_RATIO_RANGE[1])
+    margin = _AXIS_MARGIN * (high - low)
+    dwell_margin = max(_AXIS_MARGIN * (max(dwells) - min(dwells)), 0.5)
+    axes.set(
+        ylim=(low - margin, high + margin), xlim=(min(dwells) - dwell_margin, max(dwells) + dwell_margin)
+    )
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
 
 
@@ -209,16 +219,17 @@ def _draw_distribution(axes: Axes, p_values: Sequence[float]) -> None:
 
 _ARW = ("deg/√h", DEG_PER_SQRT_H_TO_SI)
 _VRW = ("µg/√Hz", UG_PER_SQRT_HZ_TO_SI)
-_MICRO_G = UG_PER_SQRT_HZ_TO_SI  # m/s^2: the same number
-_FITTED = "#000000"
-_DECLARED = "#D55E00"
+_MICRO_G = UG_PER_SQRT_HZ_TO_SI  # m/s^2, numerically equal
+_FITTED_COLOUR = "#000000"
+_DECLARED_COLOUR = "#D55E00"
 _FIT_WIDTH = 0.7
 _FIT_LABEL = "complete fit"
-_LEVEL = "#555555"
-_WIDEST_BAR = 0.9  # of the value: an error bar down to zero would reach to the end of a log axis
+_ACCELERATION_COLOUR = "#555555"
+#: Largest error bar relative to the value: a bar down to zero would reach the end of a log axis.
+_MAX_BAR_SHARE = 0.9
 _LOG_MARGIN = 1.3
-_FEW_DECADES = 50.0
-_KEY_IN = 0.55  # of a legend: its lines and edges
+_MAX_FINE_TICKS_RATIO = 50.0
+_LEGEND_KEY_IN = 0.55  # width of a legend without its text: its lines and edges
 
 
 @house_style
@@ -233,7 +244,9 @@ def noise_figure(estimate: NoiseEstimate, declared: NoiseModel | None) -> Figure
     for axis, channel in zip(AXES, estimate.gyros, strict=True):
         colour, _, marker = GYRO_STYLES[axis]
         _draw_channel(gyros, channel, DPH_TO_RADPS, gyro_label(axis), colour, marker)
-    _draw_channel(accelerometers, estimate.acceleration, _MICRO_G, "East and North", _LEVEL, "D")
+    _draw_channel(
+        accelerometers, estimate.acceleration, _MICRO_G, "East and North", _ACCELERATION_COLOUR, "D"
+    )
     arw, vrw = (declared.angle_random_walk, declared.velocity_random_walk) if declared else (0.0, 0.0)
     has_fit = any(channel.fit for channel in estimate.gyros)
     _draw_walks(gyros, estimate.angle_random_walk, arw, _ARW, DPH_TO_RADPS, has_fit=has_fit)
@@ -244,7 +257,7 @@ def noise_figure(estimate: NoiseEstimate, declared: NoiseModel | None) -> Figure
         title="Noise of the accelerometers", ylabel="Allan deviation / µg", xlabel="averaging time / s"
     )
     texts = [text for panel in figure.axes for text in panel.get_legend_handles_labels()[1]]
-    figure.subplots_adjust(right=1.0 - (_KEY_IN + text_width_in(texts, 8)) / WIDTH_IN)
+    figure.subplots_adjust(right=1.0 - (_LEGEND_KEY_IN + text_width_in(texts, 8)) / WIDTH_IN)
     return figure
 
 
@@ -257,7 +270,7 @@ def _draw_channel(
     tau, deviation = channel.allan.tau_s[has_motion], channel.allan.deviation[has_motion] / unit
     sigma = None
     if fit:
-        sigma = deviation * np.minimum(1.0 / np.sqrt(2.0 * fit.edf[has_motion]), _WIDEST_BAR)
+        sigma = deviation * np.minimum(1.0 / np.sqrt(2.0 * fit.edf[has_motion]), _MAX_BAR_SHARE)
     axes.errorbar(
         tau,
         deviation,
@@ -280,38 +293,40 @@ def _draw_walks(
     axes: Axes,
     measured: NoiseParameter,
     declared: float,
-    walk: tuple[str, float],
+    walk_unit: tuple[str, float],
     unit: float,
     *,
     has_fit: bool,
 ) -> None:
-    """Draw lines of slope -1/2 over the averaging times in the axes, and finish these."""
-    name, size = walk
+    """Draw the random walks as lines of slope -1/2, and format axes and legend."""
+    unit_name, unit_si = walk_unit
     if not axes.containers:
         axes.set(xticks=[], yticks=[])
-        say_empty(axes, "constant output: noise below resolution")
+        label_empty(axes, "constant output: noise below resolution")
         return
     tau = np.array([axes.dataLim.x0, axes.dataLim.x1])
     levels = [axes.dataLim.y0, axes.dataLim.y1]
-    found = measured.value if measured.is_significant and measured.value is not None else 0.0
-    text = measured.text(name, size).replace(", ", "\n")
+    fitted = measured.value if measured.is_significant and measured.value is not None else 0.0
+    text = measured.text(unit_name, unit_si).replace(", ", "\n")
     for value, label, colour, line in (
-        (found, f"random walk\n{text}", _FITTED, "-"),
-        (declared, f"declared\n{declared / size:.3g} {name}", _DECLARED, (0, (5, 3))),
+        (fitted, f"random walk\n{text}", _FITTED_COLOUR, "-"),
+        (declared, f"declared\n{declared / unit_si:.3g} {unit_name}", _DECLARED_COLOUR, (0, (5, 3))),
     ):
         if value > 0.0:
-            walks = value / unit / np.sqrt(tau)
-            levels.extend(walks)
-            axes.plot(tau, walks, color=colour, linestyle=line, label=label)
-    if not found:
+            deviations = value / unit / np.sqrt(tau)
+            levels.extend(deviations)
+            axes.plot(tau, deviations, color=colour, linestyle=line, label=label)
+    if not fitted:
         axes.plot([], [], linestyle="none", label=f"random walk\n{text}")
     if has_fit:
-        axes.plot([], [], color=_LEVEL, linewidth=_FIT_WIDTH, label=_FIT_LABEL)
+        axes.plot([], [], color=_ACCELERATION_COLOUR, linewidth=_FIT_WIDTH, label=_FIT_LABEL)
     low, high = min(levels), max(levels)
     axes.set(xscale="log", yscale="log", ylim=(low / _LOG_MARGIN, high * _LOG_MARGIN))
-    for side in (axes.xaxis, axes.yaxis):
-        side.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < _FEW_DECADES * low else (1.0,)))
-        side.set_major_formatter("{x:g}")
-        side.set_minor_formatter(NullFormatter())
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(
+            LogLocator(subs=(1.0, 2.0, 5.0) if high < _MAX_FINE_TICKS_RATIO * low else (1.0,))
+        )
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter(NullFormatter())
     title = BARS_SHORT if has_fit else None
     axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), title=title, title_fontsize=8)

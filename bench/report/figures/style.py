@@ -1,4 +1,4 @@
-"""Style of the figures: size, colours, markers; and PNG files."""
+"""Style of the figures: size, colours, markers; PNG files."""
 
 from __future__ import annotations
 
@@ -31,21 +31,21 @@ WIDTH_IN = 7.2
 _PNG_DPI = 160
 _INCH_M = 0.0254
 _POINTS_PER_INCH, _LEGEND_PT = 72.0, 8
-_CHARACTER = 0.58  # width in parts of the size of the font
-LEGEND_ROW_IN = 1.75 * _LEGEND_PT / _POINTS_PER_INCH  #: Height of a row of a legend.
-_KEY_IN = 0.53  # of a column of a legend: its line, and the space to the next column
-#: Name of the text of a PNG file that holds the key, near its beginning.
-_KEY, _KEY_WITHIN_BYTES = "Inputs", 1000
+_CHARACTER_WIDTH = 0.58  # mean width of a character relative to the font size
+LEGEND_ROW_IN = 1.75 * _LEGEND_PT / _POINTS_PER_INCH  #: Height of a row of a legend, inch.
+_LEGEND_KEY_IN = 0.53  # width of a legend column without its text: its line, and the space to the next column
+#: Name of the text entry of a PNG file that holds the key; it is within the first bytes of the file.
+_PNG_KEY_NAME, _PNG_HEAD_BYTES = "Inputs", 1000
 
-#: The quick classes below override internals of matplotlib, and are tested with this version of it; with any
-#: other its own classes draw the same, in more time.
+#: The quick classes below override internals of matplotlib and are tested with this version. With any other
+#: version, the classes of matplotlib draw the same figures more slowly.
 _IS_TESTED = matplotlib.__version_info__[:2] == (3, 11)
 
-_KEPT_TEXTS = 300  # images of lines of text, some kB each
-_STRIP_ROWS = 64  # of pixels, compressed at once
-_DOT = 64  # the unit of sizes of fonts is a part of a dot
+_TEXT_CACHE_SIZE = 300  # number of cached images of text lines, some kB each
+_STRIP_ROWS = 64  # rows of pixels compressed at once
+_SUBPIXELS_PER_PIXEL = 64  # fonts state sizes in this fraction of a pixel
 
-#: Title of legends where bars are uncertainties.
+#: Legend titles of figures whose bars are uncertainties.
 BARS, BARS_SHORT = "bars: standard uncertainty (k = 1)", "bars: k = 1"
 
 #: Decorator of drawing functions: makes figures independent of matplotlibrc and other code.
@@ -58,7 +58,7 @@ house_style = matplotlib.style.context(
             "axes.titlesize": 11,
             "axes.titleweight": "bold",
             "axes.titlelocation": "left",
-            "axes.titley": 1.0,  # no ticks at the top, for which matplotlib would look each time
+            "axes.titley": 1.0,  # fixed, else matplotlib searches for ticks at the top each time
             "axes.grid": True,
             "axes.axisbelow": True,
             "grid.color": "#dddddd",
@@ -76,7 +76,7 @@ house_style = matplotlib.style.context(
 
 @dataclass(frozen=True)
 class PositionStyle:
-    """Style of a position; marker and fill identify it without colour."""
+    """Style of a position; marker and fill distinguish it without colour."""
 
     colour: str
     marker: str
@@ -93,7 +93,7 @@ class PositionStyle:
         return self.colour if self.is_filled else "white"
 
 
-#: Colours of Okabe and Ito; the marker gives the vertical axis, a filled one points up.
+#: Colours of Okabe and Ito; the marker shows which axis is vertical, filled if it points up.
 POSITION_STYLES: Mapping[str, PositionStyle] = MappingProxyType(
     {
         "z_up": PositionStyle("#0072B2", "o", True),
@@ -105,47 +105,47 @@ POSITION_STYLES: Mapping[str, PositionStyle] = MappingProxyType(
     }
 )
 
-#: Colour, line and marker of each gyro, where several are in one figure.
+#: Colour, line and marker of each gyro in figures with several gyros.
 GYRO_STYLES: Mapping[str, tuple[str, str, str]] = MappingProxyType(
     {"x": ("#882255", "-", "o"), "y": ("#332288", "--", "^"), "z": ("#117733", "-.", "s")}
 )
 
 
-class _AlikeTicks(Axis):
-    """An axis whose ticks are copies of its first, with labels of their own: its lines are drawn at once."""
+class _UniformTicks(Axis):
+    """Axis whose ticks are copies of the first one with separate labels; all tick lines are drawn at once."""
 
     axis_name: str
 
     def _get_tick(self, major: bool) -> Tick:
-        made = vars(self).get("majorTicks" if major else "minorTicks")
+        existing_ticks = vars(self).get("majorTicks" if major else "minorTicks")
         tick: Tick
-        if not made:
+        if not existing_ticks:
             tick = super()._get_tick(major)  # type: ignore[misc]
             if not major:
-                tick.set_clip_path(self.axes.patch)  # as the axis does with those that are there
+                tick.set_clip_path(self.axes.patch)  # as the axis does for existing ticks
             return tick
-        tick = copy.copy(made[0])
+        tick = copy.copy(existing_ticks[0])
         tick.label1, tick.label2 = copy.copy(tick.label1), copy.copy(tick.label2)
         for label in (tick.label1, tick.label2):
             label.set_fontproperties(label.get_fontproperties())  # a copy
         return tick
 
     def _copy_tick_props(self, src: Tick, dest: Tick) -> None:
-        """Do nothing: the ticks are alike."""
+        """Do nothing: all ticks are equal."""
 
     def draw(self, renderer: Any) -> None:
         if not self.get_visible():
             return
         ticks = self._update_ticks()  # type: ignore[attr-defined]
-        for group in (self.majorTicks, self.minorTicks):
-            if places := [tick.get_loc() for tick in ticks if tick in group]:
-                first = group[0]
-                for line, across in (
-                    (first.gridline, (0.0, 1.0, math.nan)),
-                    (first.tick1line, (0.0,)),
-                    (first.tick2line, (1.0,)),
+        for tick_group in (self.majorTicks, self.minorTicks):
+            if locations := [tick.get_loc() for tick in ticks if tick in tick_group]:
+                template = tick_group[0]
+                for line, extent in (
+                    (template.gridline, (0.0, 1.0, math.nan)),
+                    (template.tick1line, (0.0,)),
+                    (template.tick2line, (1.0,)),
                 ):
-                    data = np.repeat(places, len(across)), np.tile(across, len(places))
+                    data = np.repeat(locations, len(extent)), np.tile(extent, len(locations))
                     line.set_data(*(data if self.axis_name == "x" else reversed(data)))
                     line.draw(renderer)
         for tick in ticks:
@@ -158,42 +158,42 @@ class _AlikeTicks(Axis):
         self.offsetText.draw(renderer)
 
 
-class _XAxis(_AlikeTicks, XAxis):
+class _QuickXAxis(_UniformTicks, XAxis):
     pass
 
 
-class _YAxis(_AlikeTicks, YAxis):
+class _QuickYAxis(_UniformTicks, YAxis):
     pass
 
 
 class _QuickAxes(Axes):
     def _init_axis(self) -> None:
-        self.xaxis, self.yaxis = _XAxis(self, clear=False), _YAxis(self, clear=False)
+        self.xaxis, self.yaxis = _QuickXAxis(self, clear=False), _QuickYAxis(self, clear=False)
         for axis, spines in ((self.xaxis, ("bottom", "top")), (self.yaxis, ("left", "right"))):
             for name in spines:
                 self.spines[name].register_axis(axis)
 
 
-@lru_cache(_KEPT_TEXTS)
-def _image_of(text: str, font_properties: FontProperties, dpi: float) -> tuple[Any, ...]:
-    """Width, height and descent of a line of text, its image, and the lower left corner of that, in dots."""
+@lru_cache(_TEXT_CACHE_SIZE)
+def _text_image(text: str, font_properties: FontProperties, dpi: float) -> tuple[Any, ...]:
+    """Width, height and descent of a line of text, its image and the left and lower offset, in pixels."""
     font = get_font(fontManager._find_fonts_by_props(font_properties))  # noqa: SLF001
     font.clear()
     font.set_size(font_properties.get_size_in_points(), dpi)
     font.set_text(text, 0.0, flags=get_hinting_flag())  # type: ignore[no-untyped-call]
     font.draw_glyphs_to_bitmap(antialiased=True)
     sizes = (*font.get_width_height(), font.get_descent(), *font.get_bitmap_offset())
-    width, height, descent, left, low = (each / _DOT for each in sizes)
+    width, height, descent, left, low = (each / _SUBPIXELS_PER_PIXEL for each in sizes)
     return width, height, descent, font.get_image().copy(), left, low
 
 
 class _QuickRenderer(RendererAgg):
-    """A renderer that keeps the images of texts: labels of axes and ticks are the same in many figures."""
+    """Renderer that caches images of texts: many figures have the same axis and tick labels."""
 
     def get_text_width_height_descent(self, s: str, prop: FontProperties, ismath: Any) -> Any:
         if ismath:
             return super().get_text_width_height_descent(s, prop, ismath)  # type: ignore[no-untyped-call]
-        return _image_of(s, prop, self.dpi)[:3]
+        return _text_image(s, prop, self.dpi)[:3]
 
     def draw_text(
         self,
@@ -209,13 +209,13 @@ class _QuickRenderer(RendererAgg):
         if ismath:
             super().draw_text(gc, x, y, s, prop, angle, ismath, mtext)  # type: ignore[no-untyped-call]
             return
-        _, _, descent, image, left, low = _image_of(s, prop.copy(), self.dpi)
+        _, _, descent, image, left, low = _text_image(s, prop.copy(), self.dpi)
         turn = math.radians(angle)
         x, y = round(x + left + descent * math.sin(turn)), round(y + low + descent * math.cos(turn))
         self._renderer.draw_text_image(image, x, y + 1, angle, gc)
 
 
-class _Canvas(FigureCanvasAgg):
+class _QuickCanvas(FigureCanvasAgg):
     renderer: RendererAgg | None = None
 
     def get_renderer(self) -> RendererAgg:
@@ -226,10 +226,10 @@ class _Canvas(FigureCanvasAgg):
 
 
 class _QuickFigure(Figure):
-    """A figure whose axes make their ticks quickly."""
+    """Figure whose axes create their ticks quickly."""
 
-    def add_subplot(self, *place: Any, **options: Any) -> Any:
-        return super().add_subplot(*place, axes_class=_QuickAxes, **options)
+    def add_subplot(self, *position: Any, **options: Any) -> Any:
+        return super().add_subplot(*position, axes_class=_QuickAxes, **options)
 
 
 def new_figure(
@@ -242,10 +242,10 @@ def new_figure(
     wspace: float = 0.06,
     hspace: float = 0.25,
 ) -> Figure:
-    """Make an empty figure with fixed margins, drawn without a display.
+    """Create an empty figure with fixed margins, drawn without a display.
 
-    To compute margins takes longer than to draw a figure. The default ones hold a title, labels of ticks and
-    of both axes; ``wspace`` and ``hspace`` between panels are parts of a panel's size.
+    Computing margins takes longer than drawing a figure. The default margins have room for a title, tick
+    labels and both axis labels. ``wspace`` and ``hspace`` between panels are relative to the panel size.
     """
     figure = _empty_figure(height_in)
     figure.subplots_adjust(
@@ -260,7 +260,7 @@ def new_figure(
 
 
 def fitted_figure(height_in: float) -> Figure:
-    """Make an empty figure whose margins are computed from its texts when it is drawn."""
+    """Create an empty figure whose margins are computed from its texts when it is drawn."""
     return _empty_figure(height_in, layout="constrained")
 
 
@@ -271,18 +271,18 @@ def _empty_figure(height_in: float, **options: Any) -> Figure:
 
 
 def _canvas_of(figure: Figure) -> FigureCanvasAgg:
-    """Make a canvas, which becomes that of the figure."""
-    return (_Canvas if _IS_TESTED else FigureCanvasAgg)(figure)
+    """Create a canvas and attach it to the figure."""
+    return (_QuickCanvas if _IS_TESTED else FigureCanvasAgg)(figure)
 
 
 def text_width_in(texts: Iterable[str], size: float) -> float:
-    """Width in inch of the longest line of texts in a font of this size in points, rounded up."""
+    """Upper estimate of the width, inch, of the longest line of texts in a font of ``size`` points."""
     lines = (line for text in texts for line in text.splitlines())
-    return _CHARACTER * size / _POINTS_PER_INCH * max(map(len, lines), default=0)
+    return _CHARACTER_WIDTH * size / _POINTS_PER_INCH * max(map(len, lines), default=0)
 
 
-def say_empty(axes: Axes, message: str) -> None:
-    """Write the reason for empty axes into them."""
+def label_empty(axes: Axes, message: str) -> None:
+    """Write into empty axes why they are empty."""
     axes.text(0.5, 0.5, message, transform=axes.transAxes, ha="center", va="center", color="#666666")
 
 
@@ -298,7 +298,7 @@ def draw_points(
 ) -> None:
     """Draw many points with their uncertainties.
 
-    All bars are one line with gaps: a collection, as of matplotlib's error bars, has an object for each.
+    All bars are one line with gaps, which is faster than one object for each as in matplotlib's error bars.
     """
     ends = np.stack([y - sigma, y + sigma, np.full(len(y), np.nan)], axis=1)
     axes.plot(np.repeat(x, 3), ends.ravel(), color=color, linewidth=0.7, alpha=bar_alpha)
@@ -312,9 +312,10 @@ def common_legend(
     ncols: int = 0,
     title: str = "",
 ) -> None:
-    """Draw one legend for several panels, each label once, by default in one row if it fits; none without.
+    """Draw one legend for several panels with each label once, by default in one row if it fits.
 
-    It widens the lower or upper margin. ``title`` stands above the labels.
+    The lower or upper margin grows by its height. Without labels nothing is drawn. ``title``: line above the
+    labels.
     """
     handles: dict[str, Artist] = {}
     for panel in panels:
@@ -322,25 +323,27 @@ def common_legend(
             handles.setdefault(label, handle)
     if not handles:
         return
-    within = int(WIDTH_IN / (_KEY_IN + text_width_in(handles, _LEGEND_PT)))
-    ncols = max(min(ncols or len(handles), within), 1)
+    max_columns = int(WIDTH_IN / (_LEGEND_KEY_IN + text_width_in(handles, _LEGEND_PT)))
+    ncols = max(min(ncols or len(handles), max_columns), 1)
     if figure.get_layout_engine():
         side = f"outside {side}"  # type: ignore[assignment]
     else:
         rows = math.ceil(len(handles) / ncols) + bool(title)
-        room = (0.5 + rows) * LEGEND_ROW_IN / figure.get_figheight()
-        at = figure.subplotpars
+        legend_height = (0.5 + rows) * LEGEND_ROW_IN / figure.get_figheight()
+        margins = figure.subplotpars
         figure.subplots_adjust(
-            **{"bottom": at.bottom + room} if side == "lower center" else {"top": at.top - room}
+            **{"bottom": margins.bottom + legend_height}
+            if side == "lower center"
+            else {"top": margins.top - legend_height}
         )
     figure.legend(
         handles.values(), handles, loc=side, ncols=ncols, title=title or None, title_fontsize=_LEGEND_PT
     )
 
 
-def mark_temperatures(axes: Axes, along: Literal["x", "y"], marked_c: Sequence[float]) -> None:
-    """Draw lines at temperatures in degC that lie inside the limits of a temperature axis."""
-    is_x = along == "x"
+def mark_temperatures(axes: Axes, axis_name: Literal["x", "y"], marked_c: Sequence[float]) -> None:
+    """Draw lines at those temperatures in degC that lie within the limits of a temperature axis."""
+    is_x = axis_name == "x"
     low, high = axes.get_xlim() if is_x else axes.get_ylim()
     for temperature_c in (each for each in marked_c if low < each < high):
         line = (axes.axvline if is_x else axes.axhline)(temperature_c)
@@ -359,23 +362,23 @@ def mark_temperatures(axes: Axes, along: Literal["x", "y"], marked_c: Sequence[f
 
 @house_style
 def png_bytes(figure: Figure, key: str = "") -> bytes:
-    """Draw a figure; equal figures give equal pixels. A key is kept in the PNG, see :func:`is_drawn`."""
+    """Draw a figure as PNG; equal figures give equal pixels. The key is stored, see :func:`is_up_to_date`."""
     dpi = figure.dpi
     figure.set_dpi(_PNG_DPI)
     renderer: RendererAgg = _canvas_of(figure).get_renderer()  # type: ignore[no-untyped-call]
     figure.draw(renderer)  # unlike savefig, which draws everything twice
     figure.set_dpi(dpi)
-    # In a fifth of the time of PIL, which looks for the best filter of each row.
+    # Takes a fifth of the time of PIL, which searches for the best filter of each row.
     pixels = np.asarray(renderer.buffer_rgba())[:, :, :3]  # type: ignore[no-untyped-call]
     height, width, _ = pixels.shape
-    packed = isal_zlib.compressobj(1)
+    compressor = isal_zlib.compressobj(1)
     data = []
-    for strip in np.array_split(pixels, math.ceil(height / _STRIP_ROWS)):  # not all rows in the memory twice
-        rows = np.zeros((len(strip), 1 + 3 * width), np.uint8)  # a zero before each: not filtered
+    for strip in np.array_split(pixels, math.ceil(height / _STRIP_ROWS)):  # strips, to save memory
+        rows = np.zeros((len(strip), 1 + 3 * width), np.uint8)  # each row starts with 0: no filter
         rows[:, 1:].reshape(strip.shape)[:] = strip  # without a copy
-        data.append(packed.compress(rows.data))
-    data.append(packed.flush())
-    dots_per_m, text = round(_PNG_DPI / _INCH_M), f"{_KEY}\0{key}"
+        data.append(compressor.compress(rows.data))
+    data.append(compressor.flush())
+    dots_per_m, text = round(_PNG_DPI / _INCH_M), f"{_PNG_KEY_NAME}\0{key}"
     chunks = [
         (b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)),  # 8 bits of red, green and blue
         *([(b"tEXt", text.encode())] if key else []),
@@ -389,8 +392,8 @@ def png_bytes(figure: Figure, key: str = "") -> bytes:
     )
 
 
-def stamp(figure: Figure, word: str) -> None:
-    """Write a word across a figure; nothing if it is empty."""
+def draw_watermark(figure: Figure, word: str) -> None:
+    """Write a word across a figure; an empty word writes nothing."""
     if word:
         style: Mapping[str, Any] = {"size": 44, "weight": "bold", "color": "#b3261e", "alpha": 0.16}
         figure.text(0.5, 0.5, word, rotation=20, ha="center", va="center", **style)
@@ -398,15 +401,15 @@ def stamp(figure: Figure, word: str) -> None:
 
 @house_style
 def save_vectors(figure: Figure, path: Path, formats: Iterable[str]) -> None:
-    """Write a figure as vectors, beside ``path`` and with its name, as ``svg`` or ``pdf``.
+    """Write a figure as vector graphics, ``svg`` or ``pdf``, into files beside ``path`` with the same stem.
 
     Equal figures give equal files. Raises RunFolderError if a file can't be written.
     """
     for name in formats:
         buffer = io.BytesIO()
-        unnamed = {"Date": None} if name == "svg" else {"CreationDate": None}
+        without_date = {"Date": None} if name == "svg" else {"CreationDate": None}
         with matplotlib.rc_context({"svg.hashsalt": path.stem, "svg.fonttype": "none", "pdf.fonttype": 42}):
-            figure.savefig(buffer, format=name, metadata=unnamed)
+            figure.savefig(buffer, format=name, metadata=without_date)
         write_whole(path.with_suffix(f".{name}"), buffer.getvalue())
 
 
@@ -415,9 +418,9 @@ def save_figure(figure: Figure, path: Path, key: str = "") -> None:
     write_whole(path, png_bytes(figure, key))
 
 
-def is_drawn(path: Path, key: str) -> bool:
-    """Whether a PNG file was saved with this key: a hash of what the figure shows."""
+def is_up_to_date(path: Path, key: str) -> bool:
+    """Whether a PNG file was saved with this key, a hash of what the figure shows."""
     if not key or not path.is_file():
         return False
     with path.open("rb") as png:
-        return f"{_KEY}\0{key}".encode() in png.read(_KEY_WITHIN_BYTES)
+        return f"{_PNG_KEY_NAME}\0{key}".encode() in png.read(_PNG_HEAD_BYTES)

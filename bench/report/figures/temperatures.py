@@ -1,4 +1,4 @@
-"""Temperatures over time with the positions taken: of a run and of a plan.
+"""Temperatures and positions over time, of a run and of a plan.
 
 Counterparts of the paper's Fig. 7.
 
@@ -27,32 +27,32 @@ from gyrobench.bench.report.figures.style import (
     POSITION_STYLES,
     common_legend,
     house_style,
+    label_empty,
     mark_temperatures,
     new_figure,
-    say_empty,
 )
 
 if TYPE_CHECKING:
     from gyrobench.bench.procedure.plan import Plan
 
-#: Column name to values, as :func:`gyrobench.bench.runs.telemetry.read_telemetry` gives them.
+#: Values by column, as returned by :func:`gyrobench.bench.runs.telemetry.read_telemetry`.
 TelemetryValues = Mapping[str, FloatArray]
-#: The columns that are drawn.
-DRAWN = (
+#: Columns that the figure shows.
+DRAWN_COLUMNS = (
     *("time_s", "chamber_set_c", "chamber_c"),
     *(f"{sensor}_{axis}_c" for sensor in ("gyro", "board") for axis in AXES),
 )
 
-#: Parts of a line that are drawn each by four readings: more than a figure has columns of pixels.
-_PARTS = 2000
+#: Number of parts of a line, each reduced to four readings: more than a figure has columns of pixels.
+_MAX_LINE_PARTS = 2000
 _SHORT_RUN_S = 7200.0
 _MIN_AXIS_S = 60.0
-#: Of rotations, in no position.
-_OTHER_COLOUR = "#555555"
+#: Colour of rotations, which are in no position.
+_ROTATIONS_COLOUR = "#555555"
 
 
 @dataclass(frozen=True)
-class _Band:
+class _PositionSpan:
     """Time spent in one position."""
 
     start_s: float
@@ -67,23 +67,23 @@ def temperature_figure(
 ) -> Figure:
     """Draw the measured temperatures and dwells of a run over time, as planned in the paper's Fig. 7.
 
-    Columns of the telemetry that are missing or all NaN are left out. The bands are the dwells, those with
-    flags hollow in the lower panel; without any there is none. Lines mark ``marked_c`` in degC.
+    Columns of the telemetry that are missing or all NaN are left out. The bands are dwells, hollow in the
+    lower panel if flagged; without dwells there is no lower panel. Lines mark ``marked_c`` in degC.
     """
-    bands = [_Band(row.start_s, row.end_s, row.position, bool(row.flags)) for row in dwells]
+    spans = [_PositionSpan(row.start_s, row.end_s, row.position, bool(row.flags)) for row in dwells]
     time_s = telemetry.get("time_s", np.empty(0))
     figure = new_figure(4.8, hspace=0.07)
-    title = "Temperatures and positions" if bands else "Temperatures"
-    ends_s = [*time_s[-1:], *(band.end_s for band in bands)]
-    axes, unit_s = _time_axes(figure, title, ends_s, tuple(POSITIONS) if bands else ())
-    _draw_bands(figure, bands, unit_s)
+    title = "Temperatures and positions" if spans else "Temperatures"
+    ends_s = [*time_s[-1:], *(span.end_s for span in spans)]
+    axes, unit_s = _time_axes(figure, title, ends_s, tuple(POSITIONS) if spans else ())
+    _draw_spans(figure, spans, unit_s)
     time = time_s / unit_s
 
-    def draw(column: str, label: str, **look: Any) -> None:
+    def draw(column: str, label: str, **style: Any) -> None:
         values = telemetry.get(column, np.empty(0))
         if np.isfinite(values).any():
-            shown = _drawn_readings(values)
-            axes.plot(time[shown], values[shown], label=label, **look)
+            indices = _line_indices(values)
+            axes.plot(time[indices], values[indices], label=label, **style)
 
     draw("chamber_set_c", "chamber, set point", color="black", linestyle=":", linewidth=1.0)
     draw("chamber_c", "chamber, air", color="#777777", linewidth=1.6)
@@ -92,27 +92,27 @@ def temperature_figure(
         draw(
             f"board_{gyro}_c", f"{gyro_label(gyro)}, electronics", color=colour, linestyle=line, linewidth=0.5
         )
-    _finish_temperatures(figure, axes, marked_c)
+    _add_legend_and_marks(figure, axes, marked_c)
     return figure
 
 
-def _drawn_readings(values: FloatArray) -> IntArray:
-    """Places of the readings that make the line of all of ``values`` (n,): a run has tens of thousands.
+def _line_indices(values: FloatArray) -> IntArray:
+    """Indices of the readings that suffice to draw the line of ``values`` (n,), tens of thousands in a run.
 
-    The first, lowest, highest and last one of each part, and where a gap begins (M4: Jugel et al., "M4: a
-    visualization-oriented time series data aggregation", Proc. VLDB Endowment 7 (2014) 797).
+    These are the first, lowest, highest and last one of each part, and the starts of gaps (M4: Jugel et al.,
+    "M4: a visualization-oriented time series data aggregation", Proc. VLDB Endowment 7 (2014) 797).
     """
-    size = -(-len(values) // _PARTS)
-    if size <= 4:
+    part_size = -(-len(values) // _MAX_LINE_PARTS)
+    if part_size <= 4:
         return np.arange(len(values))
-    begins = np.arange(0, len(values), size)
-    parts = np.full((len(begins), size), np.nan)
+    starts = np.arange(0, len(values), part_size)
+    parts = np.full((len(starts), part_size), np.nan)
     parts.flat[: len(values)] = values
     is_gap = np.isnan(values)
-    begins_gap = np.flatnonzero(is_gap[1:] & ~is_gap[:-1]) + 1
-    lowest = begins + np.where(np.isnan(parts), np.inf, parts).argmin(axis=1)
-    highest = begins + np.where(np.isnan(parts), -np.inf, parts).argmax(axis=1)
-    return np.unique([*begins, *(begins[1:] - 1), len(values) - 1, *lowest, *highest, *begins_gap])
+    gap_starts = np.flatnonzero(is_gap[1:] & ~is_gap[:-1]) + 1
+    lowest = starts + np.where(np.isnan(parts), np.inf, parts).argmin(axis=1)
+    highest = starts + np.where(np.isnan(parts), -np.inf, parts).argmax(axis=1)
+    return np.unique([*starts, *(starts[1:] - 1), len(values) - 1, *lowest, *highest, *gap_starts])
 
 
 @house_style
@@ -122,20 +122,20 @@ def plan_figure(plan: Plan) -> Figure:
 
     time_s, chamber_c, gyro_c = temperature_profile(plan)
     figure = new_figure(4.8, hspace=0.07)
-    bands = [_Band(*span) for span in position_spans(plan)]
-    lanes = (*POSITIONS, *([ROTATIONS] if any(band.position == ROTATIONS for band in bands) else []))
+    spans = [_PositionSpan(*span) for span in position_spans(plan)]
+    lanes = (*POSITIONS, *([ROTATIONS] if any(span.position == ROTATIONS for span in spans) else []))
     axes, unit_s = _time_axes(figure, f"Plan of {plan.procedure.procedure}", [plan.duration_s], lanes)
-    _draw_bands(figure, bands, unit_s)
+    _draw_spans(figure, spans, unit_s)
     axes.plot(time_s / unit_s, chamber_c, label="chamber, ramped set point", color="#777777", linewidth=1.6)
     axes.plot(time_s / unit_s, gyro_c, label="gyros, predicted", color=GYRO_STYLES["x"][0])
-    _finish_temperatures(figure, axes, plan.procedure.marked_temperatures_c)
+    _add_legend_and_marks(figure, axes, plan.procedure.marked_temperatures_c)
     return figure
 
 
 def _time_axes(
     figure: Figure, title: str, ends_s: Sequence[float], positions: Sequence[str]
 ) -> tuple[Axes, float]:
-    """Temperature above, any positions below; returns the upper axes and the seconds in a unit of time."""
+    """Create axes for temperatures and, below, any positions; returns the upper axes and the time unit, s."""
     end_s = max(ends_s, default=0.0)
     unit_s, unit = (60.0, "min") if end_s < _SHORT_RUN_S else (3600.0, "h")
     heights = [4.2, len(positions) / len(POSITIONS)] if positions else [1.0]
@@ -149,29 +149,30 @@ def _time_axes(
     return panels[0], unit_s
 
 
-def _draw_bands(figure: Figure, bands: Iterable[_Band], unit_s: float) -> None:
-    """Bands across the temperatures, bars in the row of the position below."""
+def _draw_spans(figure: Figure, spans: Iterable[_PositionSpan], unit_s: float) -> None:
+    """Draw each span as a band across the temperatures and as a bar in the lane of its position."""
     upper, lower = figure.axes[0], figure.axes[-1]
-    lanes, shown = list(POSITIONS), list(bands)
-    spans = [(each.start_s / unit_s, (each.end_s - each.start_s) / unit_s) for each in shown]
+    lanes, all_spans = list(POSITIONS), list(spans)
+    extents = [(each.start_s / unit_s, (each.end_s - each.start_s) / unit_s) for each in all_spans]
     colours = [
-        POSITION_STYLES[each.position].colour if each.position in lanes else _OTHER_COLOUR for each in shown
+        POSITION_STYLES[each.position].colour if each.position in lanes else _ROTATIONS_COLOUR
+        for each in all_spans
     ]
-    faces = ["none" if band.is_flagged else colour for band, colour in zip(shown, colours, strict=True)]
+    faces = ["none" if span.is_flagged else colour for span, colour in zip(all_spans, colours, strict=True)]
     across = upper.get_xaxis_transform()
-    upper.broken_barh(spans, (0.0, 1.0), transform=across, facecolors=colours, alpha=0.18, linewidth=0.0)
+    upper.broken_barh(extents, (0.0, 1.0), transform=across, facecolors=colours, alpha=0.18, linewidth=0.0)
     below = []
-    for band, (start, width) in zip(shown, spans, strict=True):
-        lane = [*lanes, band.position].index(band.position)
+    for span, (start, width) in zip(all_spans, extents, strict=True):
+        lane = [*lanes, span.position].index(span.position)
         low, high = lane - 0.38, lane + 0.38
         below.append([(start, low), (start, high), (start + width, high), (start + width, low)])
     bars = PolyCollection(below, facecolors=faces, edgecolors=colours, linewidths=0.8)
     lower.add_collection(bars, autolim=False)
 
 
-def _finish_temperatures(figure: Figure, axes: Axes, marked_c: Sequence[float]) -> None:
+def _add_legend_and_marks(figure: Figure, axes: Axes, marked_c: Sequence[float]) -> None:
     if axes.lines:
         common_legend(figure, [axes], "upper center", ncols=4)
         mark_temperatures(axes, "y", marked_c)
     else:
-        say_empty(axes, "no temperatures recorded")
+        label_empty(axes, "no temperatures recorded")

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS
 from gyrobench.bench.calibration.mission import HOURS
-from gyrobench.bench.report.figures.style import common_legend, house_style, new_figure, say_empty
+from gyrobench.bench.report.figures.style import common_legend, house_style, label_empty, new_figure
 from gyrobench.bench.report.verification_text import LABELS
 from gyrobench.bench.verification.compensation_verification import (
     DECLARED,
@@ -25,8 +25,8 @@ from gyrobench.bench.verification.compensation_verification import (
 _STYLES = {NONE: ("#AAAAAA", ":"), DECLARED: ("#E69F00", "--"), EFFECT: ("#0072B2", "-")}
 _NOISE_COLOUR = "#222222"
 _GROUP_WIDTH = 0.8
-#: More labels of plateaus than these stand on end.
-_MAX_UPRIGHT = 4
+#: Plateau labels are vertical if there are more.
+_MAX_HORIZONTAL_LABELS = 4
 _Panel = tuple[str, str, str, str, float]
 _PANELS: tuple[_Panel, ...] = (
     ("bias without the gyros' means", "rms / (0.001 deg/h)", "varying_rms_dph", "bias_noise_dph", 1000.0),
@@ -38,15 +38,15 @@ _PANELS: tuple[_Panel, ...] = (
 
 @house_style
 def residual_bars_figure(result: VerificationResult) -> Figure:
-    """Draw the sizes at all plateaus as bars, one for each compensation, with the noise as a line."""
+    """Draw the residuals at all plateaus as bars, one for each compensation, with the noise as a line."""
     panels = _measured_panels(result)
     rows, columns = -(-len(panels) // 2), min(len(panels), 2)
     figure = new_figure(0.2 + 2.7 * rows, wspace=0.24, hspace=0.42)
-    every = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axes in every[len(panels) :]:
+    all_axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axes in all_axes[len(panels) :]:
         axes.set_axis_off()
-    for axes, (title, unit, size, noise, factor) in zip(every, panels, strict=False):
-        _bars(axes, result, size, noise, factor)
+    for axes, (title, unit, size, noise, factor) in zip(all_axes, panels, strict=False):
+        _draw_bars(axes, result, size, noise, factor)
         axes.set_title(title, fontsize=9)
         axes.set_ylabel(unit)
     common_legend(figure, figure.axes[:1])
@@ -54,7 +54,7 @@ def residual_bars_figure(result: VerificationResult) -> Figure:
 
 
 def _measured_panels(result: VerificationResult) -> list[_Panel]:
-    """The sizes that were measured; the first one if none was."""
+    """Panels of the quantities that were measured; the first panel if none was."""
     rows = [row for each in result.results for row in each.rows]
     return [each for each in _PANELS if any(math.isfinite(getattr(row, each[2])) for row in rows)] or [
         _PANELS[0]
@@ -63,7 +63,7 @@ def _measured_panels(result: VerificationResult) -> list[_Panel]:
 
 @house_style
 def day_figure(result: VerificationResult) -> Figure:
-    """Draw the position error over a day for each plateau with all six positions, of which there is one."""
+    """Draw the position error over a day for each plateau with all six positions, of which at least one."""
     plateaus = [each for each in result.plateaus if any(check and check.day for check in each.checks)]
     figure = new_figure(1.0 + 1.7 * len(plateaus), hspace=0.2)
     panels = figure.subplots(len(plateaus), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
@@ -71,7 +71,7 @@ def day_figure(result: VerificationResult) -> Figure:
         for each, check in zip(result.results, plateau.checks, strict=True):
             colour, line = _STYLES[each.compensation]
             error = check.day.error if check is not None and check.day is not None else None
-            # A run that lacks the day has an empty line, which keeps the order of the legend.
+            # A run without this plateau has an empty line, which keeps the order of the legend.
             axes.plot(
                 [] if error is None else error.time_s / 3600.0,
                 [] if error is None else error.distance_nmi,
@@ -91,24 +91,24 @@ def day_figure(result: VerificationResult) -> Figure:
     return figure
 
 
-def _bars(axes: Axes, result: VerificationResult, size: str, noise: str, factor: float) -> None:
+def _draw_bars(axes: Axes, result: VerificationResult, size: str, noise: str, factor: float) -> None:
     plateaus = [
         each
         for each in result.plateaus
         if any(math.isfinite(getattr(row, size)) for row in each.measured_rows)
     ]
     if not plateaus:
-        say_empty(axes, "not measured")
+        label_empty(axes, "not measured")
         return
-    places = np.arange(len(plateaus))
+    positions = np.arange(len(plateaus))
     width = _GROUP_WIDTH / len(result.results)
-    for number, each in enumerate(result.results):
-        mine = [plateau.rows[number] for plateau in plateaus]
+    for index, each in enumerate(result.results):
+        run_rows = [plateau.rows[index] for plateau in plateaus]
         # Without a value there is no bar: one of height NaN is not drawn.
-        values = [math.nan if row is None else factor * getattr(row, size) for row in mine]
-        offset = (number - 0.5 * (len(result.results) - 1)) * width
+        values = [math.nan if row is None else factor * getattr(row, size) for row in run_rows]
+        offset = (index - 0.5 * (len(result.results) - 1)) * width
         axes.bar(
-            places + offset,
+            positions + offset,
             values,
             0.92 * width,
             color=_STYLES[each.compensation][0],
@@ -118,57 +118,61 @@ def _bars(axes: Axes, result: VerificationResult, size: str, noise: str, factor:
     rows = [plateau.measured_rows[0] for plateau in plateaus]
     axes.hlines(
         noises,
-        places - 0.5 * _GROUP_WIDTH,
-        places + 0.5 * _GROUP_WIDTH,
+        positions - 0.5 * _GROUP_WIDTH,
+        positions + 0.5 * _GROUP_WIDTH,
         color=_NOISE_COLOUR,
         linewidth=1.2,
         label="noise",
     )
-    if len(rows) > _MAX_UPRIGHT:
-        axes.set_xticks(places, _plateau_labels(rows, ""), rotation=90, fontsize=6.5)
+    if len(rows) > _MAX_HORIZONTAL_LABELS:
+        axes.set_xticks(positions, _plateau_labels(rows, ""), rotation=90, fontsize=6.5)
     else:
-        axes.set_xticks(places, _plateau_labels(rows, " °C"), fontsize=8)
+        axes.set_xticks(positions, _plateau_labels(rows, " °C"), fontsize=8)
     axes.set_ylim(bottom=0.0)
     axes.grid(visible=False, axis="x")
 
 
 def _plateau_labels(rows: Sequence[VerificationRow], unit: str) -> list[str]:
-    """Temperature, and in brackets the cycle if there are several."""
+    """Labels with the temperature and, if there are several cycles, the cycle in brackets."""
     several = len({row.cycle for row in rows}) > 1
     return [f"{row.gyro_c:z.0f}{unit}" + (f" ({row.cycle})" if several else "") for row in rows]
 
 
 _MARKERS = {NONE: "o", DECLARED: "s", EFFECT: "D"}
-_SHORT = {"gyro": "gyro", "accelerometer": "acc."}
+_SENSOR_LABELS = {"gyro": "gyro", "accelerometer": "acc."}
 _UNITS = tuple(dict.fromkeys(each.unit for each in COEFFICIENTS))
 
 
 @house_style
-def coefficients_left_figure(result: VerificationResult) -> Figure:
+def coefficient_residuals_figure(result: VerificationResult) -> Figure:
     """Draw the rms of each coefficient with each compensation, by unit, on logarithmic scales."""
     figure = new_figure(5.2, bottom_in=0.6, top_in=0.1, wspace=0.22, hspace=0.45)
     panels = figure.subplots(2, 2).ravel()
     for axes, unit in zip(panels, _UNITS, strict=True):
-        mine = [place for place, each in enumerate(COEFFICIENTS) if each.unit == unit]
-        names = [f"{_SHORT[COEFFICIENTS[place].sensor]} {COEFFICIENTS[place].axis}" for place in mine]
+        indices = [index for index, each in enumerate(COEFFICIENTS) if each.unit == unit]
+        names = [
+            f"{_SENSOR_LABELS[COEFFICIENTS[index].sensor]} {COEFFICIENTS[index].axis}" for index in indices
+        ]
         factor, label = (1000.0, f"0.001 {unit}") if unit == "deg/h" else (1.0, unit)
         for each in result.coefficients:
             axes.plot(
                 names,
-                factor * each.rms[mine],
+                factor * each.rms[indices],
                 linestyle="none",
                 marker=_MARKERS[each.compensation],
                 markersize=4,
                 color=_STYLES[each.compensation][0],
                 label=LABELS[each.compensation],
             )
-        places = np.arange(len(mine))
-        noise = factor * result.coefficients[-1].noise[mine]
-        axes.hlines(noise, places - 0.35, places + 0.35, color=_NOISE_COLOUR, linewidth=1.2, label="noise")
+        positions = np.arange(len(indices))
+        noise = factor * result.coefficients[-1].noise[indices]
+        axes.hlines(
+            noise, positions - 0.35, positions + 0.35, color=_NOISE_COLOUR, linewidth=1.2, label="noise"
+        )
         axes.set_yscale("log")
         low, high = axes.get_ylim()
         axes.set_ylim(10.0 ** np.floor(np.log10(low)), 10.0 ** np.ceil(np.log10(high)))
-        axes.set_xticks(places, names, rotation=90 if len(mine) > 3 else 0, fontsize=7)
+        axes.set_xticks(positions, names, rotation=90 if len(indices) > 3 else 0, fontsize=7)
         axes.set_ylabel(f"rms / ({label})")
     common_legend(figure, panels[:1])
     return figure

@@ -1,4 +1,4 @@
-"""Coefficients of a calibration in a terminal of 80 columns, readable without colour."""
+"""Coefficients of a calibration for a terminal of 80 columns, readable without colour."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.report.number_format import p_text
 from gyrobench.bench.report.terminal.tables import plain_table, topics
 
-_MIN_CORRELATION, _MAX_PAIRS = 0.9, 5
-_MAX_RESTS = 6
-#: What 1 ppm of asymmetry makes of a bias is stated from this number of its standard uncertainties on.
+_MIN_CORRELATION, _MAX_CORRELATIONS = 0.9, 5
+_MAX_LISTED_RESTS = 6
+#: The effect of 1 ppm of asymmetry on a bias is stated if it exceeds this number of standard uncertainties.
 _MIN_ASYMMETRY_SIGMAS = 0.3
 
 
@@ -49,23 +49,23 @@ def calibration_summary(
     site: Site,
     spins: Sequence[SpinScaleFactor],
     has_whole_turns: bool,
-    left_out: tuple[int, int],
+    excluded_samples: tuple[int, int],
 ) -> RenderableType:
-    """Table of coefficients, and what they rest on.
+    """Table of coefficients, with data, assumptions and goodness of fit of the calibration.
 
-    ``has_whole_turns``: whether the map states how the table returns after whole turns. ``left_out``: number
-    of samples that do not count, and of all.
+    ``has_whole_turns``: whether the map states how the table returns after whole turns.
+    ``excluded_samples``: number of samples that are not used, and of all samples.
     """
     headers = ("Coefficient", "Axis", "Unit", "Value", "Standard uncertainty")
     spin_topics = [_spin_topic(each) for each in spins]
     if has_whole_turns and not spins:
         spin_topics = [("Spins", "none found: 'whole_turns_arcsec' of the import map is not used")]
-    table = plain_table(headers, 3, map(_cells, coefficient_rows(calibration)), fold=False)
+    table = plain_table(headers, 3, map(_coefficient_cells, coefficient_rows(calibration)), fold=False)
     return Group(
         Text(f"Coefficients in the body frame of the {calibration.frame}", style="bold"),
         table,
         Text(),
-        topics([*_topics(calibration, site, left_out), *spin_topics]),
+        topics([*_topics(calibration, site, excluded_samples), *spin_topics]),
     )
 
 
@@ -75,7 +75,7 @@ def expected_summary(
     noise: SensorNoise,
     site_sigmas: tuple[float, float],
 ) -> RenderableType:
-    """The expected uncertainty of each coefficient for a list of rotations.
+    """Table of the expected uncertainty of each coefficient for a list of rotations.
 
     ``site_sigmas``: included uncertainties of gravity, m/s^2, and latitude, rad.
     """
@@ -92,39 +92,43 @@ def expected_summary(
         f"{rotations.rotation_list}: {counted(len(rotations.rotations), 'rotation')} in "
         f"{expected.duration_s / 60.0:.0f} min, expected uncertainties"
     )
-    walk = noise.angle_random_walk[0] / DEG_PER_SQRT_H_TO_SI
+    angle_walk = noise.angle_random_walk[0] / DEG_PER_SQRT_H_TO_SI
     velocity_walk = noise.velocity_random_walk[0] / UG_PER_SQRT_HZ_TO_SI
-    basis = (
-        f"Noise: angle random walk {walk:.2g} deg/sqrt(h), velocity random walk {velocity_walk:.2g} "
+    assumptions = (
+        f"Noise: angle random walk {angle_walk:.2g} deg/sqrt(h), velocity random walk {velocity_walk:.2g} "
         f"ug/sqrt(Hz), velocity at rest {1e3 * noise.white_velocity[0]:.2g} mm/s at 1 Hz. "
         f"Included: gravity {site_sigmas[0]:.1g} m/s^2, latitude {site_sigmas[1] * RAD_TO_ARCMIN:.2g} arcmin."
     )
     headers = ("Coefficient", "Axis", "Unit", "Standard uncertainty")
-    return Group(Text(title, style="bold"), plain_table(headers, 3, rows, fold=False), Text(), Text(basis))
+    return Group(
+        Text(title, style="bold"), plain_table(headers, 3, rows, fold=False), Text(), Text(assumptions)
+    )
 
 
-def _cells(row: CoefficientRow) -> tuple[str, ...]:
-    words = plain_name(row.coefficient), row.axis, row.unit
+def _coefficient_cells(row: CoefficientRow) -> tuple[str, ...]:
+    labels = plain_name(row.coefficient), row.axis, row.unit
     if row.value is None or row.sigma is None:
-        return *words, NOT_OBSERVABLE, ""
+        return *labels, NOT_OBSERVABLE, ""
     decimals = decimals_of(row.sigma)
-    return *words, f"{row.value:z.{decimals}f}", f"{row.sigma:.{decimals}f}"
+    return *labels, f"{row.value:z.{decimals}f}", f"{row.sigma:.{decimals}f}"
 
 
-def _topics(calibration: Calibration, site: Site, left_out: tuple[int, int]) -> Iterator[tuple[str, str]]:
+def _topics(
+    calibration: Calibration, site: Site, excluded_samples: tuple[int, int]
+) -> Iterator[tuple[str, str]]:
     rests = rest_rates(calibration)
     kinds = Counter(turn.kind for turns in calibration.rotations for turn in turns)
     for each in calibration.findings:
         yield "Check", f"{each}."
-    yield from _data_topics(calibration, rests, kinds, left_out)
+    yield from _data_topics(calibration, rests, kinds, excluded_samples)
     yield from _input_topics(calibration)
     yield from _rest_topics(rests, site)
     yield "Fit", _fit_sentence(calibration)
-    pairs = strongest_correlations(calibration, _MIN_CORRELATION)[:_MAX_PAIRS]
-    if pairs:
+    correlations = strongest_correlations(calibration, _MIN_CORRELATION)[:_MAX_CORRELATIONS]
+    if correlations:
         texts = [
             f"{plain_name(a.name)} {a.axis} and {plain_name(b.name)} {b.axis} {value:+.2f}"
-            for a, b, value in pairs
+            for a, b, value in correlations
         ]
         yield "Correlated", "; ".join(texts)
     yield from _scale_topics(calibration)
@@ -132,36 +136,39 @@ def _topics(calibration: Calibration, site: Site, left_out: tuple[int, int]) -> 
         yield "Asymmetry", text
     if text := _vibration_text(calibration):
         yield "Vibration", text
-    missing = [row for row in coefficient_rows(calibration) if row.finding]
-    if missing:
-        yield "Not observable", f"{_named(missing)}: {_advice(kinds)}"
+    unobservable = [row for row in coefficient_rows(calibration) if row.finding]
+    if unobservable:
+        yield "Not observable", f"{_axes_by_coefficient(unobservable)}: {_advice(kinds)}"
 
 
 def _data_topics(
-    calibration: Calibration, rests: Sequence[RestRate], kinds: Counter[str], left_out: tuple[int, int]
+    calibration: Calibration,
+    rests: Sequence[RestRate],
+    kinds: Counter[str],
+    excluded_samples: tuple[int, int],
 ) -> Iterator[tuple[str, str]]:
-    """What was found in the log, and its noise."""
+    """Rests and rotations found in the log, excluded samples, and noise."""
     at_rest_s = sum(rest.duration_s for rest in rests)
-    found = [counted(len(rests), "rest"), *(counted(count, kind) for kind, count in kinds.items())]
-    yield "Found", f"{listed(found)}; {at_rest_s:.0f} s at rest"
-    if left_out[0]:
-        share = 100.0 * left_out[0] / left_out[1]
+    counts = [counted(len(rests), "rest"), *(counted(count, kind) for kind, count in kinds.items())]
+    yield "Found", f"{listed(counts)}; {at_rest_s:.0f} s at rest"
+    if excluded_samples[0]:
+        share = 100.0 * excluded_samples[0] / excluded_samples[1]
         yield (
             "Left out",
-            f"{left_out[0]} of {left_out[1]} samples ({share:.2g} %): missing, not a number, repeated, or in "
-            "a part with less than a minute at rest",
+            f"{excluded_samples[0]} of {excluded_samples[1]} samples ({share:.2g} %): missing, not a number, "
+            "repeated, or in a part with less than a minute at rest",
         )
     noise = calibration.noise
     yield (
         "Noise",
-        f"x, y, z: angle random walk {_three(noise.angle_random_walk / DEG_PER_SQRT_H_TO_SI)} deg/sqrt(h), "
-        f"white angle {_three(1e6 * noise.white_angle)} urad, velocity random walk "
-        f"{_three(noise.velocity_random_walk / UG_PER_SQRT_HZ_TO_SI)} ug/sqrt(Hz)",
+        f"x, y, z: angle random walk {_xyz_text(noise.angle_random_walk / DEG_PER_SQRT_H_TO_SI)} "
+        f"deg/sqrt(h), white angle {_xyz_text(1e6 * noise.white_angle)} urad, velocity random walk "
+        f"{_xyz_text(noise.velocity_random_walk / UG_PER_SQRT_HZ_TO_SI)} ug/sqrt(Hz)",
     )
 
 
 def _input_topics(calibration: Calibration) -> Iterator[tuple[str, str]]:
-    """What errors of gravity, time and latitude add to the uncertainties."""
+    """Contributions of the errors of gravity, time and latitude to the uncertainties."""
     gravity, sigma = calibration.gravity_and_sigma
     yield (
         "Gravity",
@@ -187,9 +194,9 @@ def _input_topics(calibration: Calibration) -> Iterator[tuple[str, str]]:
 
 
 def _rest_topics(rests: Sequence[RestRate], site: Site) -> Iterator[tuple[str, str]]:
-    """Rate of each rest, of a few, beside that of the Earth."""
+    """Rate of each rest and that of the Earth, if there are few rests."""
     up_dph = earth_rate_enu(site.latitude)[2] * RADPS_TO_DPH
-    for rest in rests if len(rests) <= _MAX_RESTS else ():
+    for rest in rests if len(rests) <= _MAX_LISTED_RESTS else ():
         yield (
             "At rest",
             f"from {rest.start_s:.0f} s for {rest.duration_s:.0f} s: rate {rest.rate_dph:.3f} deg/h, "
@@ -199,7 +206,7 @@ def _rest_topics(rests: Sequence[RestRate], site: Site) -> Iterator[tuple[str, s
 
 
 def _scale_topics(calibration: Calibration) -> Iterator[tuple[str, str]]:
-    """Scale factors that are wrong alike, as by a wrong clock."""
+    """Scale factors with a common error, as a wrong clock causes."""
     for sensor, cause in (
         ("accelerometer", "gravity, a height (3.2 m a ppm) or a clock of increments"),
         ("gyro", "a clock of rates"),
@@ -213,53 +220,58 @@ def _scale_topics(calibration: Calibration) -> Iterator[tuple[str, str]]:
 
 
 def _asymmetry_text(calibration: Calibration, site: Site) -> str:
-    """What an asymmetry of the gyros' scale factors that is not estimated would do; empty where little."""
+    """Effect of an asymmetry of the gyro scale factors that is not estimated; empty if small."""
     is_observed = calibration.is_observed[:3]
-    change = 1e-6 * np.abs(bias_per_asymmetry(calibration, site))[is_observed]
-    if not change.size:
+    bias_changes = 1e-6 * np.abs(bias_per_asymmetry(calibration, site))[is_observed]
+    if not bias_changes.size:
         return ""
-    largest = change.max(axis=1)
-    sigmas = float((largest / calibration.sigmas[:3][is_observed]).max())
+    largest_changes = bias_changes.max(axis=1)
+    sigmas = float((largest_changes / calibration.sigmas[:3][is_observed]).max())
     if sigmas < _MIN_ASYMMETRY_SIGMAS:
         return ""
     return (
         f"not estimated for all gyros: 1 ppm would move a gyro bias by up to "
-        f"{largest.max() * RADPS_TO_DPH:.2g} deg/h, or {sigmas:.2g} standard uncertainties. --asymmetry "
-        "estimates it"
+        f"{largest_changes.max() * RADPS_TO_DPH:.2g} deg/h, or {sigmas:.2g} standard uncertainties. "
+        "--asymmetry estimates it"
     )
 
 
 def _vibration_text(calibration: Calibration) -> str:
-    """What coning within the samples may do to the gyro biases; empty if it is less than their uncertainty.
+    """Possible effect of coning within the samples on the gyro biases; empty if below their uncertainty.
 
     Vibration of two axes with rms angles a and b, a quarter period apart, turns the third by w a b; half the
     sample rate is the highest frequency w that samples show.
     """
-    white = calibration.noise.white_angle
-    rates = np.pi / calibration.recordings[0].interval_s * np.roll(white, -1) * np.roll(white, -2)
-    sigmas = np.where(calibration.is_observed[:3], rates / calibration.sigmas[:3], 0.0)
+    white_angle = calibration.noise.white_angle
+    coning_rates = (
+        np.pi / calibration.recordings[0].interval_s * np.roll(white_angle, -1) * np.roll(white_angle, -2)
+    )
+    sigmas = np.where(calibration.is_observed[:3], coning_rates / calibration.sigmas[:3], 0.0)
     axis = int(np.argmax(sigmas))
     if sigmas[axis] < 1.0:
         return ""
     return (
         f"if the white angle is vibration, coning between samples may pass for a bias of the {AXES[axis]} "
-        f"gyro of up to {rates[axis] * RADPS_TO_DPH:.2g} deg/h, or {sigmas[axis]:.2g} standard "
+        f"gyro of up to {coning_rates[axis] * RADPS_TO_DPH:.2g} deg/h, or {sigmas[axis]:.2g} standard "
         "uncertainties; the log does not show it. Stop what vibrates, or log increments at a higher rate"
     )
 
 
-def _spin_topic(spun: SpinScaleFactor) -> tuple[str, str]:
-    rates = listed([f"{each.rate_dps:.3g}" for each in spun.rates])
+def _spin_topic(scale_factor: SpinScaleFactor) -> tuple[str, str]:
+    rates = listed([f"{each.rate_dps:.3g}" for each in scale_factor.rates])
     text = (
-        f"{counted(len(spun.spins), 'spin')} at {rates} deg/s: {spun.scale_factor_ppm:.2f} ± "
-        f"{spun.sigma_ppm:.2f} ppm (p {p_text(spun.p_value)})"
+        f"{counted(len(scale_factor.spins), 'spin')} at {rates} deg/s: "
+        f"{scale_factor.scale_factor_ppm:.2f} ± {scale_factor.sigma_ppm:.2f} ppm (p "
+        f"{p_text(scale_factor.p_value)})"
     )
-    for each in spun.rates:
-        parts = [f"{each.deviation_ppm:+.2f} ± {each.deviation_sigma_ppm:.2f} ppm"] * (len(spun.rates) > 1)
+    for each in scale_factor.rates:
+        parts = [f"{each.deviation_ppm:+.2f} ± {each.deviation_sigma_ppm:.2f} ppm"] * (
+            len(scale_factor.rates) > 1
+        )
         if each.asymmetry_ppm is not None:
             parts.append(f"asymmetry {each.asymmetry_ppm:+.2f} ± {each.asymmetry_sigma_ppm:.2f} ppm")
         text += f"; {each.rate_dps:.3g} deg/s {', '.join(parts)}" if parts else ""
-    return f"Spins {spun.axis}", text
+    return f"Spins {scale_factor.axis}", text
 
 
 def _fit_sentence(calibration: Calibration) -> str:
@@ -272,7 +284,7 @@ def _fit_sentence(calibration: Calibration) -> str:
     return f"{test}: see Check"
 
 
-def _named(rows: Iterable[CoefficientRow]) -> str:
+def _axes_by_coefficient(rows: Iterable[CoefficientRow]) -> str:
     axes: dict[str, list[str]] = {}
     for row in rows:
         axes.setdefault(plain_name(row.coefficient), []).append(row.axis)
@@ -285,5 +297,5 @@ def _advice(kinds: Counter[str]) -> str:
     return "no rotation distinguishes them. gyrobench plan --observability shows which would"
 
 
-def _three(values: np.ndarray) -> str:
+def _xyz_text(values: np.ndarray) -> str:
     return ", ".join(f"{value:.2g}" for value in values)

@@ -1,4 +1,4 @@
-"""Runs of an index for a terminal of 80 columns: lists, groups, drift of a unit."""
+"""Tables of the runs in an index for a terminal of 80 columns: lists, groups, drift of a unit."""
 
 from __future__ import annotations
 
@@ -18,41 +18,46 @@ from gyrobench.bench.runs.index.run_index import QueryResult
 from gyrobench.bench.runs.index.tables import STALE
 
 _FINISHED = "finished"
-_CELL_CHARACTERS = 40
+_MAX_CELL_CHARACTERS = 40
 
 
-def runs_table(runs: Sequence[Mapping[str, Any]], most: int) -> RenderableType:
-    """List of runs; one that did not finish shows its end in place of the verdict."""
+def runs_table(runs: Sequence[Mapping[str, Any]], max_runs: int) -> RenderableType:
+    """Table of runs; for a run that did not finish, its end replaces the verdict."""
     rows = []
-    for run in runs[:most]:
+    for run in runs[:max_runs]:
         verdict = run["verdict"] if run["ended"] == _FINISHED else run["ended"]
-        day = run["started_utc"].date().isoformat()
+        start_date = run["started_utc"].date().isoformat()
         path = run["path"].removesuffix(f"/{UNITS_FOLDER}/{run['unit']}")
-        cells = (path, day, run["unit"], run["batch"], run["station"], verdict, run["acceptance"])
+        cells = (path, start_date, run["unit"], run["batch"], run["station"], verdict, run["acceptance"])
         rows.append([str(cell or "") for cell in cells])
     table = plain_table(("run", "start", "unit", "batch", "bench", "verdict", "acceptance"), 7, rows)
     units = {run["unit"] for run in runs if run["unit"]}
     of_units = f" of {counted(len(units), 'unit')}" if units else ""
     lines = [f"{counted(len(runs), 'run')}{of_units}."]
-    if len(runs) > most:
-        lines.append(f"The newest {most} are shown; show more with --most.")
-    if any(run["verdict"] == STALE for run in runs[:most]):
+    if len(runs) > max_runs:
+        lines.append(f"The newest {max_runs} are shown; show more with --most.")
+    if any(run["verdict"] == STALE for run in runs[:max_runs]):
         lines.append("stale: dwells were measured or re-evaluated after the search; search again.")
     return Group(table, Text(), Text(" ".join(lines)))
 
 
 def groups_table(by: str, groups: Sequence[Mapping[str, Any]]) -> RenderableType:
-    """Groups of runs: numbers, verdicts of searches and acceptance, biases."""
+    """Table of groups of runs: numbers, verdicts of searches and acceptance, biases."""
     biases = [row[f"bias_{gyro}_dph"] for row in groups for gyro in "xyz"]
     spreads = [row[f"spread_{gyro}_dph"] for row in groups for gyro in "xyz"]
-    scale = BiasScale.of(_known(biases), _known(spreads))
-    table = plain_table((by, "runs", "units", "c/e/o", "a/m/r", "bias x", "bias y", "bias z"), words=1)
+    scale = BiasScale.of(_without_none(biases), _without_none(spreads))
+    table = plain_table((by, "runs", "units", "c/e/o", "a/m/r", "bias x", "bias y", "bias z"), text_columns=1)
     for row in groups:
-        searched = "/".join(str(row[name]) for name in ("clean", "explained", "other"))
-        judged = "/".join(str(row[name]) for name in ("accepted", "marginal", "rejected"))
+        search_counts = "/".join(str(row[name]) for name in ("clean", "explained", "other"))
+        acceptance_counts = "/".join(str(row[name]) for name in ("accepted", "marginal", "rejected"))
         means = [_with_spread(scale, row, gyro) for gyro in "xyz"]
         table.add_row(
-            Text(str(row["name"] or "unknown")), str(row["runs"]), str(row["units"]), searched, judged, *means
+            Text(str(row["name"] or "unknown")),
+            str(row["runs"]),
+            str(row["units"]),
+            search_counts,
+            acceptance_counts,
+            *means,
         )
     note = (
         f"Biases: mean ± standard deviation of the runs, {scale.unit}. c/e/o: runs clean, explained, other "
@@ -62,14 +67,17 @@ def groups_table(by: str, groups: Sequence[Mapping[str, Any]]) -> RenderableType
 
 
 def trend_summary(
-    unit: str, trends: Sequence[Trend], mixed: Sequence[str], due: Sequence[Recalibration | None]
+    unit: str, trends: Sequence[Trend], notes: Sequence[str], due: Sequence[Recalibration | None]
 ) -> RenderableType:
-    """Drift of a unit: a sentence, and a row for each gyro and bin; ``due`` adds dates of recalibration."""
+    """Drift of a unit: a sentence, and one row for each gyro and bin.
+
+    ``notes``: notes about the origin of the runs. ``due``: date of recalibration for each trend, or empty.
+    """
     scale = BiasScale.of([each.bias_dph for each in trends], [each.sigma_dph for each in trends])
     columns = ("gyro", "bin °C", "runs", "bias", "scatter", "per month", "p", "p corr.")
-    table = plain_table((*columns, *(["until"] if due else [])), words=2)
-    until = [[_until(each)] for each in due] or [[] for _ in trends]
-    for each, date in zip(trends, until, strict=True):
+    table = plain_table((*columns, *(["until"] if due else [])), text_columns=2)
+    due_cells = [[_due_text(each)] for each in due] or [[] for _ in trends]
+    for each, due_cell in zip(trends, due_cells, strict=True):
         quantity = each.quantity
         table.add_row(
             quantity.gyro,
@@ -80,7 +88,7 @@ def trend_summary(
             _slope_text(scale, each),
             p_text(each.p_value),
             p_text(each.p_adjusted),
-            *date,
+            *due_cell,
         )
     note = (
         f"In {scale.unit}. Scatter: standard deviation between runs beyond their uncertainties, included in "
@@ -91,72 +99,75 @@ def trend_summary(
     parts: list[RenderableType] = [Text(_trend_sentence(unit, trends), style="bold")]
     if due:
         parts.append(Text(recalibration_sentence(unit, due), style="bold"))
-    parts += [Text(f"Note: {text}") for text in mixed]
+    parts += [Text(f"Note: {text}") for text in notes]
     return Group(*parts, Text(), table, Text(), Text(note))
 
 
 def recalibration_sentence(unit: str, due: Sequence[Recalibration | None]) -> str:
-    """Date by which a unit has to be calibrated again."""
-    known = [each for each in due if each is not None]
-    if not known:
+    """Date by which a unit must be calibrated again."""
+    determined = [each for each in due if each is not None]
+    if not determined:
         return f"Unit {unit}: date of the next calibration unknown. Too few runs show how its biases change."
-    first = min(known, key=lambda each: each.months)
-    limit = f"{first.limit_dph:g} deg/h with {100.0 * first.confidence:g} %"
-    siblings = f"from its drift and that of {counted(first.siblings, 'other unit')}"
-    if first.months == 0.0:
+    earliest = min(determined, key=lambda each: each.months)
+    limit = f"{earliest.limit_dph:g} deg/h with {100.0 * earliest.confidence:g} %"
+    siblings = f"from its drift and that of {counted(earliest.siblings, 'other unit')}"
+    if earliest.months == 0.0:
         return f"Unit {unit}: a bias was not within {limit} at the last run. Calibrate it now."
-    if first.due is None:
+    if earliest.due is None:
         return f"Unit {unit}: all biases stay within {limit} for {MAX_MONTHS / 12.0:g} years, {siblings}."
-    return f"Unit {unit}: calibrate by {first.due:%Y-%m-%d}; until then all stay within {limit}, {siblings}."
+    return (
+        f"Unit {unit}: calibrate by {earliest.due:%Y-%m-%d}; until then all stay within {limit}, {siblings}."
+    )
 
 
-def _until(due: Recalibration | None) -> str:
+def _due_text(due: Recalibration | None) -> str:
     if due is None:
         return "unknown"
     return "over" if due.months == 0.0 else "beyond" if due.due is None else f"{due.due:%Y-%m-%d}"
 
 
 def _trend_sentence(unit: str, trends: Sequence[Trend]) -> str:
-    """Name the gyros that drift."""
+    """Gyros that drift significantly, with their slopes."""
     tested = [each for each in trends if each.p_value == each.p_value]
     if not tested:
         return (
             f"Unit {unit}: drift unknown. No gyro was measured in the same bin and positions at three times "
             "or more."
         )
-    proven = [each for each in tested if each.is_proven]
+    significant = [each for each in tested if each.is_proven]
     corrected = f"p < {FALSE_ALARM:g}, corrected for {counted(len(tested), 'comparison')}"
-    if not proven:
+    if not significant:
         return f"Unit {unit}: no significant drift ({corrected})."
     scale = BiasScale.of(
-        [each.slope_dph_per_month for each in proven], [each.slope_sigma_dph_per_month for each in proven]
+        [each.slope_dph_per_month for each in significant],
+        [each.slope_sigma_dph_per_month for each in significant],
     )
-    texts = [f"{each.quantity.label} by {_slope_text(scale, each, ' ± ')}" for each in proven]
+    texts = [f"{each.quantity.label} by {_slope_text(scale, each, ' ± ')}" for each in significant]
     return f"Unit {unit} drifts: {listed(texts)}, in {scale.unit} per month ({corrected})."
 
 
 def problems_text(problems: Mapping[str, str]) -> RenderableType:
-    """Folders that can't be read, with the reason."""
-    head = f"{counted(len(problems), 'run folder')} can't be read and left out:"
-    return Text("\n".join([head, *(f"  {path}: {why}" for path, why in problems.items())]))
+    """List of folders that can't be read, with reasons."""
+    header = f"{counted(len(problems), 'run folder')} can't be read and left out:"
+    return Text("\n".join([header, *(f"  {path}: {reason}" for path, reason in problems.items())]))
 
 
 def answer_table(answer: QueryResult) -> RenderableType:
     """Result of a query."""
-    rows = [["" if value is None else _short(value) for value in row] for row in answer.rows]
+    rows = [["" if value is None else _shorten(value) for value in row] for row in answer.rows]
     table = plain_table(answer.columns, len(answer.columns), rows)
     return Group(table, Text(counted(len(answer.rows), "row")))
 
 
-def _short(value: object) -> str:
+def _shorten(value: object) -> str:
     text = f"{value:.6g}" if isinstance(value, float) else str(value)
-    return text if len(text) <= _CELL_CHARACTERS else f"{text[: _CELL_CHARACTERS - 1]}…"
+    return text if len(text) <= _MAX_CELL_CHARACTERS else f"{text[: _MAX_CELL_CHARACTERS - 1]}…"
 
 
-def _slope_text(scale: BiasScale, trend: Trend, between: str = "±") -> str:
+def _slope_text(scale: BiasScale, trend: Trend, separator: str = "±") -> str:
     if trend.p_value != trend.p_value:
         return ""
-    text = scale.with_sigma(trend.slope_dph_per_month, trend.slope_sigma_dph_per_month, between)
+    text = scale.with_sigma(trend.slope_dph_per_month, trend.slope_sigma_dph_per_month, separator)
     return text if text.startswith("-") else f"+{text}"
 
 
@@ -167,5 +178,5 @@ def _with_spread(scale: BiasScale, row: Mapping[str, Any], gyro: str) -> str:
     return scale.text(mean) if spread is None else scale.with_sigma(mean, spread, "±")
 
 
-def _known(values: Sequence[float | None]) -> list[float]:
+def _without_none(values: Sequence[float | None]) -> list[float]:
     return [value for value in values if value is not None]

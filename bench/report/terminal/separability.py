@@ -1,4 +1,4 @@
-"""Separability of effects in a planned campaign, in a terminal of 80 columns, readable without colour."""
+"""Separability of effects in a planned campaign for a terminal of 80 columns, readable without colour."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from gyrobench.bench.report.number_format import odds_text
 from gyrobench.bench.report.terminal.tables import titled_table
 
 _MAX_INFLATION = 1000.0
-#: A larger effect would not have to be searched for.
+#: Larger sizes are not stated: such an effect is visible without a search.
 _MAX_SIZE_DPH = 1.0
-_COLUMNS = (
+_COLUMNS_TEXT = (
     f"found: smallest size found with {EFFECT_POWER:.0%} probability, for the middle values of the effect's "
     "parameters; worst: for the worst values. VIF: variance inflation by the other effects, fitted beside "
     "it. distinct: smallest size at which it is distinguished from its nearest alternative."
@@ -36,30 +36,30 @@ _COLUMNS = (
 def separability_summary(
     separability: Separability, dwells: int, unit: UnitProperties, target_dph: float, advice: Sequence[Advice]
 ) -> RenderableType:
-    """Sizes that are found and distinguished, what is not at the target size, and procedure changes.
+    """Sizes at which effects are found and distinguished, effects that are not, and procedure changes.
 
-    The separability is that of the dwells searched, ``dwells`` includes the held-out ones; the target size is
-    an rms, the advice is for it.
+    ``separability``: of the dwells searched. ``dwells``: number of dwells, including held-out ones.
+    ``target_dph``: rms size that should be found and distinguished. ``advice``: changes for that size.
     """
 
     def missing_input(detection: Detection) -> str:
         return detection.missing_input or ""
 
-    seen = [each for each in separability.detections if each.missing_input is None]
+    observable = [each for each in separability.detections if each.missing_input is None]
     parts: list[RenderableType] = [
         Text("Separability of effects; sizes rms in 0.001 deg/h", style="bold"),
-        Text(_basis(separability, dwells, unit)),
+        Text(_assumptions_text(separability, dwells, unit)),
         Text(),
     ]
-    if seen:
-        parts += [_table(separability, seen), Text(_COLUMNS), Text()]
+    if observable:
+        parts += [_detection_table(separability, observable), Text(_COLUMNS_TEXT), Text()]
     for missing, each in itertools.groupby(
         sorted(separability.detections, key=missing_input), key=missing_input
     ):
         if missing:
             names = listed([detection.effect.display_name for detection in each])
             parts.append(Text(f"Not observable: {names}. Missing input: {missing}."))
-    parts += [Text(line) for line in _not_distinguished(separability, seen, target_dph)]
+    parts += [Text(line) for line in _not_distinguished_lines(separability, observable, target_dph)]
     parts += [Text(_advice_sentence(each, separability.label)) for each in advice]
     return Group(*parts)
 
@@ -73,29 +73,31 @@ def closure_forecast(
 ) -> RenderableType:
     """Ties of a closure, the odds expected after the plan, and procedure changes that settle them.
 
-    ``expected_dph``: sizes of the effects found in the dwells of the plan.
+    ``expected_dph``: expected sizes, in the dwells of the plan, of the effects found.
     """
     rms_k = unit.thermal.rms_k if unit.thermal else None
-    fitted = "are those of a typical unit" if rms_k is None else f"fit its dwells within {rms_k:.2g} K rms"
+    fit_text = "are those of a typical unit" if rms_k is None else f"fit its dwells within {rms_k:.2g} K rms"
     sizes = (
-        listed([f"{closure.label(name)} {_size(size_dph)}" for name, size_dph in expected_dph.items()])
+        listed([f"{closure.label(name)} {_size_text(size_dph)}" for name, size_dph in expected_dph.items()])
         or "none"
     )
     parts: list[RenderableType] = [
         Text("What the plan decides of the search", style="bold"),
         Text(
             f"The search: {closure.verdict}. Effects found, with their sizes in the plan's dwells: {sizes}. "
-            f"The temperatures of the unit {fitted}."
+            f"The temperatures of the unit {fit_text}."
         ),
     ]
     if not ties:
         return Group(*parts, Text("The search leaves no tie."))
-    words = ("found", "tied with")
-    table = titled_table(headers=(*words, "now", "plan alone", "if found", "if tied"), words=words)
+    text_columns = ("found", "tied with")
+    table = titled_table(
+        headers=(*text_columns, "now", "plan alone", "if found", "if tied"), wrapped=text_columns
+    )
     for each in ties:
-        odds = [_odds(value) for value in (each.now, each.plan_only, each.if_found, each.if_other)]
+        odds = [_plan_odds_text(value) for value in (each.now, each.plan_only, each.if_found, each.if_other)]
         table.add_row(closure.label(each.found), closure.label(each.other), *odds)
-    columns = (
+    columns_text = (
         "now: odds by which the dwells searched prefer the effect found. plan alone: expected from the plan "
         "without them, if the effect found is present. if found, if tied: expected with both, for the effect "
         f"that is present; settled from {TIE_ODDS:.0f} to 1 for both."
@@ -114,14 +116,14 @@ def closure_forecast(
     return Group(
         *parts,
         table,
-        Text(columns),
+        Text(columns_text),
         *map(Text, missing),
         Text(outcome),
         *(Text(_advice_sentence(each, closure.label)) for each in advice),
     )
 
 
-def _odds(odds: float) -> str:
+def _plan_odds_text(odds: float) -> str:
     if not np.isfinite(odds):
         return "not fitted"
     text = odds_text(2.0 * abs(math.log(odds)))
@@ -129,85 +131,96 @@ def _odds(odds: float) -> str:
 
 
 def pairs_text(pairs: Collection[tuple[str, str]]) -> str:
-    """Pairs, each once, gathered by the effect that is in most of them: "a from b and c; d from e"."""
-    left = set(pairs)
+    """Pairs, each once, grouped by the effect that occurs in most of them: "a from b and c; d from e"."""
+    remaining = set(pairs)
     groups = []
-    while left:
-        names = sorted({name for pair in left for name in pair})
-        first = max(names, key=lambda name: sum(name in pair for pair in left))
-        mine = {pair for pair in left if first in pair}
-        others = sorted(name for pair in mine for name in pair if name != first)
-        groups.append(f"{first} from {listed(others)}")
-        left -= mine
+    while remaining:
+        names = sorted({name for pair in remaining for name in pair})
+        most_frequent = max(names, key=lambda name: sum(name in pair for pair in remaining))
+        group = {pair for pair in remaining if most_frequent in pair}
+        others = sorted(name for pair in group for name in pair if name != most_frequent)
+        groups.append(f"{most_frequent} from {listed(others)}")
+        remaining -= group
     return "; ".join(groups)
 
 
-def _basis(separability: Separability, dwells: int, unit: UnitProperties) -> str:
+def _assumptions_text(separability: Separability, dwells: int, unit: UnitProperties) -> str:
     campaign = separability.campaign
-    walk = f"an angle random walk of {np.mean(unit.angle_random_walk_deg_per_sqrt_h):.2g} deg/sqrt(h)"
-    sigma = f"±{1e3 * rms(campaign.sigma_dph):.2f}"
+    noise_text = f"an angle random walk of {np.mean(unit.angle_random_walk_deg_per_sqrt_h):.2g} deg/sqrt(h)"
+    sigma_text = f"±{1e3 * rms(campaign.sigma_dph):.2f}"
     if dwells > len(campaign):
-        searched = f"The search uses {len(campaign)} of {dwells} dwells; the last cycle is held out."
+        searched_text = f"The search uses {len(campaign)} of {dwells} dwells; the last cycle is held out."
     else:
-        searched = (
+        searched_text = (
             f"There is one cycle of {counted(dwells, 'dwell')}. A search needs two, one of them held out; "
             "this table is for all dwells."
         )
     if text := reason_too_few_dwells(campaign, np.ones(len(campaign), dtype=bool)):
-        searched += f" Too few for gyrobench close: {text}."
-    return f"{searched} Standard uncertainty of a bias: {sigma}, from {walk}, {unit.noise_source}."
+        searched_text += f" Too few for gyrobench close: {text}."
+    return (
+        f"{searched_text} Standard uncertainty of a bias: {sigma_text}, from {noise_text}, "
+        f"{unit.noise_source}."
+    )
 
 
-def _table(separability: Separability, seen: Sequence[Detection]) -> Table:
+def _detection_table(separability: Separability, observable: Sequence[Detection]) -> Table:
     headers = ("effect", "found", "worst", "VIF", "alternative", "distinct")
-    table = titled_table(headers=headers, words=("effect", "alternative"))
-    for each in seen:
+    table = titled_table(headers=headers, wrapped=("effect", "alternative"))
+    for each in observable:
         nearest, size_dph = separability.nearest_alternative(each.effect.name) or ("none", each.typical_dph)
         inflation = f"x{each.inflation:.1f}" if each.inflation < _MAX_INFLATION else "x>1000"
-        sizes = _size(each.typical_dph), _size(each.largest_dph)
+        sizes = _size_text(each.typical_dph), _size_text(each.largest_dph)
         table.add_row(
-            each.effect.display_name, *sizes, inflation, separability.label(nearest), _size(size_dph)
+            each.effect.display_name, *sizes, inflation, separability.label(nearest), _size_text(size_dph)
         )
     return table
 
 
-def _not_distinguished(separability: Separability, seen: Sequence[Detection], target_dph: float) -> list[str]:
+def _not_distinguished_lines(
+    separability: Separability, observable: Sequence[Detection], target_dph: float
+) -> list[str]:
     not_found = separability.not_found(target_dph)
-    hidden = [each.effect.display_name for each in seen if each.effect.name in not_found]
-    pairs = _labelled(separability.not_distinguished(target_dph), separability.label)
-    if not seen:
+    undetected = [each.effect.display_name for each in observable if each.effect.name in not_found]
+    pairs = _pairs_of_labels(separability.not_distinguished(target_dph), separability.label)
+    if not observable:
         return []
-    if not (hidden or pairs):
-        return [f"At {_size(target_dph)} all effects are found and distinguished."]
+    if not (undetected or pairs):
+        return [f"At {_size_text(target_dph)} all effects are found and distinguished."]
     lines = []
-    if hidden:
-        lines.append(f"Not found at {_size(target_dph)}: {listed(hidden)}.")
+    if undetected:
+        lines.append(f"Not found at {_size_text(target_dph)}: {listed(undetected)}.")
     if pairs:
-        lines.append(f"Not distinguished at {_size(target_dph)}: {pairs_text(pairs)}.")
+        lines.append(f"Not distinguished at {_size_text(target_dph)}: {pairs_text(pairs)}.")
     return [*lines, ""]
 
 
-def _labelled(pairs: Collection[tuple[str, str]], label: Callable[[str], str]) -> list[tuple[str, str]]:
-    return [(label(one), label(other)) for one, other in pairs]
+def _pairs_of_labels(
+    pairs: Collection[tuple[str, str]], label: Callable[[str], str]
+) -> list[tuple[str, str]]:
+    return [(label(first), label(second)) for first, second in pairs]
 
 
 def _advice_sentence(advice: Advice, label: Callable[[str], str]) -> str:
     benefits = []
     if advice.found:
-        them = "it" if len(advice.found) == 1 else "them"
+        pronoun = "it" if len(advice.found) == 1 else "them"
         benefits.append(
-            f"finds {listed([*map(label, advice.found)])} and distinguishes {them} from all others"
+            f"finds {listed([*map(label, advice.found)])} and distinguishes {pronoun} from all others"
         )
     if advice.pairs:
-        benefits.append(f"distinguishes {pairs_text(_labelled(advice.pairs, label))}")
+        benefits.append(f"distinguishes {pairs_text(_pairs_of_labels(advice.pairs, label))}")
     if not advice.instructions:
         return f"No known change {', or '.join(benefits)}."
     hours = f"{abs(advice.added_h):.1f} h {'less' if advice.added_h < 0.0 else 'more'}"
-    lost = f", but does not distinguish {pairs_text(_labelled(advice.lost, label))}" if advice.lost else ""
-    return f"With {hours}: {listed(advice.instructions)}. This {', and '.join(benefits)}{lost}."
+    loss = (
+        f", but does not distinguish {pairs_text(_pairs_of_labels(advice.lost, label))}"
+        if advice.lost
+        else ""
+    )
+    return f"With {hours}: {listed(advice.instructions)}. This {', and '.join(benefits)}{loss}."
 
 
-def _size(size_dph: float) -> str:
+def _size_text(size_dph: float) -> str:
     if not np.isfinite(size_dph):
         return "never"
     return f"{1e3 * size_dph:.2f}" if size_dph < _MAX_SIZE_DPH else f">{1e3 * _MAX_SIZE_DPH:.0f}"

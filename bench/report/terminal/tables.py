@@ -1,4 +1,4 @@
-"""Results for a terminal of 80 columns: sections of pages, plan, preflight check."""
+"""Tables for a terminal of 80 columns: sections of pages, plan, preflight check."""
 
 from __future__ import annotations
 
@@ -23,12 +23,17 @@ if TYPE_CHECKING:
 
 
 def plain_table(
-    headers: Sequence[str], words: int, rows: Iterable[Sequence[str]] = (), *, fold: bool = True, gap: int = 1
+    headers: Sequence[str],
+    text_columns: int,
+    rows: Iterable[Sequence[str]] = (),
+    *,
+    fold: bool = True,
+    gap: int = 1,
 ) -> Table:
-    """Table with columns of words at the left and of numbers after them."""
+    """Table whose first ``text_columns`` columns are left-aligned texts, the others right-aligned numbers."""
     table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, gap, 0, 0))
-    for number, header in enumerate(headers):
-        justify: JustifyMethod = "left" if number < words else "right"
+    for index, header in enumerate(headers):
+        justify: JustifyMethod = "left" if index < text_columns else "right"
         table.add_column(header, justify=justify, no_wrap=not fold, overflow="fold")
     for row in rows:
         table.add_row(*map(Text, row))
@@ -36,7 +41,7 @@ def plain_table(
 
 
 def topics(pairs: Iterable[tuple[str, str]]) -> Table:
-    """Two columns: topics and sentences."""
+    """Table of two columns: topics and sentences."""
     table = Table.grid(padding=(0, 2, 0, 0))
     table.add_column(no_wrap=True, style="bold")
     table.add_column()
@@ -46,25 +51,25 @@ def topics(pairs: Iterable[tuple[str, str]]) -> Table:
 
 
 _COLUMNS = 80
-#: Signs before an uncertainty and spaces between columns, in order of preference.
+#: Separators before an uncertainty and numbers of spaces between columns, in order of preference.
 _SEPARATORS = ((" ± ", 2), (" ± ", 1), ("±", 1), ("\n±", 1))
-#: Columns of words may be wrapped down to this width, in characters.
-_WORDS_WIDTH = 24
-_MARKS: Mapping[Mark, str] = MappingProxyType({"bad": "red", "doubtful": "yellow", "sum": "bold"})
+#: Text columns may be wrapped to this width, in characters.
+_MIN_TEXT_WIDTH = 24
+_MARK_STYLES: Mapping[Mark, str] = MappingProxyType({"bad": "red", "doubtful": "yellow", "sum": "bold"})
 
 
 def section_view(section: Section) -> RenderableType:
-    """Title, statements, sentences, facts and tables of a section; figures are left out.
+    """Title, statements, sentences, facts and tables of a section, without its figures.
 
-    Sections that hold figures alone have no title either.
+    The title of a section that contains only figures is also omitted.
     """
-    return Group(*_parts(section))
+    return Group(*_renderables(section))
 
 
-def _parts(section: Section) -> list[RenderableType]:
+def _renderables(section: Section) -> list[RenderableType]:
     parts: list[RenderableType] = []
     for each in section.boxes:
-        parts += [Text(f"{each.gist} {each.text}".strip(), style="bold"), *map(Text, each.notes)]
+        parts += [Text(f"{each.headline} {each.text}".strip(), style="bold"), *map(Text, each.notes)]
     parts += [*map(Text, section.paragraphs), *(Text(f"- {item}") for item in section.items)]
     parts += [topics(section.facts.items())] if section.facts else []
     for table in section.tables:
@@ -72,13 +77,13 @@ def _parts(section: Section) -> list[RenderableType]:
         parts += [Text(table.caption, style="italic")] if table.caption else []
         parts.append(_FittedTable(table))
     for part in section.sections:
-        inner = _parts(part)
-        parts += [*([Text()] if parts and inner else []), *inner]
+        nested = _renderables(part)
+        parts += [*([Text()] if parts and nested else []), *nested]
     return [Text(section.title, style="bold"), *parts] if parts and section.title else parts
 
 
 class _FittedTable:
-    """Table of a section that fits the terminal it is printed on."""
+    """Table of a section that adapts to the width of the terminal."""
 
     def __init__(self, content: SectionTable) -> None:
         self._content = content
@@ -88,43 +93,48 @@ class _FittedTable:
 
 
 def _table_view(content: SectionTable, columns: int) -> Table:
-    """Table of a section; uncertainties stand below their values if the rows are too wide.
+    """Table of a section; uncertainties are below their values if the rows are too wide.
 
-    Where even that is too wide for ``columns``, numbers are wrapped, so that no column is lost.
+    If that is still wider than ``columns`` characters, numbers are wrapped, so that no column is lost.
     """
-    head, count = content.header, len(content.header)
-    rows = [[*row, *[""] * (count - len(row))] for row in content.rows]
-    for between, gap in _SEPARATORS:
+    header, column_count = content.header, len(content.header)
+    rows = [[*row, *[""] * (column_count - len(row))] for row in content.rows]
+    for separator, gap in _SEPARATORS:
         widths = []
-        for number, column in enumerate(zip(head, *rows, strict=True)):
-            lines = [line for each in column[1:] for line in each.replace(" ± ", between).split("\n")]
-            if number < content.words:
-                lines = [part for line in lines for part in wrap(line, _WORDS_WIDTH, break_long_words=False)]
-            widths.append(max(map(len, [*lines, *head[number].split(), ""])))
-        if (spare := columns - sum(widths) - gap * count) >= 0:
+        for index, column in enumerate(zip(header, *rows, strict=True)):
+            lines = [line for each in column[1:] for line in each.replace(" ± ", separator).split("\n")]
+            if index < content.words:
+                lines = [
+                    part for line in lines for part in wrap(line, _MIN_TEXT_WIDTH, break_long_words=False)
+                ]
+            widths.append(max(map(len, [*lines, *header[index].split(), ""])))
+        if (spare_width := columns - sum(widths) - gap * column_count) >= 0:
             break
-    natural = [max(width, len(each)) for width, each in zip(widths, head, strict=True)]
-    table = plain_table(head, content.words, gap=gap - 1)
-    for number in range(content.words, count if spare >= 0 else 0):
-        table.columns[number].width = (natural if sum(natural) - sum(widths) <= spare else widths)[number]
+    natural_widths = [max(width, len(each)) for width, each in zip(widths, header, strict=True)]
+    table = plain_table(header, content.words, gap=gap - 1)
+    for index in range(content.words, column_count if spare_width >= 0 else 0):
+        table.columns[index].width = (
+            natural_widths if sum(natural_widths) - sum(widths) <= spare_width else widths
+        )[index]
     has_groups = any(not row[0] for row in rows)
-    for number, row in enumerate(rows):
-        ends = has_groups and all(after[0] for after in rows[number + 1 : number + 2])
-        style = _MARKS.get(content.marks[number]) if content.marks else None
-        table.add_row(*(_cell(each, between) for each in row), style=style, end_section=ends)
+    for index, row in enumerate(rows):
+        ends_group = has_groups and all(next_row[0] for next_row in rows[index + 1 : index + 2])
+        style = _MARK_STYLES.get(content.marks[index]) if content.marks else None
+        table.add_row(*(_cell(each, separator) for each in row), style=style, end_section=ends_group)
     return table
 
 
-def _cell(text: str, between: str) -> Text:
+def _cell(text: str, separator: str) -> Text:
     lines = text.split("\n")
-    if len(lines) > 1 and "\n" in between and " ± " not in text:  # beside values that take two lines each
+    # In a row whose values take two lines each, other texts with several lines are spaced accordingly.
+    if len(lines) > 1 and "\n" in separator and " ± " not in text:
         lines = [f"{line}\n" for line in lines]
-    first, *below = (line.replace(" ± ", between) for line in lines)
-    return Text.assemble(first, *((f"\n{line}", "dim") for line in below))
+    first, *other_lines = (line.replace(" ± ", separator) for line in lines)
+    return Text.assemble(first, *((f"\n{line}", "dim") for line in other_lines))
 
 
 def timeline_table(rows: Sequence[TimelineRow], total_s: float) -> Table:
-    """Steps of a plan, their start and duration."""
+    """Table of the steps of a plan, with start and duration."""
     dwells = sum(row.dwells for row in rows)
     table = titled_table("Plan, times in h:mm", show_footer=True)
     table.add_column("start", footer="all", justify="right", no_wrap=True)
@@ -142,11 +152,11 @@ def timeline_table(rows: Sequence[TimelineRow], total_s: float) -> Table:
 def titled_table(
     title: str | None = None,
     headers: Sequence[str] = (),
-    words: Sequence[str] = (),
+    wrapped: Sequence[str] = (),
     *,
     show_footer: bool = False,
 ) -> Table:
-    """Table without room between its columns; ``words`` are the headers of those that may be wrapped."""
+    """Table without space between its columns; columns with a header in ``wrapped`` may be wrapped."""
     table = Table(
         title=title,
         title_justify="left",
@@ -158,20 +168,20 @@ def titled_table(
         show_footer=show_footer,
     )
     for header in headers:
-        is_word = header in words
-        table.add_column(header, justify="left" if is_word else "right", no_wrap=not is_word)
+        is_wrapped = header in wrapped
+        table.add_column(header, justify="left" if is_wrapped else "right", no_wrap=not is_wrapped)
     return table
 
 
-_STYLES = {CheckVerdict.PASS: "green", CheckVerdict.FAIL: "bold red", CheckVerdict.SKIPPED: "yellow"}
+_VERDICT_STYLES = {CheckVerdict.PASS: "green", CheckVerdict.FAIL: "bold red", CheckVerdict.SKIPPED: "yellow"}
 
 
 def preflight_report(checks: Sequence[Check]) -> RenderableType:
-    """Every check with verdict, finding and advice, and a summary."""
+    """All checks with verdict, finding and advice, followed by a summary."""
     parts: list[RenderableType] = []
     for subject, group in itertools.groupby(checks, key=lambda check: check.subject):
         parts += [Text(subject, style="bold"), _check_table(list(group))]
-    return Group(*parts, Text(), _sum(checks))
+    return Group(*parts, Text(), _preflight_total(checks))
 
 
 def _check_table(checks: Sequence[Check]) -> Table:
@@ -180,17 +190,19 @@ def _check_table(checks: Sequence[Check]) -> Table:
     table.add_column(width=19)
     table.add_column(overflow="fold")
     for check in checks:
-        found = Text(check.found)
+        finding = Text(check.found)
         if check.advice:
-            found.append(f"\n{check.advice}", style="italic")
-        table.add_row(Text(f"  {check.verdict}", style=_STYLES[check.verdict]), Text(check.what), found)
+            finding.append(f"\n{check.advice}", style="italic")
+        table.add_row(
+            Text(f"  {check.verdict}", style=_VERDICT_STYLES[check.verdict]), Text(check.what), finding
+        )
     return table
 
 
-def _sum(checks: Sequence[Check]) -> Text:
+def _preflight_total(checks: Sequence[Check]) -> Text:
     counts = Counter(check.verdict for check in checks)
     passed, failed, skipped = (counts[verdict] for verdict in CheckVerdict)
-    numbers = f"{passed} passed, {failed} failed, {skipped} skipped"
+    totals = f"{passed} passed, {failed} failed, {skipped} skipped"
     if failed:
-        return Text(f"{numbers}: not ready for a run.", style="bold red")
-    return Text(f"{numbers}: ready for a run{' as far as checked' if skipped else ''}.", style="bold")
+        return Text(f"{totals}: not ready for a run.", style="bold red")
+    return Text(f"{totals}: ready for a run{' as far as checked' if skipped else ''}.", style="bold")

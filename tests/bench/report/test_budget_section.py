@@ -7,7 +7,7 @@ from gyrobench.bench.bias.budget import BiasBudget, Budget, Contribution
 from gyrobench.bench.bias.error_sources import SOURCES
 from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN
 from gyrobench.bench.report.budget_section import budget_box, budget_section
-from gyrobench.bench.report.figures.budget import budget_figure, shares
+from gyrobench.bench.report.figures.budget import budget_figure, variance_shares
 from gyrobench.bench.report.run_report import write_report
 from gyrobench.bench.runs.tables.budget_table import (
     BudgetSummary,
@@ -76,18 +76,18 @@ def test_a_latitude_that_the_data_show_to_be_off_is_not_called_declared():
 
 def test_without_a_budget_nothing_is_said():
     none = BudgetSummary()
-    assert (budget_box(none), budget_section(none), shares(none)) == (None, None, [])
+    assert (budget_box(none), budget_section(none), variance_shares(none)) == (None, None, [])
 
 
 def test_shares_are_those_of_the_variance_and_add_up():
-    found = {each.label: each for each in shares(SUMMARY)}
+    found = {each.label: each for each in variance_shares(SUMMARY)}
     assert list(found) == ["X gyro level", "Y gyro level", "Z gyro vertical"]
     assert found["Z gyro vertical"].parts == pytest.approx({"angle_random_walk": 0.36, "latitude": 0.64})
     assert (found["X gyro level"].count, found["X gyro level"].sigma_dph) == (2, pytest.approx(0.001))
 
 
 def test_each_bar_of_the_figure_reaches_100_percent_and_has_its_number_of_dwells():
-    [axes] = budget_figure(shares(SUMMARY)).axes
+    [axes] = budget_figure(variance_shares(SUMMARY)).axes
     ends = {}
     for bar in axes.patches:
         ends[bar.get_y()] = max(ends.get(bar.get_y(), 0.0), bar.get_x() + bar.get_width())
@@ -145,7 +145,10 @@ def test_a_report_of_coefficients_has_them_on_its_first_page_and_the_figure_in_t
 
 def test_bars_keep_their_height_above_a_legend_of_many_sources():
     few, many = (
-        [replace(each, parts=dict.fromkeys(list(SOURCES)[:count], 1.0 / count)) for each in shares(SUMMARY)]
+        [
+            replace(each, parts=dict.fromkeys(list(SOURCES)[:count], 1.0 / count))
+            for each in variance_shares(SUMMARY)
+        ]
         for count in (1, 6)
     )
     heights_in = [

@@ -7,7 +7,7 @@ from gyrobench.bench.report.calibration_check_section import (
     calibration_check_section,
     calibration_check_sentence,
     dwells_text,
-    printed_rows,
+    table_rows,
 )
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow
 
@@ -107,16 +107,12 @@ def test_the_table_holds_every_bias_beside_the_calibrated_one():
 def test_azimuths_distinguish_dwells_of_one_position():
     opposite = replace(ROW, dwell=2, azimuth_deg=180.0)
     pair = replace(ALIGNMENT, azimuth_deg=270.0)
-    assert [line[0] for line in printed_rows([ROW, opposite, pair])] == [
-        "Y-Up 0°",
-        "Y-Up 180°",
-        "Y-Up 270/90°",
-    ]
+    assert [line[0] for line in table_rows([ROW, opposite, pair])] == ["Y-Up 0°", "Y-Up 180°", "Y-Up 270/90°"]
 
 
 def test_zero_has_no_minus():
     tiny = replace(ROW, bias_dph=-1e-8, paper_bias_dph=-1e-8, calibrated_dph=-1e-8, difference_dph=-1e-8)
-    (line,) = printed_rows([tiny])
+    (line,) = table_rows([tiny])
     assert line[4:7] == ["0.0 ± 1.5", "0.0 ± 1.7", "0.0 ± 0.4"]
     assert line[7] == "+0.0"
     assert "-0.0" not in calibration_check_sentence([tiny])

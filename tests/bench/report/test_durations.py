@@ -24,7 +24,7 @@ def test_longest_comes_first_and_all_of_them_last() -> None:
         finished(2, "soak", 3600.0, 3000.0),
         finished(3, "go_to", 20.0, 21.0),
     )
-    assert [(kind.kind, kind.count, kind.planned_s, kind.took_s) for kind in kinds] == [
+    assert [(kind.kind, kind.count, kind.planned_s, kind.actual_s) for kind in kinds] == [
         ("soak", 1, 3600.0, 3000.0),
         ("go to", 2, 40.0, 46.0),
         ("all", 3, 3640.0, 3046.0),
@@ -35,7 +35,7 @@ def test_longest_comes_first_and_all_of_them_last() -> None:
 def test_step_that_is_done_again_is_planned_once() -> None:
     journal = [finished(number, "navigate", 600.0, 610.0) for number in (1, 2, 1, 2, 3)]
     *_, total = kinds_of(*journal)
-    assert (total.count, total.planned_s, total.took_s, total.repeats) == (3, 1800.0, 3050.0, 2)
+    assert (total.count, total.planned_s, total.actual_s, total.repeats) == (3, 1800.0, 3050.0, 2)
     [table] = durations_section(step_durations(journal)).tables
     assert table.caption == "The actual duration includes 2 steps done again"
     [table] = durations_section(step_durations(journal[:2])).tables

@@ -11,7 +11,7 @@ def test_a_hold_states_what_it_waited_for_and_who_continued():
         entry(180.0, "continued", by="the operator", after=["door"], held_s=120.0),
     ]
     (event,) = run_events(journal)
-    assert (event.time, event.kind, event.what) == ("0:01:00", "held", "door open")
+    assert (event.time, event.kind, event.description) == ("0:01:00", "held", "door open")
     assert event.outcome == "continued by the operator after 0:02:00"
 
 
@@ -56,7 +56,7 @@ def test_thousands_of_events_stay_readable_and_none_is_lost():
     events = run_events(journal)
     assert len(events) <= MAX_ROWS
     assert sum(each.count for each in events) == 5000 + 100 + 1
-    assert "the last one" in [each.what for each in events]
+    assert "the last one" in [each.description for each in events]
 
 
 def test_how_the_run_was_cut_short_and_continued_is_there():
@@ -103,7 +103,7 @@ def test_soaks_that_did_not_settle_are_counted_with_the_largest_rate():
         "Events: soak not settled (3).",
         "3 soaks ended by at_most_s before the gyros had settled; the largest rate of a gyro was 7.21 °C/h.",
     ]
-    assert [(each.kind, each.what) for each in run_events(journal)][1] == (
+    assert [(each.kind, each.description) for each in run_events(journal)][1] == (
         "soak not settled",
         text.format(7.21),
     )

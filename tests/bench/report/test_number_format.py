@@ -114,7 +114,7 @@ def test_a_value_has_the_decimals_of_its_uncertainty(value: float, sigma: float,
     [(0.006, 0.0012, "6.0"), (0.0001, 0.005, "0.1"), (0.0055, 0.005, "5.5"), (0.01, 0.005, "10")],
 )
 def test_limit_is_never_rounded(limit_dph: float, sigma_dph: float, expected: str) -> None:
-    assert BiasScale.of([limit_dph], [sigma_dph]).exact(limit_dph) == expected
+    assert BiasScale.of([limit_dph], [sigma_dph]).limit_text(limit_dph) == expected
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ def test_whole_folder_is_read_without_complaint(run_folder: RunFolder, bins: lis
     assert content.procedure["assumptions"] == ["ramp rates are <chosen> here"]
     assert len(content.telemetry["time_s"]) > 2000
     assert content.last("run_ended")["ended"] == "finished"
-    assert [took.count for took in content.took] == [1] * 5
+    assert [each.count for each in content.step_durations] == [1] * 5
     assert (content.last_step["event"], content.last_step["step"]) == ("step_started", 6)
     assert content.last("no such event") == {}
 

@@ -27,7 +27,7 @@ from gyrobench.bench.report.closure_page import write_closure_page
 from gyrobench.bench.report.figures.bias import bias_figure
 from gyrobench.bench.report.figures.style import new_figure
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable, with_figure_files
-from gyrobench.bench.report.run_content import read_run, with_joint
+from gyrobench.bench.report.run_content import read_run, with_joint_solution
 from gyrobench.bench.report.run_report import render, write_report
 from gyrobench.bench.report.verification_page import write_verification_page
 from gyrobench.bench.runs.folder import RunFolder
@@ -91,7 +91,7 @@ def page_of(folder: RunFolder) -> Page:
 
 def text_of(folder: RunFolder, prepared_by: str = "") -> str:
     """Text of the report without figures, which take most of the time."""
-    content = with_joint(read_run(folder), folder)
+    content = with_joint_solution(read_run(folder), folder)
     return page_with("".join(render(content, [], prepared_by=prepared_by))).text
 
 

@@ -6,7 +6,7 @@ import pytest
 from gyrobench.bench.bias.dwell_table import write_dwells
 from gyrobench.bench.bias.verdicts import Acceptance, write_acceptance
 from gyrobench.bench.report.run_content import read_run
-from gyrobench.bench.report.run_report import head_lines, serial_number_of, verdict_boxes
+from gyrobench.bench.report.run_report import head_facts, serial_number_of, verdict_boxes
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, write_coefficients
 
@@ -31,7 +31,7 @@ def test_the_end_of_a_run_is_stated_with_its_unfinished_step(stopped: RunFolder)
     content = read_run(stopped)
     [box] = verdict_boxes(content)
     assert (box.colour, box.text) == ("stopped", "")
-    assert box.gist == "The run was stopped by the operator (Ctrl-C)."
+    assert box.headline == "The run was stopped by the operator (Ctrl-C)."
     assert box.notes == ["Unfinished step: 6, turn 180 deg (cycle 1, 62 degC, z_up)."]
     assert [action["what"] for action in content.facts.safe_state] == [
         "rate table stopped",
@@ -42,8 +42,8 @@ def test_the_end_of_a_run_is_stated_with_its_unfinished_step(stopped: RunFolder)
 def test_a_run_that_was_stopped_resumed_and_killed_has_not_ended(stopped: RunFolder):
     resume(stopped)
     content = read_run(stopped)
-    [box], lines = verdict_boxes(content), head_lines(content)
-    assert (box.colour, box.gist) == ("failed", "The run has not ended.")
+    [box], lines = verdict_boxes(content), head_facts(content)
+    assert (box.colour, box.headline) == ("failed", "The run has not ended.")
     assert "killed or is still running" in box.text
     assert content.facts.safe_state == ()
     assert "ended" not in lines
@@ -55,7 +55,7 @@ def test_a_run_that_was_stopped_and_resumed_has_its_new_end(stopped: RunFolder):
     add(stopped, time_s=9060.0, event="step_finished", step=6)
     add(stopped, time_s=9100.0, event="run_ended", ended="finished", reason="", safe_state=[])
     [box] = verdict_boxes(read_run(stopped))
-    assert (box.colour, box.gist, box.text, box.notes) == ("finished", "The run finished.", "", [])
+    assert (box.colour, box.headline, box.text, box.notes) == ("finished", "The run finished.", "", [])
 
 
 def test_the_serial_number_of_a_run_without_dwells_is_what_the_ins_said(stopped: RunFolder):
@@ -75,7 +75,7 @@ def accepted(empty_folder, journal_writer, dwells):
 
 
 def statements(folder):
-    return [f"{box.gist} {box.text}".strip() for box in verdict_boxes(read_run(folder))]
+    return [f"{box.headline} {box.text}".strip() for box in verdict_boxes(read_run(folder))]
 
 
 def test_a_run_with_a_damaged_journal_states_that_first_and_is_not_judged(accepted):
@@ -87,7 +87,7 @@ def test_a_run_with_a_damaged_journal_states_that_first_and_is_not_judged(accept
         "How the run ended is not known.",
         "Unit not judged. A run with a damaged file is not judged.",
     ]
-    assert not {"ended", "duration"} & set(head_lines(read_run(accepted)))
+    assert not {"ended", "duration"} & set(head_facts(read_run(accepted)))
 
 
 def test_a_run_with_a_damaged_dwell_table_states_that_first_and_is_not_judged(accepted):

@@ -11,11 +11,11 @@ from gyrobench.bench.bias.bins import BiasBin, PositionComparison, bin_biases, c
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.report.run_text import (
     agreement_sentence,
-    differing,
     equality_sentence,
     fit_sentence,
     power_cycle_sentence,
     scatter_sentence,
+    significant_differences,
 )
 
 COMPARISON = PositionComparison(
@@ -36,10 +36,12 @@ def a_bin(low_c: float, **changes: object) -> BiasBin:
 
 
 def test_each_bin_of_a_gyro_makes_the_test_stricter() -> None:
-    assert differing([COMPARISON]) == [COMPARISON]
+    assert significant_differences([COMPARISON]) == [COMPARISON]
     others = [replace(COMPARISON, bin_low_c=low, p_value=0.5) for low in (30.0, 40.0)]
-    assert differing([COMPARISON, *others]) == []
-    assert differing([COMPARISON, *(replace(other, gyro="y") for other in others)]) == [COMPARISON]
+    assert significant_differences([COMPARISON, *others]) == []
+    assert significant_differences([COMPARISON, *(replace(other, gyro="y") for other in others)]) == [
+        COMPARISON
+    ]
 
 
 def test_sentence_states_where_and_by_how_much() -> None:
@@ -68,8 +70,8 @@ def test_sentence_says_that_nothing_was_found_or_compared() -> None:
 def test_made_up_runs_are_judged_rightly(bins: list[BiasBin], equal_bins: list[BiasBin]) -> None:
     for gyro in "xyz":
         parting = compare_positions([each for each in bins if each.gyro == gyro])
-        assert {each.bin_low_c for each in differing(parting)} >= {-25.0, 5.0, 15.0}
-        assert all(each.bin_high_c <= 50.0 for each in differing(parting))
+        assert {each.bin_low_c for each in significant_differences(parting)} >= {-25.0, 5.0, 15.0}
+        assert all(each.bin_high_c <= 50.0 for each in significant_differences(parting))
         agreeing = compare_positions([each for each in equal_bins if each.gyro == gyro])
         assert equality_sentence(agreeing).startswith("No significant difference between positions from")
 

@@ -10,7 +10,7 @@ from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.text import with_sigma
 from gyrobench.bench.report.figures.verification import day_figure, residual_bars_figure
 from gyrobench.bench.report.verification_page import verification_sections, write_verification_page
-from gyrobench.bench.report.verification_text import number_rows, plateau_rows, total_rows
+from gyrobench.bench.report.verification_text import compensation_rows, plateau_rows, total_rows
 from tests.bench.report.made_up_verification import (
     SITE,
     alone,
@@ -50,7 +50,7 @@ def test_the_numbers_loaded_have_their_uncertainties(tmp_path):
         assert name in page
     value, sigma = compensation.polynomial_dph[0, 1], compensation.sigma["polynomial_dph"][0, 1]
     assert with_sigma(value, sigma) in page
-    pairs = [each.split(" ± ") for row in number_rows(result.models) for each in row[1:]]
+    pairs = [each.split(" ± ") for row in compensation_rows(result.models) for each in row[1:]]
     decimals = [[len(re.sub(r"\)e.*", "", each).partition(".")[2]) for each in pair] for pair in pairs]
     assert all(one == other for one, other in decimals)
 

@@ -23,7 +23,15 @@ def test_another_matplotlib_draws_the_same_without_its_internals(tmp_path, monke
     quick = drawn(tmp_path / "quick.png")
     monkeypatch.setattr(style, "_IS_TESTED", False)
     # None of the overrides may be reached: what they rely on may be gone.
-    for name in ("_QuickAxes", "_QuickFigure", "_QuickRenderer", "_Canvas", "_XAxis", "_YAxis", "_image_of"):
+    for name in (
+        "_QuickAxes",
+        "_QuickFigure",
+        "_QuickRenderer",
+        "_QuickCanvas",
+        "_QuickXAxis",
+        "_QuickYAxis",
+        "_text_image",
+    ):
         monkeypatch.delattr(style, name)
     plain = drawn(tmp_path / "plain.png")
     assert plain.shape == quick.shape
