@@ -179,7 +179,7 @@ def _detection_limit_text(closure: Closure) -> str:
     sizes = [size for size in closure.detectable_dph.values() if math.isfinite(size)]
     if not sizes:
         return ""
-    return f"; something below {size_text(max(sizes))} {closure.quantity.unit} rms is not excluded"
+    return f"; an effect below {size_text(max(sizes))} {closure.quantity.unit} rms is not excluded"
 
 
 def _ambiguity_text(closure: Closure) -> str:

@@ -298,9 +298,9 @@ def heading_sentence(noise: NoiseEstimate | None) -> str:
         return ""
     ratio = heading_limit / math.sqrt(gyro_walk.square)
     return (
-        f"The heading walks at random at most {ratio:.2g} times as much as the angles about the gyros' axes "
-        "do: the INS seems to hold or aid it, and then biases of vertical gyros do not show. Switch it off, "
-        "and measure again."
+        f"The random walk of the heading is at most {ratio:.2g} times that of the angles about the gyro "
+        "axes: the INS seems to hold or aid the heading, which hides the biases of vertical gyros. Switch "
+        "that off, and measure again."
     )
 
 
@@ -320,10 +320,11 @@ def setup_sentences(plateaus: Sequence[JointPlateauRow]) -> dict[str, str]:
         is_significant = abs(plateau.up_rate_dph) > _SIGNIFICANT_SIGMAS * plateau.up_rate_sigma_dph
         if Finding[plateau.finding.upper()] is Finding.NOT_LATITUDE and is_significant:
             sentences["Rate Up."] = (
-                f"Vertical gyros up and down differ as by a rate Up of ({1e3 * plateau.up_rate_dph:+.2f} ± "
-                f"{1e3 * plateau.up_rate_sigma_dph:.2f}) · 10⁻³ deg/h, alike in all gyros, that no latitude "
-                "explains. Their biases contain it. Check that table, fixture and pier do not turn slowly; "
-                "biases that follow gravity alike in all gyros look the same."
+                "The biases of vertical gyros differ between up and down by the same rate Up of "
+                f"({1e3 * plateau.up_rate_dph:+.2f} ± {1e3 * plateau.up_rate_sigma_dph:.2f}) · 10⁻³ deg/h in "
+                "all gyros, which no latitude explains and their biases include. Check that table, fixture "
+                "and pier do not turn slowly; a bias that follows gravity equally in all gyros looks the "
+                "same."
             )
     contradictory = [
         each for each in plateaus if max(each.fit_p_value, each.any_north_p_value) < _CONTRADICTION_P

@@ -72,15 +72,16 @@ _COEFFICIENTS_CAPTION = (
     "the measurement (lines). The body frame is that of the accelerometers."
 )
 _MISSION_CAPTION = (
-    "Distance from the true position with the coefficients left at the plateau where it is largest after a "
-    "day. Dashed: by their uncertainty 95 % of all missions stay below, up to 1, 8 and 24 h."
+    "Distance from the true position with the remaining coefficient errors, at the plateau where it is "
+    "largest after a day. Dashed: limits below which 95 % of all missions stay up to 1, 8 and 24 h, given "
+    "the uncertainty of the coefficients."
 )
 _MISSION_TEXT = (
     "The mission is a mechanisation of the increments of a dual-axis rotational INS at rest: sixteen half "
     "turns at 10 deg/s between rests of 3 min, of which the last eight retrace the first eight; fixed "
-    "altitude, a start without error, and coefficients constant at those of one plateau. What is not "
-    "observable counts as zero. Position errors are the largest up to the time stated, at the plateau where "
-    "that is largest."
+    "altitude, a start without error, and coefficients constant at those of one plateau. "
+    "Coefficients that are not observable count as zero. Position errors are the largest up to the time "
+    "stated, at the plateau where that is largest."
 )
 
 
@@ -93,8 +94,9 @@ def _mission_sentence(result: VerificationResult) -> str:
     ]
     limits = ", ".join(map(_nmi_text, result.coefficients[-1].worst.error.high_nmi))
     return (
-        f"A mission with the coefficients left errs by up to ({times} h): {'; '.join(errors)}. By the "
-        f"uncertainty of the last, 95 % of all are below {limits} nmi."
+        f"Largest position error of a mission with the remaining coefficient errors, within {times} h: "
+        f"{'; '.join(errors)}. Given the uncertainty of the last, 95 % of all missions stay below {limits} "
+        "nmi."
     )
 
 

@@ -214,8 +214,8 @@ def _scale_topics(calibration: Calibration) -> Iterator[tuple[str, str]]:
         if (common := common_scale_ppm(calibration, sensor)) is not None:
             yield (
                 "Check",
-                f"all {sensor} scale factors are about {common:+.0f} ppm: {cause} that is wrong by as much "
-                "does the same",
+                f"all {sensor} scale factors are about {common:+.0f} ppm: {cause} that is wrong by the same "
+                "amount has this effect",
             )
 
 
@@ -253,7 +253,8 @@ def _vibration_text(calibration: Calibration) -> str:
     return (
         f"if the white angle is vibration, coning between samples may pass for a bias of the {AXES[axis]} "
         f"gyro of up to {coning_rates[axis] * RADPS_TO_DPH:.2g} deg/h, or {sigmas[axis]:.2g} standard "
-        "uncertainties; the log does not show it. Stop what vibrates, or log increments at a higher rate"
+        "uncertainties; the log does not show it. Remove the source of vibration, or log increments at a "
+        "higher rate"
     )
 
 

@@ -120,7 +120,7 @@ def test_a_heading_that_the_ins_holds_is_named() -> None:
     assert heading_sentence(estimate_noise(windows, GRAVITY)) == ""
     for noise_rad in (0.0, 5e-7):
         aided = [replace(window, C_nb=held(window.C_nb, noise_rad)) for window in windows]
-        assert "seems to hold or aid it" in heading_sentence(estimate_noise(aided, GRAVITY))
+        assert "seems to hold or aid the heading" in heading_sentence(estimate_noise(aided, GRAVITY))
     assert heading_sentence(None) == ""
 
 
