@@ -28,8 +28,8 @@ from gyrobench.bench.report.run_text import (
     NOTHING_TO_COMPARE,
     VERDICT_COLOURS,
     acceptance_sentence,
-    agreement_sentence,
-    equality_sentence,
+    paper_agreement_sentence,
+    position_comparison_sentence,
     power_cycle_sentence,
     scatter_sentence,
     significant_differences,
@@ -94,12 +94,15 @@ def _gyro_box(gyro: str, bins: Sequence[BiasBin]) -> Box:
     comparisons = compare_positions(bins)
     colour = ("failed" if significant_differences(comparisons) else "finished") if comparisons else "stopped"
     notes = [
-        agreement_sentence(comparisons, compare_positions(paper_bins(bins))),
+        paper_agreement_sentence(comparisons, compare_positions(paper_bins(bins))),
         power_cycle_sentence(bins),
         scatter_sentence(bins),
     ]
     return Box(
-        colour, f"{gyro_label(gyro)}.", equality_sentence(comparisons), [note for note in notes if note]
+        colour,
+        f"{gyro_label(gyro)}.",
+        position_comparison_sentence(comparisons),
+        [note for note in notes if note],
     )
 
 

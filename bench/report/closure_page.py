@@ -96,7 +96,7 @@ def _residual_section(closure: Closure) -> Section:
     return Section(
         "Residual of the declared model",
         _without_empty(
-            text.before_sentence(closure),
+            text.declared_residual_sentence(closure),
             *closure.noise.sentences(
                 is_structureless=closure.verdict != "unexplained" or closure.differs_held_out
             ),
@@ -282,7 +282,7 @@ def _alternatives_section(closure: Closure) -> Section:
 def _error_section(closure: Closure) -> Section:
     held_out, scale = ~closure.searched, text.scale_of_errors(closure)
     if not held_out.any():
-        return Section("Held-out error", [text.error_sentence(closure)])
+        return Section("Held-out error", [text.held_out_error_sentence(closure)])
     sigma_dph = closure.prediction_sigma_dph[held_out]
     errors = {name: closure.residuals_dph(model) for name, model in text.models_of(closure).items()}
     errors["noise"] = closure.dwell_noise_dph
@@ -300,9 +300,9 @@ def _error_section(closure: Closure) -> Section:
     return Section(
         "Held-out error",
         _without_empty(
-            text.error_sentence(closure),
+            text.held_out_error_sentence(closure),
             (closure.unexplained_part or "") if closure.differs_held_out else "",
-            text.constants_sentence(closure),
+            text.removed_means_sentence(closure),
         ),
         [
             SectionFigure(
@@ -337,7 +337,7 @@ def _held_out_in_turn_section(closure: Closure) -> Section | None:
         rows,
         words=3,
     )
-    return Section("Each cycle held out", [text.each_held_out_sentence(closure)], tables=[table])
+    return Section("Each cycle held out", [text.held_out_in_turn_sentence(closure)], tables=[table])
 
 
 def _lack_of_fit_section(closure: Closure) -> Section:
@@ -356,7 +356,9 @@ def _lack_of_fit_section(closure: Closure) -> Section:
     advice = "" if closure.unexplained_part is None or closure.differs_held_out else _UNEXPLAINED_ADVICE
     return Section(
         "Lack of fit",
-        _without_empty(text.after_sentence(closure), advice, text.power_sentence(closure)),
+        _without_empty(
+            text.remaining_residual_sentence(closure), advice, text.detectable_effect_sentence(closure)
+        ),
         tables=[table],
     )
 

@@ -276,7 +276,7 @@ def probability_sentence(closure: Closure) -> str:
     return f"Probabilities: {'; '.join(parts)}."
 
 
-def power_sentence(closure: Closure) -> str:
+def detectable_effect_sentence(closure: Closure) -> str:
     """The smallest further effect that would have been detected; empty if a residual remains."""
     sizes = {name: size for name, size in closure.detectable_dph.items() if math.isfinite(size)}
     if not sizes or (closure.verdict == "unexplained" and not closure.differs_held_out):
@@ -293,7 +293,7 @@ def power_sentence(closure: Closure) -> str:
     )
 
 
-def before_sentence(closure: Closure) -> str:
+def declared_residual_sentence(closure: Closure) -> str:
     """Residual of the declared model in the dwells searched, compared with the noise."""
     rms = nan_rms(closure.residuals_dph(closure.declared)[closure.searched])
     p, quantity, unit = p_phrase(closure.before.p_value), closure.quantity, closure.quantity.unit
@@ -411,7 +411,7 @@ def missing_input_sentences(closure: Closure) -> list[str]:
     return [f"Not fitted: {listed(each)}. Missing input: {missing}." for missing, each in by_input.items()]
 
 
-def error_sentence(closure: Closure) -> str:
+def held_out_error_sentence(closure: Closure) -> str:
     """Held-out error with the declared model and with the effects, compared with the noise."""
     held_out = ~closure.searched
     if not held_out.any():
@@ -443,7 +443,7 @@ def error_sentence(closure: Closure) -> str:
     )
 
 
-def each_held_out_sentence(closure: Closure) -> str:
+def held_out_in_turn_sentence(closure: Closure) -> str:
     """Whether the outcome depends on which cycle is held out; empty if only one choice was searched."""
     trials = [trial for trial in closure.held_out_in_turn if trial.verdict]
     outcomes: dict[tuple[str, tuple[str, ...]], list[int]] = {}
@@ -460,7 +460,7 @@ def each_held_out_sentence(closure: Closure) -> str:
     return f"The outcome depends on which cycle is held out: {'; '.join(texts)}."
 
 
-def constants_sentence(closure: Closure) -> str:
+def removed_means_sentence(closure: Closure) -> str:
     """Power cycles whose mean error is removed; empty if there are none."""
     campaign, searched = closure.campaign, closure.searched
     power_cycles = set(campaign.run[~searched].tolist()) - set(campaign.run[searched].tolist())
@@ -472,7 +472,7 @@ def constants_sentence(closure: Closure) -> str:
     )
 
 
-def after_sentence(closure: Closure) -> str:
+def remaining_residual_sentence(closure: Closure) -> str:
     """The remaining residual: its size and structure, or that it is noise."""
     if closure.unexplained_part and not closure.differs_held_out:
         return closure.unexplained_part

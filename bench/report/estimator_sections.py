@@ -18,7 +18,7 @@ from gyrobench.bench.report.figures.estimators import (
     differences_dph,
     estimators_figure,
     fit_figure,
-    has_both,
+    has_both_estimates,
     has_distribution,
     noise_figure,
 )
@@ -75,7 +75,7 @@ def estimators_note(rows: Sequence[DwellRow]) -> str:
 
 def estimators_section(rows: Sequence[DwellRow], marked_c: Sequence[float] = ()) -> Section | None:
     """Comparison of the estimators; None if no unflagged dwell has results of both."""
-    dwells = PackedDwells(row for row in rows if has_both(row))
+    dwells = PackedDwells(row for row in rows if has_both_estimates(row))
     if not dwells:
         return None
     figures = (

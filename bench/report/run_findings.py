@@ -63,8 +63,8 @@ def run_findings(
 ) -> dict[str, str]:
     """Reasons to doubt the results of a run, by title: the sentences of this module.
 
-    ``station``: content of the station file. ``plateaus``: see :func:`setup_sentences`. ``reason``: why
-    the run did not finish, which is stated elsewhere.
+    ``station``: content of the station file. ``plateaus``: see :func:`joint_solution_sentences`.
+    ``reason``: why the run did not finish, which is stated elsewhere.
     """
     sentences = {
         "Many dwells are flagged.": flags_sentence(rows, reason),
@@ -72,7 +72,7 @@ def run_findings(
         "Drifting accelerometers.": accelerometers_sentence(rows, station),
         "Declared noise.": noise_sentence(noise, station),
         "Held heading.": heading_sentence(noise),
-        **setup_sentences(plateaus),
+        **joint_solution_sentences(plateaus),
     }
     return {title: text for title, text in sentences.items() if text}
 
@@ -304,7 +304,7 @@ def heading_sentence(noise: NoiseEstimate | None) -> str:
     )
 
 
-def setup_sentences(plateaus: Sequence[JointPlateauRow]) -> dict[str, str]:
+def joint_solution_sentences(plateaus: Sequence[JointPlateauRow]) -> dict[str, str]:
     """Faults of the bench that the joint solution indicates, by title: latitude, rate Up, contradiction.
 
     ``plateaus``: if there are several, the last one is the solution of all together.

@@ -35,7 +35,7 @@ def significant_differences(comparisons: Iterable[PositionComparison]) -> list[P
     return [each for each in comparisons if each.p_value < POSITION_SIGNIFICANCE / gyros.count(each.gyro)]
 
 
-def equality_sentence(comparisons: Sequence[PositionComparison]) -> str:
+def position_comparison_sentence(comparisons: Sequence[PositionComparison]) -> str:
     """Result of the comparisons of one gyro."""
     if not comparisons:
         return NOTHING_TO_COMPARE
@@ -82,7 +82,7 @@ def scatter_sentence(bins: Iterable[BiasBin]) -> str:
     )
 
 
-def agreement_sentence(
+def paper_agreement_sentence(
     comparisons: Sequence[PositionComparison], by_paper: Sequence[PositionComparison]
 ) -> str:
     """Whether the paper's method finds differences in the same bins; empty without its results."""

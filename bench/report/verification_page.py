@@ -31,11 +31,11 @@ from gyrobench.bench.report.verification_text import (
     NOT_CONFIRMED,
     change_sentences,
     compensation_rows,
+    definition_sentences,
     model_sentences,
     outcome,
     outcome_sentence,
     plateau_rows,
-    reading_sentences,
     size_heads,
     size_units,
     total_rows,
@@ -182,7 +182,7 @@ def verification_sections(result: VerificationResult) -> list[Section]:
         Section("Residual", change_sentences(result), figures, [totals_table, plateaus_table]),
         *([Section("A day of a rotational INS", figures=[day_section_figure])] if has_day else []),
         *_coefficient_sections(result),
-        Section("Definitions", reading_sentences(result)),
+        Section("Definitions", definition_sentences(result)),
     ]
 
 

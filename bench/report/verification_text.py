@@ -155,7 +155,7 @@ def outcome_sentence(result: VerificationResult) -> str:
             f"{listed(ratios)} ({p_phrase(result.coefficients[-1].noise_p_value)} for noise of measurement "
             "and compensation)."
         )
-        return " ".join([ratio, *degradation_sentences(result), *application_sentences(result)])
+        return " ".join([ratio, *degradation_sentences(result), *loading_problem_sentences(result)])
     last = result.results[-1]
     if not last.total.dwells:
         return "No dwell is valid in all runs, so the compensations can't be compared."
@@ -167,7 +167,7 @@ def outcome_sentence(result: VerificationResult) -> str:
         f"Varying bias: {', '.join([first.format(' rms'), *(each.format('') for each in others)])}; noise "
         f"{size_text(last.total.bias_noise_dph)} deg/h."
     )
-    remarks = [*degradation_sentences(result), *application_sentences(result)]
+    remarks = [*degradation_sentences(result), *loading_problem_sentences(result)]
     return " ".join([sizes, *remarks, _judgement_sentence(result)])
 
 
@@ -211,7 +211,7 @@ def degradation_sentences(result: VerificationResult) -> list[str]:
     ]
 
 
-def application_sentences(result: VerificationResult) -> list[str]:
+def loading_problem_sentences(result: VerificationResult) -> list[str]:
     """Gyros whose bias did not change by the loaded compensation, and constants that do not fit."""
     sentences = []
     reference = result.results[0]
@@ -351,7 +351,7 @@ def _model_uncertainty_sentences(result: VerificationResult) -> list[str]:
     return sentences
 
 
-def reading_sentences(result: VerificationResult) -> list[str]:
+def definition_sentences(result: VerificationResult) -> list[str]:
     """Definitions of the numbers."""
     day = [_DAY_DEFINITION] if _SIZES[-1] in _measured_sizes(result) else []
     return [

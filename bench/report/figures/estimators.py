@@ -52,7 +52,7 @@ def estimators_figure(dwells: Iterable[DwellRow], marked_c: Sequence[float] = ()
     """
     points: dict[str, list[FloatArray]] = {position: [] for position in POSITION_STYLES}
     for row in dwells:
-        if has_both(row):
+        if has_both_estimates(row):
             points[row.position].append(np.column_stack([row.gyro_c, differences_dph(row)]))
     by_position = {position: np.array(values) for position, values in points.items() if values}
     scale = BiasScale.of(
@@ -74,7 +74,7 @@ def estimators_figure(dwells: Iterable[DwellRow], marked_c: Sequence[float] = ()
     return figure
 
 
-def has_both(row: DwellRow) -> bool:
+def has_both_estimates(row: DwellRow) -> bool:
     """Whether a dwell is unflagged and has both estimates."""
     return bool(not row.flags and paper_rows([row]))
 

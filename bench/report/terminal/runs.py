@@ -67,16 +67,17 @@ def groups_table(by: str, groups: Sequence[Mapping[str, Any]]) -> RenderableType
 
 
 def trend_summary(
-    unit: str, trends: Sequence[Trend], notes: Sequence[str], due: Sequence[Recalibration | None]
+    unit: str, trends: Sequence[Trend], notes: Sequence[str], due_dates: Sequence[Recalibration | None]
 ) -> RenderableType:
     """Drift of a unit: a sentence, and one row for each gyro and bin.
 
-    ``notes``: notes about the origin of the runs. ``due``: date of recalibration for each trend, or empty.
+    ``notes``: notes about the origin of the runs. ``due_dates``: dates of recalibration, one for each
+    trend, or empty.
     """
     scale = BiasScale.of([each.bias_dph for each in trends], [each.sigma_dph for each in trends])
     columns = ("gyro", "bin °C", "runs", "bias", "scatter", "per month", "p", "p corr.")
-    table = plain_table((*columns, *(["until"] if due else [])), text_columns=2)
-    due_cells = [[_due_text(each)] for each in due] or [[] for _ in trends]
+    table = plain_table((*columns, *(["until"] if due_dates else [])), text_columns=2)
+    due_cells = [[_due_text(each)] for each in due_dates] or [[] for _ in trends]
     for each, due_cell in zip(trends, due_cells, strict=True):
         quantity = each.quantity
         table.add_row(
@@ -94,18 +95,18 @@ def trend_summary(
         f"In {scale.unit}. Scatter: standard deviation between runs beyond their uncertainties, included in "
         "the uncertainty of the slope. p corr.: p-value corrected for all comparisons of the table."
     )
-    if due:
+    if due_dates:
         note += " until: last day on which the bias of a run is within the limit."
     parts: list[RenderableType] = [Text(_trend_sentence(unit, trends), style="bold")]
-    if due:
-        parts.append(Text(recalibration_sentence(unit, due), style="bold"))
+    if due_dates:
+        parts.append(Text(recalibration_sentence(unit, due_dates), style="bold"))
     parts += [Text(f"Note: {text}") for text in notes]
     return Group(*parts, Text(), table, Text(), Text(note))
 
 
-def recalibration_sentence(unit: str, due: Sequence[Recalibration | None]) -> str:
+def recalibration_sentence(unit: str, due_dates: Sequence[Recalibration | None]) -> str:
     """Date by which a unit must be calibrated again."""
-    determined = [each for each in due if each is not None]
+    determined = [each for each in due_dates if each is not None]
     if not determined:
         return f"Unit {unit}: date of the next calibration unknown. Too few runs show how its biases change."
     earliest = min(determined, key=lambda each: each.months)

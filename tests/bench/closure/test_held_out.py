@@ -11,7 +11,11 @@ from gyrobench.bench.closure.effects.laws import BIAS_JUMP, G_SENSITIVITY, TEMPE
 from gyrobench.bench.closure.files import closure_document
 from gyrobench.bench.closure.loop import close_loop, composed
 from gyrobench.bench.report.closure_page import closure_sections
-from gyrobench.bench.report.closure_text import after_sentence, error_sentence, verdict_sentence
+from gyrobench.bench.report.closure_text import (
+    held_out_error_sentence,
+    remaining_residual_sentence,
+    verdict_sentence,
+)
 from tests.bench.closure.thermal_bench import SIGMA_DPH, measure
 from tests.benchmarks.closure_units import make_unit
 
@@ -52,7 +56,7 @@ def test_a_jump_in_the_held_out_cycle_is_unexplained_and_its_gyro_is_named(share
         "The residual in the dwells searched is noise, but the x gyro differs from the prediction in the "
         "held-out dwells, by "
     )
-    assert "do not explain the errors of the x gyro (p " in error_sentence(closure)
+    assert "do not explain the errors of the x gyro (p " in held_out_error_sentence(closure)
 
 
 def test_of_two_cycles_another_one_is_to_be_measured_and_of_three_another_one_held_out():
@@ -77,7 +81,7 @@ def test_the_page_states_size_and_place_of_the_difference_and_that_the_rest_is_n
     closure = closed(jumped(measure(cycles=2).rows, 0.6, 9.0))
     assert closure.differs_held_out
     assert "The residual of the x gyro in the held-out dwells is 0.01" in closure.unexplained_part
-    assert after_sentence(closure).startswith("The remaining residual in the dwells searched is")
+    assert remaining_residual_sentence(closure).startswith("The remaining residual in the dwells searched is")
     [section] = [each for each in closure_sections(closure) if each.title == "Held-out error"]
     assert closure.unexplained_part in section.paragraphs
     document = json.loads(json.dumps(closure_document(closure)))
@@ -123,7 +127,7 @@ def test_a_held_out_dwell_that_is_far_off_is_an_outlier_and_no_difference(each_c
     closure = closed(shifted(rows, {dwell}, 40.0, "xz"))
     assert closure.verdict == "clean"
     assert [(each.dwell, each.gyro) for each in closure.held_out.outliers] == [(dwell, "x"), (dwell, "z")]
-    assert "Noise and this uncertainty explain the others" in error_sentence(closure)
+    assert "Noise and this uncertainty explain the others" in held_out_error_sentence(closure)
 
 
 @pytest.mark.parametrize("places", [(7, 8, 9), (3, 7, 11, 15, 20, 26, 31)], ids=["in a row", "many"])

@@ -17,7 +17,7 @@ from gyrobench.bench.closure.effects.laws import (
 from gyrobench.bench.closure.effects.surroundings import SUPPLY_POWER
 from gyrobench.bench.closure.loop import close_loop, without_search
 from gyrobench.bench.closure.noise import OUTLIER_SIGMA, estimate_campaign_noise, outweighing_dwell
-from gyrobench.bench.report.closure_text import error_sentence
+from gyrobench.bench.report.closure_text import held_out_error_sentence
 from tests.bench.closure.thermal_bench import measure
 from tests.benchmarks.closure_units import make_unit
 
@@ -228,7 +228,7 @@ def test_a_held_out_dwell_that_is_far_off_is_named(options, candidates):
     assert [(each.dwell, each.gyro) for each in closure.held_out.outliers] == [(dwell, "y")]
     assert (
         f"Included in these errors, further than 5 sigma from the prediction: dwell {dwell} (y "
-        in error_sentence(closure)
+        in held_out_error_sentence(closure)
     )
 
 

@@ -81,10 +81,12 @@ def test_without_an_accepted_effect_the_most_probable_cause_is_stated_with_the_o
 
 
 def test_the_residual_is_compared_with_the_noise():
-    assert "is 0.0050 deg/h rms in the 96 dwells searched" in closure_text.before_sentence(explained())
-    assert "noise of a measured bias is 0.0020 deg/h" in closure_text.before_sentence(explained())
-    assert "The lack of fit is significant (p < 1e-9)" in closure_text.before_sentence(explained())
-    assert "The residual is consistent with noise" in closure_text.before_sentence(clean())
+    assert "is 0.0050 deg/h rms in the 96 dwells searched" in closure_text.declared_residual_sentence(
+        explained()
+    )
+    assert "noise of a measured bias is 0.0020 deg/h" in closure_text.declared_residual_sentence(explained())
+    assert "The lack of fit is significant (p < 1e-9)" in closure_text.declared_residual_sentence(explained())
+    assert "The residual is consistent with noise" in closure_text.declared_residual_sentence(clean())
 
 
 def test_an_effect_has_its_p_value_and_cross_validation():
@@ -176,26 +178,26 @@ def test_effects_not_fitted_are_listed_with_the_missing_input():
 
 
 def test_the_held_out_error_is_stated_before_and_after_with_the_noise():
-    sentence = closure_text.error_sentence(explained())
+    sentence = closure_text.held_out_error_sentence(explained())
     assert "In cycle 3 (held out, 48 dwells)" in sentence
     assert re.search(
         r"0\.00506 ± 0\.000\d+ deg/h rms with the declared model and 0\.00\d+ ± 0\.000\d+", sentence
     )
     assert "the noise is 0.0020 deg/h. A predicted bias has a standard uncertainty of 0.000" in sentence
-    sentence = closure_text.error_sentence(clean())
+    sentence = closure_text.held_out_error_sentence(clean())
     assert " and " not in sentence.partition("predicted bias")[2].partition(";")[0]
     assert re.search(r"Noise and this uncertainty explain the errors \(p = [01]\.\d+\)\.$", sentence)
 
 
 def test_a_removed_mean_is_stated():
-    assert closure_text.constants_sentence(explained()) == ""
+    assert closure_text.removed_means_sentence(explained()) == ""
     closure = close_loop(campaign_of(made_up_rows(runs=3)), effects=EFFECTS)
-    assert "1 power cycle that the search did not use" in closure_text.constants_sentence(closure)
+    assert "1 power cycle that the search did not use" in closure_text.removed_means_sentence(closure)
 
 
 def test_the_remaining_residual_is_located_or_noise():
-    assert "7.3 times the noise" in closure_text.after_sentence(unexplained())
-    assert "follows neither" in closure_text.after_sentence(explained())
+    assert "7.3 times the noise" in closure_text.remaining_residual_sentence(unexplained())
+    assert "follows neither" in closure_text.remaining_residual_sentence(explained())
 
 
 def test_scatter_above_the_stated_uncertainties_is_stated():

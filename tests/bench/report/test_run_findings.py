@@ -16,9 +16,9 @@ from gyrobench.bench.report.run_findings import (
     accelerometers_sentence,
     flags_sentence,
     heading_sentence,
+    joint_solution_sentences,
     noise_sentence,
     run_findings,
-    setup_sentences,
     signs_sentence,
     temperatures_sentence,
 )
@@ -104,8 +104,8 @@ def test_what_the_joint_solution_finds_wrong_with_the_bench_is_stated(
 ) -> None:
     numbers = [0.0] * 6 + [0.0, 0.001, 0.006, 0.001, 10.0, 0.1, 0.5]
     row = JointPlateauRow(1, 1, 6, 25.0, *numbers, finding, *p_values)
-    assert list(setup_sentences([row])) == titles
-    assert setup_sentences([]) == {}
+    assert list(joint_solution_sentences([row])) == titles
+    assert joint_solution_sentences([]) == {}
 
 
 def test_a_heading_that_the_ins_holds_is_named() -> None:

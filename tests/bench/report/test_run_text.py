@@ -10,9 +10,9 @@ import pytest
 from gyrobench.bench.bias.bins import BiasBin, PositionComparison, bin_biases, compare_positions, paper_bins
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.report.run_text import (
-    agreement_sentence,
-    equality_sentence,
     fit_sentence,
+    paper_agreement_sentence,
+    position_comparison_sentence,
     power_cycle_sentence,
     scatter_sentence,
     significant_differences,
@@ -45,14 +45,14 @@ def test_each_bin_of_a_gyro_makes_the_test_stricter() -> None:
 
 
 def test_sentence_states_where_and_by_how_much() -> None:
-    sentence = equality_sentence([COMPARISON])
+    sentence = position_comparison_sentence([COMPARISON])
     assert "in 1 of 1 bins: from 20 to 25 °C (p < 0.01, one comparison)" in sentence
     assert "Y-Up above Z-Up by 0.0123 ± 0.0013 deg/h" in sentence
 
 
 def test_sentence_counts_only_the_bins_that_differ() -> None:
     hotter = replace(COMPARISON, bin_low_c=25.0, bin_high_c=30.0, p_value=0.3)
-    assert equality_sentence([COMPARISON, hotter]) == (
+    assert position_comparison_sentence([COMPARISON, hotter]) == (
         "The bias differs between positions in 1 of 2 bins: from 20 to 25 °C (p < 0.01, corrected for 2 "
         "comparisons). Largest difference from 20 to 25 °C: Y-Up above Z-Up by 0.0123 ± 0.0013 deg/h (k = 1)."
     )
@@ -60,11 +60,11 @@ def test_sentence_counts_only_the_bins_that_differ() -> None:
 
 def test_sentence_says_that_nothing_was_found_or_compared() -> None:
     hotter = replace(COMPARISON, bin_low_c=25.0, bin_high_c=30.0, p_value=0.3)
-    assert equality_sentence([replace(COMPARISON, p_value=0.3), hotter]) == (
+    assert position_comparison_sentence([replace(COMPARISON, p_value=0.3), hotter]) == (
         "No significant difference between positions from 20 to 30 °C (no p < 0.01, corrected for 2 "
         "comparisons)."
     )
-    assert equality_sentence([]).startswith("Nothing to compare")
+    assert position_comparison_sentence([]).startswith("Nothing to compare")
 
 
 def test_made_up_runs_are_judged_rightly(bins: list[BiasBin], equal_bins: list[BiasBin]) -> None:
@@ -73,7 +73,9 @@ def test_made_up_runs_are_judged_rightly(bins: list[BiasBin], equal_bins: list[B
         assert {each.bin_low_c for each in significant_differences(parting)} >= {-25.0, 5.0, 15.0}
         assert all(each.bin_high_c <= 50.0 for each in significant_differences(parting))
         agreeing = compare_positions([each for each in equal_bins if each.gyro == gyro])
-        assert equality_sentence(agreeing).startswith("No significant difference between positions from")
+        assert position_comparison_sentence(agreeing).startswith(
+            "No significant difference between positions from"
+        )
 
 
 def test_scatter_is_stated_only_where_uncertainties_do_not_explain_it() -> None:
@@ -87,19 +89,19 @@ def test_agreement_names_the_bins_that_the_estimators_judge_differently() -> Non
     equal = replace(COMPARISON, p_value=0.3)
     different = replace(hotter, p_value=1e-6)
     ours = [COMPARISON, hotter]
-    assert agreement_sentence(ours, ours) == "The paper's method agrees."
-    assert agreement_sentence(ours, [COMPARISON, different]).endswith(
+    assert paper_agreement_sentence(ours, ours) == "The paper's method agrees."
+    assert paper_agreement_sentence(ours, [COMPARISON, different]).endswith(
         "disagrees: it also finds a difference from 25 to 30 °C."
     )
-    assert agreement_sentence(ours, [equal, different]).endswith(
+    assert paper_agreement_sentence(ours, [equal, different]).endswith(
         "a difference from 25 to 30 °C, and it finds none from 20 to 25 °C."
     )
-    assert agreement_sentence(ours, []) == ""
+    assert paper_agreement_sentence(ours, []) == ""
 
 
 def test_leaks_of_the_papers_method_show_as_differences_of_equal_positions(equal_bins: list[BiasBin]) -> None:
     own = [each for each in equal_bins if each.gyro == "y"]
-    sentence = agreement_sentence(compare_positions(own), compare_positions(paper_bins(own)))
+    sentence = paper_agreement_sentence(compare_positions(own), compare_positions(paper_bins(own)))
     assert sentence.startswith("The paper's method disagrees: it also finds a difference from -25")
 
 

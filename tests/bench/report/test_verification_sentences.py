@@ -10,15 +10,15 @@ import pytest
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS
 from gyrobench.bench.engine.verification_runs import flags_note
 from gyrobench.bench.report.verification_text import (
-    application_sentences,
     change_sentences,
     comparability_sentences,
+    definition_sentences,
     degradation_sentences,
+    loading_problem_sentences,
     model_sentences,
     new_conditions_sentence,
     outcome,
     outcome_sentence,
-    reading_sentences,
 )
 from gyrobench.bench.verification.coefficient_verification import CoefficientRun, compare_coefficients
 from gyrobench.bench.verification.compensation_verification import (
@@ -223,8 +223,8 @@ def test_the_change_that_was_loaded_confirms_what_is_small_and_one_that_was_not_
     assert outcome(verified(0.0, None)) == "inconclusive"
     assert outcome(verified(0.0, small)) == "confirmed"
     large = replace(small, gravity_dph_per_g=0.02 * np.eye(3))
-    assert application_sentences(verified(0.0, small)) == []
-    [sentence] = application_sentences(verified(0.002, large))
+    assert loading_problem_sentences(verified(0.0, small)) == []
+    [sentence] = loading_problem_sentences(verified(0.002, large))
     assert "check that the INS applies the compensation once" in sentence
     assert sentence in outcome_sentence(verified(0.002, large))
 
@@ -235,9 +235,9 @@ def test_a_constant_that_makes_the_bias_larger_is_stated_beside_a_residual_that_
         MeasuredRun("effect", rows_of(0.0, constant_dph=0.1, seed=2), []),
     ]
     result = replace(confirmed(), results=compare_runs(runs, SITE, np.full((1, 3), 20.0)))
-    [sentence] = application_sentences(result)
+    [sentence] = loading_problem_sentences(result)
     assert "the constant loaded does not fit this power cycle" in sentence
-    assert application_sentences(confirmed()) == []
+    assert loading_problem_sentences(confirmed()) == []
 
 
 def test_what_a_run_lacks_is_stated():
@@ -264,11 +264,11 @@ def test_one_plateau_and_one_dwell_are_in_the_singular():
 
 
 def test_every_definition_is_a_sentence():
-    assert all(text.endswith(".") for text in reading_sentences(confirmed()))
-    assert "Noise is the value expected" in reading_sentences(confirmed())[1]
+    assert all(text.endswith(".") for text in definition_sentences(confirmed()))
+    assert "Noise is the value expected" in definition_sentences(confirmed())[1]
 
 
 def test_separate_power_cycles_are_stated_on_a_real_bench():
     real = VerificationResult(**{**vars(confirmed()), "is_same_seed": False})
-    assert "separate power cycle and noise" in reading_sentences(real)[-1]
-    assert "same emulated world and seed" in reading_sentences(confirmed())[-1]
+    assert "separate power cycle and noise" in definition_sentences(real)[-1]
+    assert "same emulated world and seed" in definition_sentences(confirmed())[-1]

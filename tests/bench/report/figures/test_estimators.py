@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.report.figures.estimators import differences_dph, estimators_figure, has_both
+from gyrobench.bench.report.figures.estimators import differences_dph, estimators_figure, has_both_estimates
 
 
 def test_every_good_dwell_shows_the_paper_minus_the_state_space_estimate(dwells: list[DwellRow]) -> None:
@@ -31,7 +31,7 @@ def test_bars_are_both_uncertainties_combined(dwells: list[DwellRow]) -> None:
 def test_dwells_with_flags_or_one_estimate_are_left_out(
     dwells: list[DwellRow], old_dwells: list[DwellRow]
 ) -> None:
-    both = [row.dwell for row in (*dwells[:8], *old_dwells[:8]) if has_both(row)]
+    both = [row.dwell for row in (*dwells[:8], *old_dwells[:8]) if has_both_estimates(row)]
     assert both == [1, 2, 3, 4, 5, 6, 8]
 
 
