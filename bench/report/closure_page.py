@@ -238,6 +238,7 @@ def _sizes_table(closure: Closure) -> SectionTable:
             each.weighted_sigma_dph.T,
             strict=True,
         )
+        if sizes.any()
     ]
     return SectionTable(
         f"Size of each term with its standard uncertainty, in {scale.unit} per unit of what it follows; "

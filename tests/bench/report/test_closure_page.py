@@ -122,6 +122,15 @@ def test_errors_are_listed_by_gyro_and_sizes_by_term():
     assert sigmas == pytest.approx(1000.0 * explained().effects[0].sizes_sigma_dph[:, 0], rel=0.2)
 
 
+def test_a_term_that_no_gyro_has_is_not_listed():
+    effect = explained().effects[0]
+    without = replace(effect, sizes_dph=np.zeros_like(effect.sizes_dph))
+    sections = {
+        section.title: section for section in closure_sections(replace(explained(), effects=(without,)))
+    }
+    assert not sections["Effect"].tables[1].rows
+
+
 def test_the_lack_of_fit_tests_are_listed_before_and_after():
     *_, section = closure_sections(explained())
     rows = {row[0]: row[1:] for row in section.tables[0].rows}
