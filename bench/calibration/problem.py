@@ -44,6 +44,8 @@ _EXPLAINED_SHARE, _MIN_CHI2_PER_DOF = 0.1, 2.5
 #: If the error of the latitude is smaller than this, rad, its correction reduces chi2 by the square of the
 #: error in standard uncertainties; chi2 of sums over minutes by at most this multiple of it.
 _SMALL_ANGLE, _MAX_CHI2_RATIO = 0.01, 2.0
+#: Explanations are equally good if their chi2, with 2 for each parameter, differ by less: odds of 100 to 1.
+_MAX_CHI2_APART = 9.2
 #: A latitude is converged if the next step does not reduce chi2 below this share.
 _CONVERGED_SHARE = 0.5
 #: The noise does not explain the residuals if their p-value is smaller.
@@ -334,6 +336,14 @@ class CalibrationProblem:
             if self.options.tries_explanations and not all(getattr(self.options, name) for name in chosen)
             for problem in [replace(self, options=replace(self.options, **chosen))]
         ]
+        if self.options.tries_explanations:
+            interval_s = self.sections[0].interval_s
+            for retimed in self._at_other_intervals(estimates):
+                other_s = retimed.sections[0].interval_s
+                description = (
+                    f"samples {other_s:.6g} s apart and not {interval_s:.6g} s ('time' in the import map)"
+                )
+                alternatives.insert(0, (retimed, description, _solution(retimed)))
         if (converged := self._at_converged_latitude(estimates)) is not None:
             latitude, at_latitude = converged
             description = f"a latitude of {np.rad2deg(latitude.site.latitude):.3f} deg"
@@ -344,9 +354,10 @@ class CalibrationProblem:
             if other is not None and _explains(other.fit.chi2, estimates.fit)
         ]
         if explained:
-            _, description, fit = min(explained, key=lambda each: each[0])
+            lowest, _, fit = min(explained, key=lambda each: each[0])
             chi2_text = f"chi2 falls from {estimates.fit.chi2:.3g} to {fit.chi2:.3g}"
-            description = capitalised(description)
+            equal = [description for each, description, _ in explained if each < lowest + _MAX_CHI2_APART]
+            description = capitalised(" or ".join(equal))
             if fit.p_value >= UNEXPLAINED_P_VALUE:
                 return f"{description} would explain it: {chi2_text}"
             return (
@@ -401,23 +412,34 @@ class CalibrationProblem:
                 "accelerometers in the import map",
             )
         ]
-        # A wrong interval changes all scale factors equally: those of the accelerometers if the log has
-        # increments, those of the gyros if it has rates.
+        interval_s = self.sections[0].interval_s
+        alternatives += [
+            (
+                problem,
+                f"if samples are {problem.sections[0].interval_s:.4g} s apart and not {interval_s:.4g} s. "
+                "Correct 'time' in the import map",
+            )
+            for problem in self._at_other_intervals(estimates)
+        ]
+        for problem, text in alternatives:
+            other = _solution(problem)
+            if other is not None and other.fit.chi2 < _EXPLAINED_SHARE * estimates.fit.chi2:
+                raise MeasurementError(f"chi2 is {estimates.fit.chi2:.3g}, and {other.fit.chi2:.3g} {text}")
+
+    def _at_other_intervals(self, estimates: Estimates) -> Iterator[CalibrationProblem]:
+        """Problems with the sample intervals that would remove the mean scale factor error of a triad.
+
+        A wrong interval changes all scale factors equally: those of the accelerometers if the log has
+        increments, those of the gyros if it has rates.
+        """
         for sensor, are_rates in (("accelerometer", False), ("gyro", True)):
             is_scale = [each.name == f"{sensor}_scale_factor" for each in COEFFICIENTS]
             scale = 1.0 + float(estimates.values[:COUNT][is_scale].mean())
             factor = 1.0 / scale if are_rates else scale
             if abs(factor - 1.0) > _MIN_TIME_ERROR:
-                text = (
-                    f"if samples are {self.sections[0].interval_s * factor:.4g} s apart and not "
-                    f"{self.sections[0].interval_s:.4g} s. Correct 'time' in the import map"
+                yield replace(
+                    self, sections=[each.with_interval(factor, are_rates) for each in self.sections]
                 )
-                sections = [each.with_interval(factor, are_rates) for each in self.sections]
-                alternatives.append((replace(self, sections=sections), text))
-        for problem, text in alternatives:
-            other = _solution(problem)
-            if other is not None and other.fit.chi2 < _EXPLAINED_SHARE * estimates.fit.chi2:
-                raise MeasurementError(f"chi2 is {estimates.fit.chi2:.3g}, and {other.fit.chi2:.3g} {text}")
 
 
 def _solution(problem: CalibrationProblem) -> Estimates | None:

@@ -348,6 +348,17 @@ def test_a_wrong_latitude_is_named_with_the_right_one(off_deg):
     assert latitude_deg == pytest.approx(45.0, abs=0.02)
 
 
+@pytest.mark.parametrize("are_rates", [False, True])
+def test_a_sample_interval_that_is_wrong_by_a_thousandth_is_named_beside_the_latitude_that_explains_as_much(
+    are_rates,
+):
+    log = recorded(eighteen(), 14)
+    scale = 1.001 if are_rates else 1.0
+    wrong = IncrementRecording(log.interval_s * 1.001, log.angle * scale, log.velocity * scale)
+    (finding,) = calibrate([wrong], SITE).findings
+    assert re.search(r"A latitude of \S+ deg or samples 0\.0(4999|5)\d* s apart and not 0\.05005 s", finding)
+
+
 @pytest.mark.parametrize("off_deg", [10.0, -10.0])
 def test_a_latitude_that_is_wrong_by_many_degrees_is_named_as_well(off_deg):
     site, options = Site(SITE.latitude + np.deg2rad(off_deg)), CalibrationOptions(gravity=SITE.gravity)
