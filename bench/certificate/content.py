@@ -307,7 +307,7 @@ def certificate_of(folder: RunFolder, order: Order, *, simulated: bool = False) 
     if not run.is_simulated and not order.authorised_by:
         raise DocumentError("a certificate names who authorises it. Add --authorised-by NAME")
     coverage_factors = coverage(run.budget)
-    digest = file_sha256(folder.path / last_seal.where)
+    digest = file_sha256(folder.path / last_seal.relative_path)
     options = {**run.provenance.get("options", {}), **run.facts.options}
     order_texts = {
         name: getattr(order, name) or str(options.get(name, "")) for name in ("customer", "order", "item")

@@ -91,7 +91,7 @@ def certificate(
     from gyrobench.bench.certificate.issue import FORMATS, issue_certificate
     from gyrobench.bench.certificate.signatures import load_signing_key
     from gyrobench.bench.runs.folder import open_run_folder
-    from gyrobench.bench.runs.seal import keep_sealed
+    from gyrobench.bench.runs.seal import update_seal
 
     selected = {each.strip() for each in formats.split(",")}
     if not selected <= set(FORMATS):
@@ -102,7 +102,7 @@ def certificate(
     content = certificate_of(folder, order_data, simulated=simulated)
     signing_key = load_signing_key(key) if key else None
     paths = issue_certificate(content, selected, out or folder.path / "certificate", signing_key, schema)
-    keep_sealed(folder)
+    update_seal(folder)
     print_unfinished([folder.path], on_stderr=as_json)
     if as_json:
         print_json(

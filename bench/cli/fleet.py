@@ -83,7 +83,7 @@ def _add_command(kind: str) -> None:
         from gyrobench.bench.fleet.jobs import FleetRecord, JobKind, read_record
         from gyrobench.bench.fleet.workers import Workers
         from gyrobench.bench.runs.index.run_index import runs_in_index
-        from gyrobench.bench.runs.index.store import runs_named
+        from gyrobench.bench.runs.index.store import find_run_folders
 
         if scheduler and (workers or threads):
             raise DocumentError("--scheduler excludes --workers and --threads. Give one or the other")
@@ -95,7 +95,7 @@ def _add_command(kind: str) -> None:
         if from_index:
             paths = runs_in_index(from_index, open_index(from_index, index), selection)
         else:
-            paths = runs_named(runs or [])
+            paths = find_run_folders(runs or [])
         folder, job = out or Path(f"fleet-{kind}"), JobKind(kind)
         record = FleetRecord(job, folder) if again else read_record(job, folder)
         _process(record, paths, Workers(workers, threads, scheduler), as_json=as_json)

@@ -88,9 +88,9 @@ def report(
         terminal.print("--by has no effect: reports of emulated runs have no table to sign.", soft_wrap=True)
     if pdf:
         from gyrobench.bench.report.page import write_pdf
-        from gyrobench.bench.runs.seal import keep_sealed
+        from gyrobench.bench.runs.seal import update_seal
 
         terminal.print(f"PDF      {write_pdf(page, page.with_suffix('.pdf'))}", soft_wrap=True)
-        keep_sealed(folder)
+        update_seal(folder)
     if damage:
         raise typer.Exit(EXIT_NOT_FINISHED)

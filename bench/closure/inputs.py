@@ -23,7 +23,7 @@ from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.runs.marks import purpose_of
 from gyrobench.bench.runs.provenance import ins_identity, read_provenance, started_utc
-from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, read_coefficients_apart
+from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, read_coefficients_for_fit
 from gyrobench.bench.runs.telemetry import read_telemetry
 
 _MIN_SAMPLES = 2
@@ -109,7 +109,7 @@ def _rows_of(
         values = np.array([[row.accelerometer_ug, row.accelerometer_sigma_ug] for row in rows]).mT
         values[np.arange(len(rows)), [POSITIONS[row.position].up_axis for row in rows]] = np.nan
     elif run is not None and RunFolder(run).coefficients.exists():
-        coefficients = read_coefficients_apart(RunFolder(run).coefficients, RunFolder(run).budget)
+        coefficients = read_coefficients_for_fit(RunFolder(run).coefficients, RunFolder(run).budget)
         return _plateau_rows(rows, coefficients, quantity), replace(quantity, row="plateau")
     else:
         raise MeasurementError(

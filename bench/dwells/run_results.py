@@ -32,11 +32,11 @@ from gyrobench.bench.foundations.files import remove
 from gyrobench.bench.procedure.plan import DwellPurpose, Plan, PlannedStep
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
-from gyrobench.bench.runs.seal import keep_sealed
+from gyrobench.bench.runs.seal import update_seal
 from gyrobench.bench.runs.tables.budget_table import (
     budget_rows,
     coefficient_budget_rows,
-    with_found_latitude,
+    note_estimated_latitude,
     write_budget,
 )
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow, write_calibration_check
@@ -171,7 +171,9 @@ def write_results(folder: RunFolder, results: RunResults) -> None:
         remove(stale)
     biases = (budget_rows([each]) for each in results.budgets())
     coefficients = (coefficient_budget_rows(each.number, each.budgets) for each in results.coefficients)
-    rows = with_found_latitude(chain.from_iterable(chain(biases, coefficients)), results.declared_latitude)
+    rows = note_estimated_latitude(
+        chain.from_iterable(chain(biases, coefficients)), results.declared_latitude
+    )
     for first in islice(rows, 1):
         write_budget(folder.budget, chain([first], rows))
     if results.coefficients:
@@ -291,5 +293,5 @@ def recompute_run(path: Path, is_sealed: bool = True) -> RunFolder:
     calibration = read_dwells(folder.calibration) if folder.calibration.exists() else []
     evaluate_run(folder, station.plan(document, procedure), setup, dwells, check_dwells, calibration)
     if is_sealed:
-        keep_sealed(folder, are_tables_new=True)
+        update_seal(folder, are_tables_new=True)
     return folder

@@ -22,7 +22,7 @@ from gyrobench.bench.runs.can_log import log_path
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import BROKEN_LINKS, MAX_JOURNAL_BYTES, Journal, broken_links, intact_lines
 from gyrobench.bench.runs.marks import DwellMarks
-from gyrobench.bench.runs.provenance import read_provenance, start_of, write_provenance
+from gyrobench.bench.runs.provenance import read_provenance, start_from_journal, write_provenance
 from gyrobench.bench.runs.telemetry import damaged_telemetry
 
 _SUFFIX = ".damaged"
@@ -80,7 +80,7 @@ class Damage:
                 raise write_error(path, error) from error
         if self.is_provenance_lost:
             entries = [json.loads(line) for line in lines]
-            started, options = start_of(folder, entries)
+            started, options = start_from_journal(folder, entries)
             write_provenance(folder, started, {}, options)
         if folder.journal not in self.files:
             self._record(folder.journal, clock())

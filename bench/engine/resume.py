@@ -22,7 +22,7 @@ from gyrobench.bench.procedure.approach import index_after_dwell
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.runs.folder import UNITS_FOLDER, RunFolder, open_run_folder
 from gyrobench.bench.runs.journal import MAX_RUN_S
-from gyrobench.bench.runs.provenance import identities_in, start_of, started_utc
+from gyrobench.bench.runs.provenance import identities_in, start_from_journal, started_utc
 from gyrobench.bench.runs.seal import require_sealed_inputs
 from gyrobench.bench.runs.telemetry import last_reading_s
 from gyrobench.bench.station.instruments import Outputs
@@ -351,7 +351,7 @@ def prepare_resumption(path: Path, anyway: bool = False) -> Resumption:
             f"{path}: is a unit of the run {folder.path.absolute().parents[1]}. Resume that run instead"
         )
     damage, entries = find_damage(folder)
-    job = read_job(folder, start_of(folder, entries)[1] if damage.is_provenance_lost else None)
+    job = read_job(folder, start_from_journal(folder, entries)[1] if damage.is_provenance_lost else None)
     require_sealed_inputs(folder)
     resumption = _read(folder, job)
     state = resumption.state

@@ -36,7 +36,7 @@ from gyrobench.bench.runs.can_log import CanLog
 from gyrobench.bench.runs.compensation_file import write_compensation
 from gyrobench.bench.runs.folder import RUNS, RunFolder, create_run_folder
 from gyrobench.bench.runs.journal import Journal, facts_of, read_journal
-from gyrobench.bench.runs.provenance import add_identity, identities_in, note_inputs, write_provenance
+from gyrobench.bench.runs.provenance import add_identity, identities_in, update_input_hashes, write_provenance
 from gyrobench.bench.runs.telemetry import Telemetry
 from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE, Instruments
 from gyrobench.bench.station.locks import BenchLock, RunLock
@@ -317,7 +317,7 @@ def _record_start(
     for name, description in job.past_due().items():
         journal.record("past_due", instrument=name, found=description, operator=operator_name())
         observer.noted(f"Warning: {description}")
-    if changed := note_inputs(folder) if state.last_s else []:
+    if changed := update_input_hashes(folder) if state.last_s else []:
         description = (
             f"Changed since the run began: {listed(changed)}. All dwells are evaluated with the changes."
         )

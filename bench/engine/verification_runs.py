@@ -39,7 +39,7 @@ from gyrobench.bench.runs.tables.coefficient_table import (
     PlateauCoefficientRow,
     plateau_findings,
     read_coefficients,
-    read_coefficients_apart,
+    read_coefficients_for_fit,
     read_correlations,
 )
 from gyrobench.bench.station.instruments import Emulation
@@ -303,7 +303,7 @@ def _with_coefficients(
     search in a single cycle confirms no effect, and is not used.
     """
     _coefficients_of(run)  # raises for a run without rotations
-    polynomials = corrections(read_coefficients_apart(run.coefficients, run.budget))
+    polynomials = corrections(read_coefficients_for_fit(run.coefficients, run.budget))
     closures = [each for each in searches if not each.searched.all()]
     return [
         with_coefficients(

@@ -109,11 +109,11 @@ def _contributions_table(contributions: Mapping[str, ContributionSummary], orien
             continue
         title = _SUM_TITLES.get(name) or SOURCES[name].title
         marks.append("sum" if name in _SUM_TITLES else "")
-        if not contribution.known:
+        if not contribution.known_count:
             rows.append([title, "B", f"{_input_text(contribution)} {contribution.example.note}".strip()])
             continue
         if name in _SUM_TITLES:
-            expanded = math.sqrt(contribution.expanded_square / contribution.known)
+            expanded = math.sqrt(contribution.expanded_square / contribution.known_count)
             middle_cells = [
                 "",
                 "",
@@ -121,7 +121,7 @@ def _contributions_table(contributions: Mapping[str, ContributionSummary], orien
                 f"k = {_range_text(contribution.k, '.2f')}",
             ]
         else:
-            sensitivity = math.sqrt(contribution.sensitivity_square / max(contribution.sensitivities, 1))
+            sensitivity = math.sqrt(contribution.sensitivity_square / max(contribution.sensitivity_count, 1))
             cell = f"{sensitivity:.3g}" if sensitivity else ""
             middle_cells = [
                 contribution.example.type,
@@ -133,9 +133,9 @@ def _contributions_table(contributions: Mapping[str, ContributionSummary], orien
             [
                 title,
                 *middle_cells,
-                scale.text(math.sqrt(contribution.variance / contribution.known)),
-                f"{100.0 * contribution.share / contribution.shares:.1f}"
-                if contribution.shares
+                scale.text(math.sqrt(contribution.variance / contribution.known_count)),
+                f"{100.0 * contribution.share / contribution.share_count:.1f}"
+                if contribution.share_count
                 else "outside",
                 "∞" if math.isinf(contribution.dof) else f"{contribution.dof:.0f}",
             ]

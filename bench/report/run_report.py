@@ -65,8 +65,8 @@ from gyrobench.bench.report.run_content import RunContent, read_run, with_joint_
 from gyrobench.bench.report.run_findings import run_findings, signs_sentence
 from gyrobench.bench.report.run_text import VERDICT_COLOURS
 from gyrobench.bench.runs.folder import JOURNAL, RunFolder
-from gyrobench.bench.runs.provenance import DataHash, data_hashes, note_preparer
-from gyrobench.bench.runs.seal import keep_sealed
+from gyrobench.bench.runs.provenance import DataHash, data_hashes, record_preparer
+from gyrobench.bench.runs.seal import update_seal
 from gyrobench.bench.runs.tables.coefficient_table import plateau_findings
 from gyrobench.bench.runs.telemetry import read_telemetry
 
@@ -120,7 +120,7 @@ def write_report(
     """
     target = RunFolder(out or folder.path)
     if prepared_by:
-        note_preparer(folder, prepared_by)
+        record_preparer(folder, prepared_by)
     content = read_run(folder, are_tables_new)
     preparer = prepared_by or str(content.provenance.get("prepared_by", ""))
     make_folder(target.figures)
@@ -147,7 +147,7 @@ def write_report(
     write_whole(target.report, map(str.encode, render(content, paths, sections, hashes, preparer)))
     if out is None:
         sha256_by_path = {path: digest for each in hashes for path, digest in each.parts.items()}
-        keep_sealed(folder, sha256_by_path, are_tables_new)
+        update_seal(folder, sha256_by_path, are_tables_new)
     return target.report
 
 

@@ -16,7 +16,7 @@ from gyrobench.bench.report.page import Mark, Section, SectionTable, render_page
 from gyrobench.bench.report.run_content import RunContent, read_run
 from gyrobench.bench.report.run_report import damage_boxes, head_facts, write_report
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.runs.seal import keep_sealed
+from gyrobench.bench.runs.seal import update_seal
 
 
 def units_section(folder: RunFolder) -> Section:
@@ -51,7 +51,7 @@ def write_units_report(folder: RunFolder, prepared_by: str = "", vectors: Sequen
     )
     text = render_page(page, f"Run {content.name}, {procedure}", content.watermark, sign_off=prepared_by)
     write_whole(folder.report, map(str.encode, text))
-    keep_sealed(folder)
+    update_seal(folder)
     return folder.report
 
 

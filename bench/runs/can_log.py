@@ -1,12 +1,12 @@
 """The raw CAN log: every frame received, in BLF files, written and read in bulk.
 
-A BLF file is complete once it is closed, so the log is cut into parts: a part ends where
-:meth:`CanLog.cut` is called, and is on the disk from then on. A part that a kill or a power cut
-left open can still be read up to its last full container. Later frames begin a new part, so that
-frames before and after a gap are never taken for neighbours.
+A BLF file is complete once it is closed, so the log is divided into parts: :meth:`CanLog.cut` ends a part,
+which is then on the disk. A part that a kill or a power cut left open can still be read up to its last full
+container. Later frames begin a new part, so that frames before and after a gap are never treated as
+consecutive.
 
 The format is Vector's, in the form that python-can writes and reads: a header, then containers of deflated
-objects, one for each frame. Each container written here holds whole objects.
+objects, one for each frame. Containers written here never divide an object.
 """
 
 from __future__ import annotations
@@ -45,26 +45,26 @@ from gyrobench.bench.foundations.files import make_folder, read_limited, sync_fo
 from gyrobench.bench.runs.folder import find_parts, part_path
 from gyrobench.drivers.frames import ERROR_FRAME, FRAME_DTYPE, REMOTE_FRAME, FrameBlock, concatenate
 
-#: As dense on frames of an INS as zlib's fastest level, in a third of its time.
-_LEVEL = 1
+#: Compresses frames of an INS as well as zlib's fastest level, in a third of its time.
+_COMPRESSION_LEVEL = 1
 #: Size of a container before compression; Vector's tools write 128 kB.
 _MAX_UNPACKED = 128 * 1024
-#: No program packs as much into one container; damaged bytes could request gigabytes.
+#: No program writes larger containers; damaged bytes could request gigabytes.
 _MAX_UNPACKED_READ = 256 * 1024 * 1024
 _NS = 1e9
-_WRITER = (b"LOGG", FILE_HEADER_SIZE, 5, 0, 0, 0, 2, 6, 8, 1)
+_FILE_HEADER_START = (b"LOGG", FILE_HEADER_SIZE, 5, 0, 0, 0, 2, 6, 8, 1)
 
-_HEADER = [
+_OBJECT_HEADER = [
     ("signature", "S4"), ("header_size", "<u2"), ("version", "<u2"), ("size", "<u4"), ("kind", "<u4"),
     ("time_unit", "<u4"), ("client", "<u2"), ("object_version", "<u2"), ("time", "<u8"),
 ]  # fmt: skip
 #: Object of a data or remote frame.
 _FRAME = np.dtype(
-    [*_HEADER, ("channel", "<u2"), ("flags", "u1"), ("dlc", "u1"), ("id", "<u4"), ("data", "u1", (8,))]
+    [*_OBJECT_HEADER, ("channel", "<u2"), ("flags", "u1"), ("dlc", "u1"), ("id", "<u4"), ("data", "u1", (8,))]
 )
 #: Object of an error frame.
 _ERROR = np.dtype(
-    [*_HEADER, ("channel", "<u2"), ("unused", "V8"), ("dlc", "u1"), ("unused_2", "V5"), ("id", "<u4"),
+    [*_OBJECT_HEADER, ("channel", "<u2"), ("unused", "V8"), ("dlc", "u1"), ("unused_2", "V5"), ("id", "<u4"),
      ("unused_3", "V4"), ("data", "u1", (8,))]
 )  # fmt: skip
 
@@ -77,7 +77,7 @@ def _template(dtype: np.dtype[np.void], kind: int) -> NDArray[np.void]:
     return template
 
 
-_FRAMES, _ERRORS = _template(_FRAME, CAN_MESSAGE), _template(_ERROR, CAN_ERROR_EXT)
+_FRAME_TEMPLATE, _ERROR_TEMPLATE = _template(_FRAME, CAN_MESSAGE), _template(_ERROR, CAN_ERROR_EXT)
 
 
 class BlfWriter:
@@ -88,17 +88,17 @@ class BlfWriter:
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream = stream
-        self.count = 0  #: Frames so far.
+        self.count = 0  #: Frames written so far.
         self._unpacked = FILE_HEADER_SIZE
         self._start_s: float | None = None
         self._stop_s = 0.0
 
     def write(self, block: FrameBlock) -> None:
-        """Write frames, in containers that are passed to the operating system."""
+        """Write frames, and pass their containers to the operating system."""
         if not len(block):
             return
         if self._start_s is None:
-            # A header has whole milliseconds, of calendar times alone.
+            # The header holds whole milliseconds, and only calendar times.
             first_s = float(block.timestamp_s[0])
             self._start_s = int(first_s * 1000) / 1000 if timestamp_to_systemtime(first_s)[0] else 0.0
             self._write_header()
@@ -106,17 +106,17 @@ class BlfWriter:
         self.count += len(block)
         step = _MAX_UNPACKED // _FRAME.itemsize
         for first in range(0, len(block), step):
-            self._write_container(_packed(block.take(slice(first, first + step)), self._start_s))
+            self._write_container(_pack_objects(block.take(slice(first, first + step)), self._start_s))
         self._stream.flush()
 
     def finish(self) -> None:
-        """Complete the header; more frames may follow, after which it is to be completed again."""
+        """Complete the header; if more frames follow, it must be completed again."""
         self._write_header()
         self._stream.seek(0, io.SEEK_END)
         self._stream.flush()
 
     def _write_container(self, objects: bytes) -> None:
-        packed = isal_zlib.compress(objects, _LEVEL)
+        packed = isal_zlib.compress(objects, _COMPRESSION_LEVEL)
         size = OBJ_HEADER_BASE_STRUCT.size + LOG_CONTAINER_STRUCT.size + len(packed)
         header = OBJ_HEADER_BASE_STRUCT.pack(b"LOBJ", OBJ_HEADER_BASE_STRUCT.size, 1, size, LOG_CONTAINER)
         container = LOG_CONTAINER_STRUCT.pack(ZLIB_DEFLATE, len(objects))
@@ -127,28 +127,28 @@ class BlfWriter:
         size = max(self._stream.seek(0, io.SEEK_END), FILE_HEADER_SIZE)
         self._stream.seek(0)
         times = (*timestamp_to_systemtime(self._start_s), *timestamp_to_systemtime(self._stop_s))
-        header = FILE_HEADER_STRUCT.pack(*_WRITER, size, self._unpacked, self.count, 0, *times)
+        header = FILE_HEADER_STRUCT.pack(*_FILE_HEADER_START, size, self._unpacked, self.count, 0, *times)
         self._stream.write(header.ljust(FILE_HEADER_SIZE, b"\0"))
 
 
-def _packed(block: FrameBlock, start_s: float) -> bytes:
-    """Objects of some frames, one after the other."""
+def _pack_objects(block: FrameBlock, start_s: float) -> bytes:
+    """Frames as a sequence of BLF objects; times are relative to ``start_s``."""
     rows = block.rows
-    objects = _filled(_FRAMES, rows, start_s)
+    objects = _fill_template(_FRAME_TEMPLATE, rows, start_s)
     if block.data_frames() is block:
         return objects.tobytes()
     flags = rows["flags"]
     objects["flags"] = np.where(flags & REMOTE_FRAME, REMOTE_FLAG, 0)
     is_error = (flags & ERROR_FRAME) != 0
-    space = np.zeros((len(rows), _ERROR.itemsize), np.uint8)
-    space[:, : _FRAME.itemsize] = objects.view(np.uint8).reshape(len(rows), -1)
-    errors = _filled(_ERRORS, rows[is_error], start_s)
-    space[is_error] = errors.view(np.uint8).reshape(-1, _ERROR.itemsize)
+    buffer = np.zeros((len(rows), _ERROR.itemsize), np.uint8)
+    buffer[:, : _FRAME.itemsize] = objects.view(np.uint8).reshape(len(rows), -1)
+    errors = _fill_template(_ERROR_TEMPLATE, rows[is_error], start_s)
+    buffer[is_error] = errors.view(np.uint8).reshape(-1, _ERROR.itemsize)
     lengths = np.where(is_error, _ERROR.itemsize, _FRAME.itemsize)
-    return space[np.arange(_ERROR.itemsize) < lengths[:, np.newaxis]].tobytes()
+    return buffer[np.arange(_ERROR.itemsize) < lengths[:, np.newaxis]].tobytes()
 
 
-def _filled(template: NDArray[np.void], rows: NDArray[np.void], start_s: float) -> NDArray[np.void]:
+def _fill_template(template: NDArray[np.void], rows: NDArray[np.void], start_s: float) -> NDArray[np.void]:
     objects = np.frombuffer(bytearray(template.tobytes() * len(rows)), template.dtype)
     objects["time"] = np.maximum((rows["time_s"] - start_s) * _NS, 0.0)
     objects["dlc"], objects["id"], objects["data"] = rows["length"], rows["id"], rows["data"]
@@ -156,26 +156,26 @@ def _filled(template: NDArray[np.void], rows: NDArray[np.void], start_s: float) 
 
 
 def read_blf(content: bytes) -> tuple[FrameBlock, bool]:
-    """Frames of a BLF file, those of FD left out, and whether all of the file was read.
+    """Frames of a BLF file, without CAN FD frames, and whether the whole file was read.
 
-    A file is read up to its first container that is cut off, damaged or of an unknown form. Other objects
-    than :class:`BlfWriter` writes are read by python-can, frame by frame.
+    The file is read up to the first container that is cut off, damaged or of an unknown form. Files with
+    other objects than those of :class:`BlfWriter` are read by python-can, frame by frame.
     """
     try:
         header = FILE_HEADER_STRUCT.unpack_from(content)
         if header[0] != b"LOGG":
             return FrameBlock.from_messages([]), False
-        objects, end = _unpacked(content, max(header[1], FILE_HEADER_STRUCT.size))
-        block, is_whole = _block(objects, systemtime_to_timestamp(header[14:22])), True
+        objects, end = _unpack_containers(content, max(header[1], FILE_HEADER_STRUCT.size))
+        block, is_whole = _decode_objects(objects, systemtime_to_timestamp(header[14:22])), True
     except struct.error:
         return FrameBlock.from_messages([]), False
     if block is None:
-        block, is_whole = _by_python_can(content[:end])
+        block, is_whole = _read_with_python_can(content[:end])
     return block, is_whole and not content[end:].strip(b"\0")
 
 
-def _unpacked(content: bytes, end: int) -> tuple[bytes, int]:
-    """Objects of the containers from ``end`` to the first that can't be read, and where that begins."""
+def _unpack_containers(content: bytes, end: int) -> tuple[bytes, int]:
+    """Objects of the containers from offset ``end`` on, and the offset of the first unreadable one."""
     unpacked: list[bytes] = []
     try:
         while content[end : end + 4] == b"LOBJ":
@@ -186,9 +186,9 @@ def _unpacked(content: bytes, end: int) -> tuple[bytes, int]:
             if kind != LOG_CONTAINER or end + size > len(content) or unpacked_size > _MAX_UNPACKED_READ:
                 break
             if method == ZLIB_DEFLATE:
-                unpacking = isal_zlib.decompressobj()
-                objects = unpacking.decompress(objects, unpacked_size + 1)
-                if not unpacking.eof:
+                decompressor = isal_zlib.decompressobj()
+                objects = decompressor.decompress(objects, unpacked_size + 1)
+                if not decompressor.eof:
                     break
             elif method != NO_COMPRESSION:
                 break
@@ -201,48 +201,48 @@ def _unpacked(content: bytes, end: int) -> tuple[bytes, int]:
     return b"".join(unpacked), end
 
 
-def _block(objects: bytes, start_s: float) -> FrameBlock | None:
-    """Frames of objects as :class:`BlfWriter` writes them; None if there are others."""
+def _decode_objects(objects: bytes, start_s: float) -> FrameBlock | None:
+    """Frames of the objects that :class:`BlfWriter` writes; None if there are other objects."""
     content = np.frombuffer(objects, np.uint8)
     if len(content) % _FRAME.itemsize == 0:
         frames = content.view(_FRAME)
-        if _are_like(_FRAMES, frames):
-            return _read(frames, start_s)
-    starts, at = [], 0
-    while at + 12 <= len(objects):  # error frames between the others: their objects are longer
-        starts.append(at)
-        at += max(int.from_bytes(objects[at + 8 : at + 12], "little"), 12)
-    begin = np.array(starts)
-    size = np.diff(np.append(begin, at))
+        if _match_template(_FRAME_TEMPLATE, frames):
+            return _decode_uniform(frames, start_s)
+    starts, offset = [], 0
+    while offset + 12 <= len(objects):  # objects of error frames are longer
+        starts.append(offset)
+        offset += max(int.from_bytes(objects[offset + 8 : offset + 12], "little"), 12)
+    offsets = np.array(starts)
+    size = np.diff(np.append(offsets, offset))
     is_error = size == _ERROR.itemsize
-    if at != len(objects) or not np.all(is_error | (size == _FRAME.itemsize)):
+    if offset != len(objects) or not np.all(is_error | (size == _FRAME.itemsize)):
         return None
-    rows = np.empty(len(begin), FRAME_DTYPE)
-    for template, chosen in ((_FRAMES, ~is_error), (_ERRORS, is_error)):
-        places = begin[chosen, np.newaxis] + np.arange(template.itemsize)
-        frames = content[places].view(template.dtype)[:, 0]
-        if not _are_like(template, frames):
+    rows = np.empty(len(offsets), FRAME_DTYPE)
+    for template, is_selected in ((_FRAME_TEMPLATE, ~is_error), (_ERROR_TEMPLATE, is_error)):
+        indices = offsets[is_selected, np.newaxis] + np.arange(template.itemsize)
+        frames = content[indices].view(template.dtype)[:, 0]
+        if not _match_template(template, frames):
             return None
-        rows[chosen] = _read(frames, start_s).rows
+        rows[is_selected] = _decode_uniform(frames, start_s).rows
     return FrameBlock(rows)
 
 
-def _are_like(template: NDArray[np.void], objects: NDArray[np.void]) -> bool:
-    # Up to the unit of time; numbers of four bytes compare faster than fields.
+def _match_template(template: NDArray[np.void], objects: NDArray[np.void]) -> bool:
+    # Compares the header up to the unit of time, as 4-byte numbers, which is faster than by field.
     words, fixed = (
         each.view("<u4").reshape(-1, template.itemsize // 4)[:, :5] for each in (objects, template)
     )
     return bool((words == fixed).all() and (objects["dlc"] <= 8).all())
 
 
-def _read(objects: NDArray[np.void], start_s: float) -> FrameBlock:
+def _decode_uniform(objects: NDArray[np.void], start_s: float) -> FrameBlock:
     is_error = objects.dtype == _ERROR
     flags = ERROR_FRAME if is_error else np.where(objects["flags"] & REMOTE_FLAG, REMOTE_FRAME, 0)
     time_s = objects["time"] / _NS + start_s
     return FrameBlock.from_columns(time_s, objects["id"], objects["dlc"], objects["data"], flags)
 
 
-def _by_python_can(content: bytes) -> tuple[FrameBlock, bool]:
+def _read_with_python_can(content: bytes) -> tuple[FrameBlock, bool]:
     messages: list[can.Message] = []
     is_whole = False
     try:
@@ -250,51 +250,51 @@ def _by_python_can(content: bytes) -> tuple[FrameBlock, bool]:
             messages.extend(reader)
         is_whole = True
     except (ValueError, OverflowError, struct.error, can.CanError, BLFParseError):
-        pass  # damaged in a way that the containers do not show
+        pass  # damaged inside a container that was read
     return FrameBlock.from_messages(messages), is_whole
 
 
 _SUFFIX = ".blf"
-#: A dwell of some hours on a bus that is never idle.
+#: Size of a dwell of several hours on a fully loaded bus.
 _MAX_PART_BYTES = 1_000_000_000
-#: Frames that are written together, or what comes within this time, s: the maximum loss after a kill.
-_FRAMES_AT_ONCE, _SECONDS_AT_ONCE = 340, 10.0
+#: Pending frames, and their time span, s, from which they are written: the maximum loss after a kill.
+_MAX_PENDING_FRAMES, _MAX_PENDING_S = 340, 10.0
 
 
 class CanLog:
     """Writes the raw CAN log of a run.
 
-    ``folder``: made if absent; existing parts are kept and numbering continues. Raises RunFolderError if a
-    part can't be written. It ends there; the next frame begins a new one.
+    ``folder``: created if missing; existing parts are kept and numbering continues. Raises RunFolderError if
+    a part can't be written; that part then ends, and the next frame begins a new one.
     """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         make_folder(folder)
-        self._next = 1 + max(find_parts(folder, _SUFFIX), default=0)
+        self._next_number = 1 + max(find_parts(folder, _SUFFIX), default=0)
         self._part: _OpenPart | None = None
 
     @property
     def next_part(self) -> int:
-        """Number of the part that the next frame begins, after :meth:`cut`."""
-        return self._next
+        """Number of the part that the next frame begins after :meth:`cut`."""
+        return self._next_number
 
     def write(self, block: FrameBlock) -> None:
-        """Add frames in the order received; readable after some hundred, or some seconds."""
+        """Add frames in the order received; they are written after a few hundred frames or a few seconds."""
         if self._part is None:
-            path = log_path(self._folder, self._next)
+            path = log_path(self._folder, self._next_number)
             try:
                 self._part = _OpenPart(path)
             except OSError as error:
                 raise write_error(path, error) from error
-            self._next += 1
+            self._next_number += 1
         try:
             self._part.write(block)
         except OSError as error:
             raise self._abandon(self._part, error) from error
 
     def write_waiting(self, now_s: float) -> None:
-        """Write frames that no others have followed for some seconds by the clock of the run."""
+        """Write pending frames if none has followed for some seconds; ``now_s``: time on the run's clock."""
         if self._part is not None:
             try:
                 self._part.write_waiting(now_s)
@@ -302,7 +302,7 @@ class CanLog:
                 raise self._abandon(self._part, error) from error
 
     def sync(self) -> None:
-        """Bring all frames so far to the disk; the part continues."""
+        """Sync all frames so far to the disk; the part continues."""
         if self._part is not None:
             try:
                 self._part.sync()
@@ -311,7 +311,7 @@ class CanLog:
                 raise self._abandon(self._part, error) from error
 
     def cut(self) -> None:
-        """End the present part; when this returns, all frames so far are on the disk."""
+        """End the current part; all frames so far are on the disk when this returns."""
         self.sync()
         if self._part is not None:
             self._part.close()
@@ -331,29 +331,32 @@ class _OpenPart:
         self._stream: BinaryIO = path.open("xb")
         self._writer = BlfWriter(self._stream)
         self._pending: list[FrameBlock] = []
-        self._count = 0
-        self._since_s = 0.0
-        self._noticed_s: float | None = None  # when the pending frames were first found, by the run's clock
+        self._pending_count = 0
+        self._pending_since_s = 0.0
+        self._idle_since_s: float | None = None  # run's clock at the first check of the pending frames
 
     def write(self, block: FrameBlock) -> None:
         if not len(block):
             return
         last_s = block.timestamp_s.item(-1)
         if not self._pending:
-            self._since_s = last_s
+            self._pending_since_s = last_s
         self._pending.append(block)
-        self._count += len(block)
-        if self._count >= _FRAMES_AT_ONCE or abs(last_s - self._since_s) >= _SECONDS_AT_ONCE:
+        self._pending_count += len(block)
+        if (
+            self._pending_count >= _MAX_PENDING_FRAMES
+            or abs(last_s - self._pending_since_s) >= _MAX_PENDING_S
+        ):
             self._flush()
 
     def _flush(self) -> None:
         self._writer.write(concatenate(self._pending))
-        self._pending, self._count, self._noticed_s = [], 0, None
+        self._pending, self._pending_count, self._idle_since_s = [], 0, None
 
     def write_waiting(self, now_s: float) -> None:
-        if self._noticed_s is None:
-            self._noticed_s = now_s if self._pending else None
-        elif now_s - self._noticed_s >= _SECONDS_AT_ONCE:
+        if self._idle_since_s is None:
+            self._idle_since_s = now_s if self._pending else None
+        elif now_s - self._idle_since_s >= _MAX_PENDING_S:
             self._flush()
 
     def sync(self) -> None:
@@ -367,15 +370,15 @@ class _OpenPart:
 
 
 def log_path(folder: Path, number: int) -> Path:
-    """Path of a part of the log, numbered from 1."""
+    """Path of a part of the log; parts are numbered from 1."""
     return part_path(folder, number, _SUFFIX)
 
 
 def read_can_log(folder: Path, numbers: Container[int] | None = None) -> Iterator[tuple[int, FrameBlock]]:
-    """Frames of a run's log in the order received, part by part: its number and its frames.
+    """Frames of a run's log in the order received: number and frames of each part.
 
-    A part that was never ended, or is damaged, gives the frames before its first container that is not whole;
-    it may give none. ``numbers`` selects parts; by default all are read. Raises RunFolderError if there is no
+    A part that was never ended, or is damaged, yields the frames before its first incomplete container; there
+    may be none. ``numbers`` selects parts; by default all are read. Raises RunFolderError if there is no
     log, or a part can't be read from the disk.
     """
     parts = find_parts(folder, _SUFFIX)

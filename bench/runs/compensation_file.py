@@ -1,4 +1,4 @@
-"""The compensation file: what an INS is to subtract from its gyros, as YAML."""
+"""The compensation file: the corrections that an INS subtracts from its gyros, as YAML."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.drivers.ins.compensation import PARAMETER_NAMES, Compensation, Correction
 
-_OfGyros = Annotated[list[float], Field(min_length=3, max_length=3)]
-_Vectors = Annotated[list[_OfGyros], Field(min_length=3, max_length=3)]
+_GyroValues = Annotated[list[float], Field(min_length=3, max_length=3)]
+_Vectors = Annotated[list[_GyroValues], Field(min_length=3, max_length=3)]
 _Polynomials = Annotated[list[Annotated[list[float], Field(min_length=1)]], Field(min_length=3, max_length=3)]
-_Name = Literal[
+_NumberName = Literal[
     "polynomial_dph",
     "rate_dph_per_c_per_h",
     "gradient_dph_per_k",
@@ -42,7 +42,7 @@ class CorrectionEntry(StrictModel):
         description="coefficients from degree 0 up, T in degC"
     )
     rate_per_c_per_h: float = Field(0.0, description="per rate of T")
-    gravity_per_g: _OfGyros = Field([0.0, 0.0, 0.0], description="along Up")
+    gravity_per_g: _GyroValues = Field([0.0, 0.0, 0.0], description="along Up")
     range_c: Annotated[list[float], Field(min_length=2, max_length=2)] | None = Field(
         None, description="lowest and highest T used; default: those of the gyro of its axis"
     )
@@ -62,27 +62,29 @@ class CompensationFile(StrictModel):
         default=None, description="serial number of the only INS that gets it; by default any"
     )
     polynomial_dph: _Polynomials = Field(description="coefficients from degree 0 up, T in degC")
-    low_c: _OfGyros = Field(description="lowest T used")
-    high_c: _OfGyros = Field(description="highest T used")
-    rate_dph_per_c_per_h: _OfGyros | None = Field(default=None, description="per rate of T")
-    rate_limit_c_per_h: _OfGyros | None = Field(default=None, description="highest rate used, of either sign")
-    gradient_dph_per_k: _OfGyros | None = Field(default=None, description="per B - T")
-    difference_low_k: _OfGyros | None = Field(default=None, description="lowest B - T used")
-    difference_high_k: _OfGyros | None = Field(default=None, description="highest B - T used")
+    low_c: _GyroValues = Field(description="lowest T used")
+    high_c: _GyroValues = Field(description="highest T used")
+    rate_dph_per_c_per_h: _GyroValues | None = Field(default=None, description="per rate of T")
+    rate_limit_c_per_h: _GyroValues | None = Field(
+        default=None, description="highest rate used, of either sign"
+    )
+    gradient_dph_per_k: _GyroValues | None = Field(default=None, description="per B - T")
+    difference_low_k: _GyroValues | None = Field(default=None, description="lowest B - T used")
+    difference_high_k: _GyroValues | None = Field(default=None, description="highest B - T used")
     saturating_dph_per_k: _Vectors | None = Field(
         default=None, description="per B - T along Up, below the onset"
     )
     growing_dph_per_k: _Vectors | None = Field(
         default=None, description="per B - T along Up, the more the colder"
     )
-    onset_c: _OfGyros | None = Field(default=None, description="temperature of the onset")
-    onset_width_c: _OfGyros | None = Field(default=None, description="width of the onset")
+    onset_c: _GyroValues | None = Field(default=None, description="temperature of the onset")
+    onset_width_c: _GyroValues | None = Field(default=None, description="width of the onset")
     gravity_dph_per_g: _Vectors | None = Field(default=None, description="along Up")
-    warm_up_dph: _OfGyros | None = Field(default=None, description="at power-on")
-    warm_up_s: _OfGyros | None = Field(default=None, description="time constant of the warm-up")
-    hysteresis_dph_per_k: _OfGyros | None = Field(default=None, description="per play of T, less T")
-    half_width_k: _OfGyros | None = Field(default=None, description="half width of the play")
-    sigma: dict[_Name, _Polynomials | _OfGyros] | None = Field(
+    warm_up_dph: _GyroValues | None = Field(default=None, description="at power-on")
+    warm_up_s: _GyroValues | None = Field(default=None, description="time constant of the warm-up")
+    hysteresis_dph_per_k: _GyroValues | None = Field(default=None, description="per play of T, less T")
+    half_width_k: _GyroValues | None = Field(default=None, description="half width of the play")
+    sigma: dict[_NumberName, _Polynomials | _GyroValues] | None = Field(
         default=None, description="standard uncertainty of each number, by its key; an INS does not get them"
     )
 
@@ -93,7 +95,7 @@ class CompensationFile(StrictModel):
     )
 
     @model_validator(mode="after")
-    def _fits_together(self) -> Self:
+    def _check_consistency(self) -> Self:
         if len({len(row) for row in self.polynomial_dph}) > 1:
             raise ValueError("polynomial_dph must have as many coefficients for each gyro")
         self.compensation()
@@ -101,11 +103,11 @@ class CompensationFile(StrictModel):
 
     @property
     def serial_number(self) -> str:
-        """Serial number of the only INS that gets it; empty for any."""
+        """Serial number of the only INS that may get it; empty for any."""
         return str(self.unit or "")
 
     def compensation(self) -> Compensation:
-        """Give what the file describes."""
+        """Compensation that the file describes."""
         numbers = {
             name: np.array(value) for name, value in self if value is not None and name in PARAMETER_NAMES
         }
@@ -123,7 +125,7 @@ class CompensationFile(StrictModel):
 
 
 def write_compensation(path: Path, compensation: Compensation, unit: str = "") -> None:
-    """Write a compensation file; numbers that are zero for all gyros are left out where they may be.
+    """Write a compensation file, without optional numbers that are zero for all gyros.
 
     ``unit``: serial number of the only INS that gets it; empty for any. Raises RunFolderError if the file
     can't be written.
@@ -135,13 +137,13 @@ def write_compensation(path: Path, compensation: Compensation, unit: str = "") -
     sigma = {name: value.tolist() for name, value in compensation.sigma.items() if value.any()}
     content |= {"sigma": sigma} if sigma else {}
     corrections = {
-        name: _entry(compensation.coefficients[name]) for name in compensation.corrections_in_use()
+        name: _correction_entry(compensation.coefficients[name]) for name in compensation.corrections_in_use()
     }
     content |= {"coefficients": corrections} if corrections else {}
     write_whole(path, (_HEAD + yaml.safe_dump(content, sort_keys=False, default_flow_style=None)).encode())
 
 
-def _entry(correction: Correction) -> dict[str, Any]:
+def _correction_entry(correction: Correction) -> dict[str, Any]:
     entry: dict[str, Any] = {"polynomial": correction.polynomial.tolist()}
     if correction.rate_per_c_per_h:
         entry["rate_per_c_per_h"] = float(correction.rate_per_c_per_h)
@@ -158,22 +160,22 @@ def read_compensation_file(path: Path) -> CompensationFile:
 
 
 def read_compensation(path: Path) -> Compensation:
-    """What a compensation file describes; raises as :func:`read_compensation_file` does."""
+    """Read the compensation of a file; raises as :func:`read_compensation_file`."""
     return read_compensation_file(path).compensation()
 
 
 def compensations_in_use(run: RunFolder) -> list[str]:
     """Checksums of the compensations that the INS applied in a run.
 
-    Also of one that the run loaded into an INS that does not report what it applies. Raises RunFolderError if
-    the journal can't be read.
+    Includes one that the run loaded into an INS that does not report what it applies. Raises RunFolderError
+    if the journal can't be read.
     """
-    found = []
+    checksums = []
     for entry in read_journal(run.journal):
         if entry.get("event") != "compensation":
             continue
         in_use = entry.get("in_use", {})
         is_loaded = entry.get("terms") is not None and in_use.get("active") is None
         if in_use.get("active") or is_loaded:
-            found.append(str(in_use.get("checksum") or "checksum unknown"))
-    return list(dict.fromkeys(found))
+            checksums.append(str(in_use.get("checksum") or "checksum unknown"))
+    return list(dict.fromkeys(checksums))

@@ -1,9 +1,10 @@
-"""Fingerprint of a file: finds where a file was changed, without a copy of it.
+"""Fingerprint of a file, which locates a change of the file without a copy of it.
 
-A file is taken in blocks: lines of text, or 4 KiB. Of each block the fingerprint keeps its length, the start
-of its SHA-256, the sum of its bytes and their first moment, both modulo a prime. If one byte of a block
-changed, the differences of sum and moment give its place and its former value, as the two syndromes of a
-Reed-Solomon code do; the hash of the restored block proves it. Of more changes only the block is known.
+A file is divided into blocks: lines of text, or 4 KiB. The fingerprint keeps the length of each block, the
+start of its SHA-256, the sum of its bytes and their first moment, both modulo a prime. If one byte of a block
+changed, the differences of sum and moment give its index and its former value, as the two syndromes of a
+Reed-Solomon code do; the hash of the restored block proves it. If more bytes changed, only the block is
+known.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from gyrobench.bench.foundations.errors import RunFolderError
 
 _PRIME = 65521
 _BLOCK_BYTES = 4096
-#: Short lines share a block; longer ones than a block are cut.
+#: Shorter lines share a block; lines longer than a block are divided.
 _MIN_LINE_BYTES = 64
 _DIGEST_BYTES = 8
 _READ_BYTES = 1 << 20
@@ -48,18 +49,19 @@ def fingerprint_of(path: Path) -> str:
             packed += packer.flush()
     except OSError as error:
         raise RunFolderError(f"{path}: can't be read: {error.strerror}") from error
-    # Pieces of whole words are encoded alike; all at once would take twenty times the memory of the text.
+    # Encoding in pieces of whole words gives the same text; all at once takes 20 times the memory of the
+    # text.
     pieces = (packed[start : start + _BLOCK_BYTES] for start in range(0, len(packed), _BLOCK_BYTES))
     return b"".join(map(base64.b85encode, pieces)).decode()
 
 
 @dataclass(frozen=True)
 class Change:
-    """Where a file differs from its fingerprint first."""
+    """First difference of a file from its fingerprint."""
 
     start: int  #: First byte, from 0, that may differ.
-    end: int  #: Byte after the last one of the range; start + 1 where the byte is known.
-    text: str  #: What was changed, and where: byte, line, cell.
+    end: int  #: Byte after the last one that may differ; start + 1 if the changed byte is known.
+    text: str  #: Description of the change with its location: byte, line, cell.
 
 
 def find_change(path: Path, fingerprint: str) -> Change | None:
@@ -77,7 +79,7 @@ def find_change(path: Path, fingerprint: str) -> Change | None:
             for record in records:
                 block = stream.read(int(record["length"]))
                 if _digest(block) != bytes(record["digest"]):
-                    return _change_in(path, start, block, record)
+                    return _locate_change(path, start, block, record)
                 start += len(block)
             if added := len(stream.read(_READ_BYTES)):
                 return Change(start, start + added, f"bytes were added after byte {start}")
@@ -86,44 +88,46 @@ def find_change(path: Path, fingerprint: str) -> Change | None:
     return None
 
 
-def _change_in(path: Path, start: int, block: bytes, record: NDArray[np.void]) -> Change:
+def _locate_change(path: Path, start: int, block: bytes, record: NDArray[np.void]) -> Change:
     if len(block) < record["length"]:
         end = start + len(block)
         return Change(start, end, f"cut off at byte {end}; it differs from byte {start} at the latest")
-    at, former = _single_change(block, record)
-    if at < 0:
+    index, former = _single_change(block, record)
+    if index < 0:
         end = start + len(block)
-        where = _place(path, start, end)
+        location = _location(path, start, end)
         return Change(
-            start, end, f"several bytes were changed between byte {start} and byte {end - 1}{where}"
+            start, end, f"several bytes were changed between byte {start} and byte {end - 1}{location}"
         )
-    found = block[at]
-    where = _place(path, start + at, start + at + 1)
+    value = block[index]
+    location = _location(path, start + index, start + index + 1)
     return Change(
-        start + at, start + at + 1, f"byte {start + at} is 0x{found:02x} and was 0x{former:02x}{where}"
+        start + index,
+        start + index + 1,
+        f"byte {start + index} is 0x{value:02x} and was 0x{former:02x}{location}",
     )
 
 
 def _single_change(block: bytes, record: NDArray[np.void]) -> tuple[int, int]:
-    """Place and former value of the one byte that was changed; the place is -1 if several were."""
-    now = _record(block)
-    difference = (now[1] - int(record["sum"])) % _PRIME
-    moment = (now[2] - int(record["moment"])) % _PRIME
+    """Index and former value of the one byte that was changed; the index is -1 if several were."""
+    current = _record(block)
+    difference = (current[1] - int(record["sum"])) % _PRIME
+    moment = (current[2] - int(record["moment"])) % _PRIME
     if difference:
-        at = moment * pow(difference, -1, _PRIME) % _PRIME
+        index = moment * pow(difference, -1, _PRIME) % _PRIME
         signed = difference if difference < _PRIME // 2 else difference - _PRIME
-        if at < len(block) and 0 <= block[at] - signed <= 0xFF:
-            former = block[at] - signed
-            if _digest(block[:at] + bytes([former]) + block[at + 1 :]) == bytes(record["digest"]):
-                return at, former
+        if index < len(block) and 0 <= block[index] - signed <= 0xFF:
+            former = block[index] - signed
+            if _digest(block[:index] + bytes([former]) + block[index + 1 :]) == bytes(record["digest"]):
+                return index, former
     return -1, 0
 
 
 def _record(block: bytes) -> tuple[int, int, int, bytes]:
-    # Adler-32 has one more than the sum, and the moment counted from behind, modulo the same prime.
-    counted, before = divmod(zlib.adler32(block), 1 << 16)
-    total = (before - 1) % _PRIME
-    return len(block), total, (len(block) * before - counted) % _PRIME, _digest(block)
+    # Adler-32 holds the sum plus one, and the moment counted from the end, modulo the same prime.
+    moment_from_end, sum_plus_one = divmod(zlib.adler32(block), 1 << 16)
+    total = (sum_plus_one - 1) % _PRIME
+    return len(block), total, (len(block) * sum_plus_one - moment_from_end) % _PRIME, _digest(block)
 
 
 def _digest(block: bytes) -> bytes:
@@ -131,28 +135,28 @@ def _digest(block: bytes) -> bytes:
 
 
 def _blocks(stream: BinaryIO, is_text: bool) -> Iterator[bytes]:
-    """Blocks of a file in order; of text, lines."""
-    left = b""
+    """Blocks of a file in order; for text, lines."""
+    unread = b""
     while data := stream.read(16 * _BLOCK_BYTES):
-        left += data
+        unread += data
         start = 0
-        while len(left) - start >= _BLOCK_BYTES:
+        while len(unread) - start >= _BLOCK_BYTES:
             end = start + _BLOCK_BYTES
             if is_text:
-                newline = left.find(b"\n", start + _MIN_LINE_BYTES - 1, end)
+                newline = unread.find(b"\n", start + _MIN_LINE_BYTES - 1, end)
                 end = end if newline < 0 else newline + 1
-            yield left[start:end]
+            yield unread[start:end]
             start = end
-        left = left[start:]
-    while left:
-        newline = left.find(b"\n", _MIN_LINE_BYTES - 1) if is_text else -1
-        end = len(left) if newline < 0 else newline + 1
-        yield left[:end]
-        left = left[end:]
+        unread = unread[start:]
+    while unread:
+        newline = unread.find(b"\n", _MIN_LINE_BYTES - 1) if is_text else -1
+        end = len(unread) if newline < 0 else newline + 1
+        yield unread[:end]
+        unread = unread[end:]
 
 
-def _place(path: Path, start: int, end: int) -> str:
-    """Line of a range of bytes, with the cell of a table or the event of the journal; empty if not text."""
+def _location(path: Path, start: int, end: int) -> str:
+    """Line of a range of bytes, with the column of a table or the event of a journal; empty if not text."""
     if path.suffix not in _TEXT_SUFFIXES:
         return ""
     content = path.read_bytes()
@@ -171,12 +175,12 @@ def _place(path: Path, start: int, end: int) -> str:
 
 
 def _event(line: bytes) -> str:
-    found = _EVENT.search(line)
-    return f" (event {found[1].decode()})" if found else ""
+    match = _EVENT.search(line)
+    return f" (event {match[1].decode()})" if match else ""
 
 
 def _column(content: bytes, before: bytes) -> str:
-    """Name of the column of a cell, from the head of the table and the part of the row before."""
+    """Name of the column of a cell; ``before``: the part of its row up to the changed byte."""
     header = next(csv.reader(io.StringIO(content.partition(b"\n")[0].decode(errors="replace"))), [])
     cells = next(csv.reader(io.StringIO(before.decode(errors="replace") + "x")), [""])
     return header[len(cells) - 1] if len(cells) <= len(header) else str(len(cells))

@@ -13,18 +13,18 @@ from gyrobench.bench.runs.journal import facts_of, read_journal
 
 
 def part_path(folder: Path, number: int, suffix: str) -> Path:
-    """Path of a part, numbered from 1."""
+    """Path of a part of a log; parts are numbered from 1."""
     return folder / f"part-{number:05d}{suffix}"
 
 
 def find_parts(folder: Path, suffix: str) -> dict[int, Path]:
-    """Find the parts in a folder, number to path, in the order of their numbers.
+    """Paths of the parts in a folder by their numbers, in ascending order.
 
     Raises RunFolderError if the folder can't be read.
     """
-    name = re.compile(rf"part-(\d{{5,9}}){re.escape(suffix)}")
+    pattern = re.compile(rf"part-(\d{{5,9}}){re.escape(suffix)}")
     try:
-        matches = [(name.fullmatch(path.name), path) for path in folder.iterdir()]
+        matches = [(pattern.fullmatch(path.name), path) for path in folder.iterdir()]
     except FileNotFoundError:
         return {}
     except OSError as error:
@@ -34,21 +34,21 @@ def find_parts(folder: Path, suffix: str) -> dict[int, Path]:
 
 #: Parent of runs without --out.
 RUNS = Path("runs")
-#: The file by which a process holds a run folder; the first that is made in it.
+#: Lock file of the process that uses a run folder; the first file that is made in it.
 LOCK = ".lock"
-#: Names of files and folders, which are all that is known of a run in an object store.
+#: Names of files and folders, also used for runs in an object store.
 PROCEDURE, PROVENANCE, JOURNAL = "procedure.yaml", "provenance.json", "journal.jsonl"
 UNITS_FOLDER = "units"
 DWELLS, BIAS_BINS = "dwells.csv", "bias_bins.csv"
 ACCEPTANCE, COMPENSATION, CLOSURE = "acceptance.json", "compensation.yaml", "closure"
-#: Files that a run writes before its journal.
-_BEFORE_THE_JOURNAL = re.compile(
+#: Names of files that a run writes before its journal.
+_WRITTEN_BEFORE_JOURNAL = re.compile(
     r"units|(procedure|station|compensation)\.yaml|calibration\.csv|provenance\.json|.*\.dbc|\.lock|\..*\.part"
 )
 
 
 class PathInside:
-    """Path of a file or folder in a run folder; of the class the path relative to it."""
+    """Path of a file or folder in a run folder; accessed on the class, the path relative to it."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -71,13 +71,13 @@ class RunFolder:
     can = PathInside("can")  #: Folder of the raw CAN log.
     telemetry = PathInside("telemetry")  #: Folder of the bench's readings.
     dwells = PathInside(DWELLS)  #: The dwell table.
-    first_dwells = PathInside("start.csv")  #: Of an investigation: the dwells that it began with.
+    first_dwells = PathInside("start.csv")  #: Initial dwells of an investigation.
     bias_bins = PathInside(BIAS_BINS)  #: Bias per gyro, position and temperature bin.
     budget = PathInside("budget.csv")  #: Uncertainty budget of each dwell and bin.
     joint_biases = PathInside("joint_biases.csv")  #: Biases of the dwells of each plateau solved together.
     joint = PathInside("joint.csv")  #: Parameters common to the dwells of each plateau.
     coefficients = PathInside("coefficients.csv")  #: Coefficients of the sensors at each plateau.
-    correlations = PathInside("correlations.csv")  #: Their correlations.
+    correlations = PathInside("correlations.csv")  #: Correlations of the coefficients.
     noise = PathInside("noise.json")  #: Noise of the INS.
     characteristics = PathInside("characteristics.json")  #: Results of the procedure's tests.
     acceptance = PathInside(ACCEPTANCE)  #: Verdict on the unit.
@@ -88,11 +88,11 @@ class RunFolder:
     verify = PathInside("verify")  #: Folder of the verification of a compensation.
     figures = PathInside("figures")  #: Folder of the figures.
     report = PathInside("report.html")  #: The report.
-    units = PathInside(UNITS_FOLDER)  #: Folder of the run folders of its units, where it has several.
+    units = PathInside(UNITS_FOLDER)  #: Folder of the run folders of the units, if there are several.
 
     @property
     def tables(self) -> list[Path]:
-        """Tables that are computed from the data, and are there."""
+        """Existing tables that are computed from the data."""
         computed = (
             self.dwells,
             self.bias_bins,
@@ -109,12 +109,12 @@ class RunFolder:
         return [path for path in computed if path.exists()]
 
     def unit(self, number: str) -> RunFolder:
-        """Run folder of a unit; that of a single unit, without a number, is this one."""
+        """Run folder of a unit; without a number, as for a single unit, this one."""
         return RunFolder(self.units / number) if number else self
 
     @property
     def run(self) -> RunFolder:
-        """Folder of the whole run: this one, or for the folder of one of several units that of their run."""
+        """Folder of the run: this one, or its parent run if this is the folder of one of several units."""
         path = self.path.resolve()
         run = RunFolder(path.parent.parent)
         return run if path.parent.name == UNITS_FOLDER and run.journal.exists() else self
@@ -126,7 +126,7 @@ class RunFolder:
 
     @property
     def is_unfinished(self) -> bool:
-        """Whether it holds a run that has not finished; not if its journal is missing or damaged."""
+        """Whether it holds a run that has not finished; False if its journal is missing or damaged."""
         try:
             return facts_of(read_journal(self.run.journal)).ended != "finished"
         except RunFolderError:
@@ -134,29 +134,31 @@ class RunFolder:
 
     @property
     def unit_folders(self) -> list[RunFolder]:
-        """Run folders of its units, in the order of their numbers; none for a run of a single unit."""
-        found = self.units.glob(f"*/{JOURNAL}")
-        return [RunFolder(path.parent) for path in sorted(found)]
+        """Run folders of the units, in the order of their numbers; empty for a run of a single unit."""
+        journals = self.units.glob(f"*/{JOURNAL}")
+        return [RunFolder(path.parent) for path in sorted(journals)]
 
 
 def create_run_folder(out: Path | None, name: str, parent: Path = RUNS) -> RunFolder:
-    """Make a run folder; when this returns, it is on the disk.
+    """Make a run folder; it is on the disk when this returns.
 
-    ``out``: the folder, which must be absent or empty, or contain no more than a run interrupted before its
-    journal began; None for a new folder under ``parent``. ``name``: name of the procedure, for a new folder.
-    Raises UnusablePathError if the folder can't be made, or is not empty.
+    ``out``: the folder, which must not exist, or be empty, or hold only files of a run that was interrupted
+    before its journal began; None for a new folder under ``parent``. ``name``: name of the procedure, for a
+    new folder. Raises UnusablePathError if the folder can't be made, or is not empty.
     """
     if out is not None:
         make_folder(out)
         try:
-            held = [path.name for path in out.iterdir()]
+            existing = [path.name for path in out.iterdir()]
         except OSError as error:
             raise RunFolderError(f"{out}: can't be read: {error.strerror}") from error
-        was_begun = LOCK in held and all(_BEFORE_THE_JOURNAL.fullmatch(name) for name in held)
-        if held and not was_begun:
-            resume = f"continue the run with `gyrobench resume {out}`"
-            other = resume if RunFolder(out).is_unfinished else "omit it for a new folder"
-            raise UnusablePathError(f"{out}: is not empty. Choose another --out, or {other}.")
+        is_interrupted_start = LOCK in existing and all(
+            _WRITTEN_BEFORE_JOURNAL.fullmatch(name) for name in existing
+        )
+        if existing and not is_interrupted_start:
+            resume_text = f"continue the run with `gyrobench resume {out}`"
+            alternative = resume_text if RunFolder(out).is_unfinished else "omit it for a new folder"
+            raise UnusablePathError(f"{out}: is not empty. Choose another --out, or {alternative}.")
         return RunFolder(out)
     safe_name = re.sub(r"[^A-Za-z0-9_-]+", "_", name)[:80]
     candidates = (parent / f"{safe_name}-{number:03d}" for number in itertools.count(1))
@@ -164,10 +166,10 @@ def create_run_folder(out: Path | None, name: str, parent: Path = RUNS) -> RunFo
 
 
 def open_run_folder(path: Path, may_have_units: bool = False) -> RunFolder:
-    """Find an existing run folder; one of several units only where it ``may_have_units``.
+    """Open an existing run folder; that of a run of several units only if it ``may_have_units``.
 
-    Raises MissingRunError if there is none at that path, or one of several units, and RunFolderError if one
-    of its folders is a link to elsewhere.
+    Raises MissingRunError if there is no run folder at that path, or one of several units. Raises
+    RunFolderError if one of its folders is a link out of it.
     """
     folder = RunFolder(path)
     for name in (

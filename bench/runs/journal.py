@@ -1,4 +1,4 @@
-"""The journal: each event of a run, on the disk before the next action; and its summary."""
+"""The journal, which records each event of a run on the disk before the next action, and its summary."""
 
 from __future__ import annotations
 
@@ -21,41 +21,41 @@ from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import parse_json, read_lines, sync_folder, write_error
 
-#: Some hundred times the journal of a run of 1000 h.
+#: A few hundred times the size of the journal of a 1000 h run.
 MAX_JOURNAL_BYTES = 500_000_000
-_SHOWN_CHARACTERS = 60
-#: Key of an entry that links it to the line before: SHA-256 of that line, empty for the first.
-_LINK = "previous_sha256"
-#: Of an entry: the lines whose link is broken because damaged lines before them were given up.
+_MAX_EXCERPT_CHARACTERS = 60
+#: Key of the link of an entry to the previous line: SHA-256 of that line, empty for the first.
+_LINK_KEY = "previous_sha256"
+#: Key in an entry: numbers of the lines whose link is broken because damaged lines before were discarded.
 BROKEN_LINKS = "broken_links"
 
 
 class Journal:
     """Append-only JSON lines; each is on the disk when :meth:`record` returns.
 
-    Every entry has ``time_s`` (the run's clock), ``utc``, ``event`` and the SHA-256 of the line before, so
-    that no line can be changed alone. An existing journal is continued. If its last line was cut off, that
-    line is removed and an entry ``journal_repaired`` added. Raises RunFolderError if the file can't be
-    written, another process writes it, or it is damaged before its last line.
+    Every entry has ``time_s`` (the run's clock), ``utc``, ``event`` and the SHA-256 of the previous line,
+    so that the change of a single line is detected. An existing journal is continued. If its last line was
+    cut off, that line is removed and an entry ``journal_repaired`` added. Raises RunFolderError if the file
+    can't be written, another process writes it, or it is damaged before its last line.
     """
 
     def __init__(self, path: Path, clock: Clock) -> None:
         self._path = path
         self._clock = clock
-        self.followers: list[Journal] = []  #: Journals that get each entry too.
-        self._writing = threading.Lock()  # messages are sent by separate threads
+        self.followers: list[Journal] = []  #: Journals that also receive each entry.
+        self._write_lock = threading.Lock()  # messages are sent by separate threads
         try:
             self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
         except OSError as error:
             raise write_error(path, error) from error
         try:
             self._lock()
-            self._sound_bytes, self._last_line, cut_off = self._find_end()
+            self._intact_bytes, self._last_line, cut_off = self._find_end()
         except BaseException:
             self.close()
             raise
         if cut_off:
-            self.record("journal_repaired", cut_off=_shown(cut_off))
+            self.record("journal_repaired", cut_off=_excerpt(cut_off))
 
     def __enter__(self) -> Journal:
         return self
@@ -66,36 +66,36 @@ class Journal:
         self.close()
 
     def close(self) -> None:
-        """Let the file go; everything recorded is on the disk already."""
+        """Close the file; all entries are already on the disk."""
         with contextlib.suppress(OSError):
             os.close(self._descriptor)
 
     def record(self, event: str, **details: Any) -> None:
         """Add one entry; numbers that are not finite become null.
 
-        Raises RunFolderError if it can't be written; the journal is as it was before.
+        Raises RunFolderError if it can't be written; the journal is then unchanged.
         """
-        with self._writing:
+        with self._write_lock:
             self._write({"event": event} | details)
         for follower in tuple(self.followers):
             follower.record(event, **details)
 
     def _write(self, content: dict[str, Any]) -> None:
         entry = {"time_s": round(self._clock.now(), 6), "utc": self._clock.utc().isoformat()}
-        link = {_LINK: _sha256(self._last_line) if self._last_line else ""}
-        text = json.dumps(_finite(entry | content | link), allow_nan=False).encode()
+        link = {_LINK_KEY: _sha256(self._last_line) if self._last_line else ""}
+        text = json.dumps(_with_nan_as_none(entry | content | link), allow_nan=False).encode()
         line = text + b"\n"
         try:
-            self._drop_half_line()
+            self._remove_partial_line()
             written = os.write(self._descriptor, line)
             while written < len(line):
                 written += os.write(self._descriptor, line[written:])
             os.fsync(self._descriptor)
         except OSError as error:
-            with contextlib.suppress(OSError):  # else the next entry sees to it
-                self._drop_half_line()
+            with contextlib.suppress(OSError):  # the next entry tries again
+                self._remove_partial_line()
             raise write_error(self._path, error) from error
-        self._sound_bytes += len(line)
+        self._intact_bytes += len(line)
         self._last_line = text
 
     def _lock(self) -> None:
@@ -112,24 +112,24 @@ class Journal:
         """Number of intact bytes, the last intact line, and what follows it."""
         try:
             sync_folder(self._path.parent)
-            sound_bytes, last_line = 0, b""
+            intact_bytes, last_line = 0, b""
             with self._path.open("rb") as lines:
                 for _, line in _parse(self._path, lines):
-                    sound_bytes, last_line = sound_bytes + len(line), line
-                lines.seek(sound_bytes)
-                return sound_bytes, last_line.removesuffix(b"\n"), lines.read(_SHOWN_CHARACTERS)
+                    intact_bytes, last_line = intact_bytes + len(line), line
+                lines.seek(intact_bytes)
+                return intact_bytes, last_line.removesuffix(b"\n"), lines.read(_MAX_EXCERPT_CHARACTERS)
         except RunFolderError:
             raise
         except OSError as error:
             raise write_error(self._path, error) from error
 
-    def _drop_half_line(self) -> None:
-        if os.fstat(self._descriptor).st_size != self._sound_bytes:
-            os.ftruncate(self._descriptor, self._sound_bytes)
+    def _remove_partial_line(self) -> None:
+        if os.fstat(self._descriptor).st_size != self._intact_bytes:
+            os.ftruncate(self._descriptor, self._intact_bytes)
 
 
 def read_journal(path: Path) -> Iterator[dict[str, Any]]:
-    """Entries of a journal in order; a last line that was cut off is left out.
+    """Entries of a journal in order, without a last line that was cut off.
 
     Raises RunFolderError if the file can't be read, or a line before the last one is damaged.
     """
@@ -137,50 +137,50 @@ def read_journal(path: Path) -> Iterator[dict[str, Any]]:
 
 
 def parse_journal(lines: Iterable[bytes], name: str | Path) -> Iterator[dict[str, Any]]:
-    """Entries of a journal's lines, with the name of the file for messages; see :func:`read_journal`."""
+    """Entries in the lines of a journal, as :func:`read_journal`; ``name``: of the file, for messages."""
     yield from (entry for entry, _ in _parse(name, lines))
 
 
 def journal_lines(path: Path) -> Iterator[bytes]:
-    """Lines of a journal with their ends. Raises RunFolderError if the file can't be read."""
+    """Lines of a journal, including their line ends. Raises RunFolderError if the file can't be read."""
     return read_lines(path, MAX_JOURNAL_BYTES, RunFolderError)
 
 
 def intact_lines(content: bytes) -> tuple[list[bytes], int]:
-    """Lines of a journal that hold an entry, and the number of damaged ones; a cut-off end is no damage."""
+    """Lines of a journal that hold an entry, and the number of damaged lines, without a cut-off last line."""
     lines = content.split(b"\n")[:-1]
-    intact = [line for line in lines if _entry(line) is not None]
+    intact = [line for line in lines if _parse_entry(line) is not None]
     return intact, len(lines) - len(intact)
 
 
 def is_linked(path: Path) -> bool:
-    """Whether the first line of a journal has a link, as those of this version have."""
+    """Whether the first line of a journal has a link; older versions wrote none."""
     try:
         with path.open("rb") as stream:
-            return _LINK in (_entry(stream.readline()) or {})
+            return _LINK_KEY in (_parse_entry(stream.readline()) or {})
     except OSError:
         return False
 
 
 def broken_links(lines: Iterable[bytes]) -> list[int]:
-    """Numbers, from 1, of the lines whose link does not fit the line before; empty for an intact journal.
+    """Numbers, from 1, of the lines whose link does not match the previous line; empty for an intact journal.
 
-    Journals without links are intact. Links that an entry ``data_given_up`` names are left out. The lines
-    have their ends; one that was cut off is left out.
+    A journal without links counts as intact. Links that an entry ``data_given_up`` lists are skipped.
+    ``lines`` include their line ends; a line that was cut off is skipped.
     """
     broken, explained, is_linked = [], set(), False
-    before = b""
-    for number, line in enumerate(_whole(lines), start=1):
-        entry = _entry(line) or {}
-        link = entry.get(_LINK)
+    previous = b""
+    for number, line in enumerate(_complete_lines(lines), start=1):
+        entry = _parse_entry(line) or {}
+        link = entry.get(_LINK_KEY)
         if link is None:
             broken += [number] if is_linked else []
-        elif link != (_sha256(before) if before else ""):
+        elif link != (_sha256(previous) if previous else ""):
             broken.append(number)
         is_linked = is_linked or link is not None
         given_up = entry.get(BROKEN_LINKS)
         explained.update(given_up if isinstance(given_up, list) else [])
-        before = line.removesuffix(b"\n")
+        previous = line.removesuffix(b"\n")
     return [number for number in broken if number not in explained]
 
 
@@ -188,7 +188,7 @@ def _sha256(line: bytes) -> str:
     return hashlib.sha256(line).hexdigest()
 
 
-def _entry(line: bytes) -> dict[str, Any] | None:
+def _parse_entry(line: bytes) -> dict[str, Any] | None:
     try:
         entry = parse_json(line)
     except ValueError:
@@ -196,39 +196,39 @@ def _entry(line: bytes) -> dict[str, Any] | None:
     return entry if isinstance(entry, dict) else None
 
 
-def _whole(lines: Iterable[bytes]) -> Iterator[bytes]:
-    """Lines that are not cut off: an entry without its line end was never finished, nor acted upon."""
+def _complete_lines(lines: Iterable[bytes]) -> Iterator[bytes]:
+    """Lines that are not cut off; an entry without a line end was never completed, and no action followed."""
     return (line for line in lines if line.endswith(b"\n"))
 
 
 def _parse(path: str | Path, lines: Iterable[bytes]) -> Iterator[tuple[dict[str, Any], bytes]]:
-    """Entries, each with its line."""
+    """Entries, each with its line. Raises RunFolderError if a line before the last one is damaged."""
     damaged = ""
-    for number, line in enumerate(_whole(lines), start=1):
+    for number, line in enumerate(_complete_lines(lines), start=1):
         if damaged:
             raise RunFolderError(damaged)
-        entry = _entry(line)
+        entry = _parse_entry(line)
         if entry is None:
-            damaged = f"{path}:{number}: damaged entry: {_shown(line[:-1])!r}"
+            damaged = f"{path}:{number}: damaged entry: {_excerpt(line[:-1])!r}"
             continue
-        entry.pop(_LINK, None)
-        # Names of keys are kept once, not once for each line.
+        entry.pop(_LINK_KEY, None)
+        # Keys are interned, so that each is in memory once and not once for each line.
         yield {sys.intern(key): value for key, value in entry.items()}, line
 
 
-def _shown(line: bytes) -> str:
-    return line[:_SHOWN_CHARACTERS].decode(errors="replace")
+def _excerpt(line: bytes) -> str:
+    return line[:_MAX_EXCERPT_CHARACTERS].decode(errors="replace")
 
 
-def _finite(value: Any) -> Any:
+def _with_nan_as_none(value: Any) -> Any:
     if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
+        return {key: _with_nan_as_none(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
+        return [_with_nan_as_none(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-#: What no run reaches; a later time is a damaged entry.
+#: No run lasts longer; an entry with a later time is damaged.
 MAX_RUN_S = 1e9
 
 
@@ -236,50 +236,49 @@ MAX_RUN_S = 1e9
 class RunFacts:
     """Summary of a journal; unknown texts are empty."""
 
-    #: procedure, station, unit: Procedure, "investigation" for the journal of one; station; serial number of
-    #: the INS.
+    #: procedure, station, unit: Procedure, or "investigation"; station; serial number of the INS.
     procedure: str = ""
     station: str = ""
     unit: str = ""
-    #: Options of the command that began or resumed it.
+    #: Options of the commands that started and resumed it.
     options: Mapping[str, Any] = field(default_factory=dict)
-    started_utc: str = ""  #: ISO 8601, when it began.
+    started_utc: str = ""  #: Start, ISO 8601.
     last_s: float = 0.0  #: Latest time of an entry, on the run's clock.
     resumes: int = 0  #: Number of resumptions.
     dwells: int = 0  #: Number of completed dwells.
-    #: Whether a dwell tested signs and axes of the signal map; None where no dwell with a result states it.
+    #: Whether a dwell tested signs and axes of the signal map; None if no completed dwell states it.
     are_signs_tested: bool | None = None
-    #: ended, reason: "finished", "stopped" or "failed", and why. Empty for a run that was cut off or is in
-    #: progress.
+    #: ended, reason: "finished", "stopped" or "failed", and the reason. Empty for a run that was cut off or
+    #: is in progress.
     ended: str = ""
     reason: str = ""
-    safe_state: tuple[Mapping[str, Any], ...] = ()  #: Actions at its end that made the bench safe.
+    safe_state: tuple[Mapping[str, Any], ...] = ()  #: Actions at the end that made the bench safe.
 
 
 def facts_of(entries: Iterable[Mapping[str, Any]]) -> RunFacts:
     """Summarise a journal; malformed entries are ignored."""
     facts = RunFacts()
     for entry in entries:
-        facts = _with(replace(facts, last_s=max(facts.last_s, _time_s(entry))), entry)
+        facts = _with_entry(replace(facts, last_s=max(facts.last_s, _time_s(entry))), entry)
     return facts
 
 
-def _with(facts: RunFacts, entry: Mapping[str, Any]) -> RunFacts:
+def _with_entry(facts: RunFacts, entry: Mapping[str, Any]) -> RunFacts:
     match entry.get("event"):
         case "run_started":
-            return _begun(replace(facts, started_utc=_text(entry, "utc")), entry)
+            return _with_start(replace(facts, started_utc=_text(entry, "utc")), entry)
         case "run_resumed":
-            return replace(_begun(facts, entry), resumes=facts.resumes + 1)
+            return replace(_with_start(facts, entry), resumes=facts.resumes + 1)
         case "ins_identified":
             return replace(facts, unit=_text(entry, "unit") or facts.unit)
         case "investigation_started" | "investigation_resumed" as event:
-            # A resumed one replays its blocks, and records them again.
-            begun = replace(facts, unit=_text(entry, "unit") or facts.unit, dwells=_count(entry))
+            # A resumed investigation replays its blocks, and records them again.
+            begun = replace(facts, unit=_text(entry, "unit") or facts.unit, dwells=_dwell_count(entry))
             if event == "investigation_started":
-                return _begun(replace(begun, started_utc=_text(entry, "utc")), entry)
-            return replace(_begun(begun, entry), resumes=facts.resumes + 1)
+                return _with_start(replace(begun, started_utc=_text(entry, "utc")), entry)
+            return replace(_with_start(begun, entry), resumes=facts.resumes + 1)
         case "measured":
-            return replace(facts, dwells=facts.dwells + _count(entry))
+            return replace(facts, dwells=facts.dwells + _dwell_count(entry))
         case "investigation_ended":
             ended = {"bench_failed": "failed", "declined": "stopped"}.get(_text(entry, "ended"), "finished")
             return replace(facts, ended=ended, reason=_text(entry, "reason"))
@@ -289,8 +288,8 @@ def _with(facts: RunFacts, entry: Mapping[str, Any]) -> RunFacts:
                 facts = replace(facts, are_signs_tested=bool(facts.are_signs_tested) or tested)
             return replace(facts, dwells=facts.dwells + 1)
         case "run_ended":
-            found = entry.get("safe_state")
-            actions = found if isinstance(found, list) else []
+            recorded = entry.get("safe_state")
+            actions = recorded if isinstance(recorded, list) else []
             return replace(
                 facts,
                 ended=_text(entry, "ended"),
@@ -300,7 +299,7 @@ def _with(facts: RunFacts, entry: Mapping[str, Any]) -> RunFacts:
     return facts
 
 
-def _begun(facts: RunFacts, entry: Mapping[str, Any]) -> RunFacts:
+def _with_start(facts: RunFacts, entry: Mapping[str, Any]) -> RunFacts:
     options = entry.get("options")
     return replace(
         facts,
@@ -318,8 +317,8 @@ def _text(entry: Mapping[str, Any], key: str) -> str:
     return "" if value is None else str(value)
 
 
-def _count(entry: Mapping[str, Any]) -> int:
-    """Its number of dwells."""
+def _dwell_count(entry: Mapping[str, Any]) -> int:
+    """Number of dwells that an entry states; 0 if it states none."""
     value = entry.get("dwells")
     return value if isinstance(value, int) else 0
 

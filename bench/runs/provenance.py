@@ -23,12 +23,12 @@ from gyrobench.bench.runs.folder import RunFolder
 _PACKAGES = ("numpy", "scipy", "pyserial", "python-can", "cantools", "pymodbus", "pydantic", "pyarrow")
 
 #: Watermark of all pages and figures of a run with emulated instruments, and name of a file beside its
-#: tables, whose formats have no place for it.
+#: tables, whose formats can't hold it.
 SIMULATED = "SIMULATED"
 _SIMULATED_TEXT = "The instruments of this run were emulated: nothing in this folder was measured.\n"
 
 _MAX_BYTES = 10_000_000
-_OBJECTS = ("instruments", "options", "files_sha256", "packages")
+_OBJECT_KEYS = ("instruments", "options", "files_sha256", "packages")
 
 
 def write_provenance(
@@ -57,20 +57,20 @@ def write_provenance(
 
 
 def add_identity(folder: RunFolder, instrument: str, identity: str) -> str:
-    """Add the identity of an instrument that was switched on later, or has another one than before.
+    """Record the identity of an instrument that was switched on later or was replaced.
 
-    Returns the one before; empty if there was none.
+    Returns the previous identity; empty if there was none.
     """
     content = read_provenance(folder)
-    before = content["instruments"].get(instrument)
-    if identity != before:
+    previous = content["instruments"].get(instrument)
+    if identity != previous:
         content["instruments"][instrument] = identity
         _write(folder, content)
-    return str(before or "")
+    return str(previous or "")
 
 
 def identities_in(folder: RunFolder) -> dict[str, str]:
-    """Identity of each instrument of a run by its name; empty where provenance.json can't be read."""
+    """Identity of each instrument of a run by its name; empty if provenance.json can't be read."""
     with contextlib.suppress(RunFolderError):
         return {name: str(text) for name, text in read_provenance(folder).get("instruments", {}).items()}
     return {}
@@ -81,32 +81,34 @@ def ins_identity(folder: RunFolder) -> str:
     return ", ".join(text for name, text in identities_in(folder).items() if name.startswith("INS"))
 
 
-def note_inputs(folder: RunFolder) -> list[str]:
-    """Keep the hashes of procedure, station and DBC file as they are now; names of those that changed."""
+def update_input_hashes(folder: RunFolder) -> list[str]:
+    """Update the recorded hashes of procedure, station and DBC file; returns the names of changed files."""
     content = read_provenance(folder)
-    known = content.get("files_sha256", {})
-    now = {name: file_sha256(folder.path / name) for name in known if (folder.path / name).is_file()}
-    changed = [name for name, digest in now.items() if digest != known[name]]
+    recorded = content.get("files_sha256", {})
+    current = {name: file_sha256(folder.path / name) for name in recorded if (folder.path / name).is_file()}
+    changed = [name for name, digest in current.items() if digest != recorded[name]]
     if changed:
-        _write(folder, content | {"files_sha256": {**known, **now}})
+        _write(folder, content | {"files_sha256": {**recorded, **current}})
     return changed
 
 
-def note_preparer(folder: RunFolder, name: str) -> None:
-    """Keep the name of who prepares the report, for each time it is written."""
+def record_preparer(folder: RunFolder, name: str) -> None:
+    """Record who prepares the report, for all later times that it is written."""
     if content := read_provenance(folder):
         _write(folder, content | {"prepared_by": name})
 
 
-def start_of(folder: RunFolder, entries: Sequence[Mapping[str, Any]]) -> tuple[datetime, dict[str, Any]]:
-    """Start and options of a run from its journal, where provenance.json is damaged.
+def start_from_journal(
+    folder: RunFolder, entries: Sequence[Mapping[str, Any]]
+) -> tuple[datetime, dict[str, Any]]:
+    """Start and options of a run from its journal, for a damaged provenance.json.
 
     Raises RunFolderError if the journal does not state them.
     """
-    begun = next((entry for entry in entries if entry.get("event") == "run_started"), {})
+    start = next((entry for entry in entries if entry.get("event") == "run_started"), {})
     try:
-        started = datetime.fromisoformat(begun["utc"]) - timedelta(seconds=begun["time_s"])
-        return started, dict(begun["options"])
+        started = datetime.fromisoformat(start["utc"]) - timedelta(seconds=start["time_s"])
+        return started, dict(start["options"])
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise RunFolderError(
             f"{folder.provenance}: damaged, and {folder.journal.name} does not state how the run began. "
@@ -115,7 +117,7 @@ def start_of(folder: RunFolder, entries: Sequence[Mapping[str, Any]]) -> tuple[d
 
 
 def read_provenance(folder: RunFolder) -> dict[str, Any]:
-    """Content of provenance.json; empty where there is none.
+    """Content of provenance.json; empty if it does not exist.
 
     Raises RunFolderError if it can't be read, or is damaged.
     """
@@ -125,23 +127,25 @@ def read_provenance(folder: RunFolder) -> dict[str, Any]:
         content = parse_json(read_limited(folder.provenance, _MAX_BYTES, RunFolderError))
     except ValueError as error:
         raise RunFolderError(f"{folder.provenance}: damaged: {error}") from error
-    parts = [content, *(content.get(key, {}) for key in _OBJECTS)] if isinstance(content, dict) else [None]
+    parts = (
+        [content, *(content.get(key, {}) for key in _OBJECT_KEYS)] if isinstance(content, dict) else [None]
+    )
     if not all(isinstance(part, dict) for part in parts):
         raise RunFolderError(
-            f"{folder.provenance}: damaged: it, and {', '.join(_OBJECTS)} in it, must be JSON objects"
+            f"{folder.provenance}: damaged: it, and {', '.join(_OBJECT_KEYS)} in it, must be JSON objects"
         )
     return dict(content)
 
 
 def run_options(folder: RunFolder) -> dict[str, Any]:
-    """Options of a run; empty where provenance.json lacks them. Raises as :func:`read_provenance`."""
+    """Options of a run; empty if provenance.json lacks them. Raises as :func:`read_provenance`."""
     return dict(read_provenance(folder).get("options", {}))
 
 
 def is_emulated(provenance: Mapping[str, Any], options: Mapping[str, Any] | None = None) -> bool:
-    """Whether instruments were emulated: by the run's options, or an instrument's identification.
+    """Whether instruments were emulated, by the run's options or an instrument's identification.
 
-    ``options``: those that its journal states, where they are known.
+    ``options``: those in the journal, if known.
     """
     identities = provenance.get("instruments", {}).values()
     return "world" in {**provenance.get("options", {}), **(options or {})} or any(
@@ -150,7 +154,7 @@ def is_emulated(provenance: Mapping[str, Any], options: Mapping[str, Any] | None
 
 
 def emulated_bench_text(folder: RunFolder) -> str:
-    """What a run with emulated instruments states at its start; empty for real ones.
+    """Notice at the start of a run with emulated instruments; empty for real instruments.
 
     Raises RunFolderError if its provenance can't be read.
     """
@@ -165,7 +169,7 @@ def emulated_bench_text(folder: RunFolder) -> str:
 
 
 def watermark_of(*sources: Path) -> str:
-    """Word across what was computed from runs, folders in them or their tables: empty if none is emulated."""
+    """Watermark of results of these runs, folders in them or their tables; empty if none is emulated."""
     folders = {RunFolder(folder) for path in sources for folder in (path, path.parent)}
     for folder in folders:
         try:
@@ -188,9 +192,9 @@ def _write(folder: RunFolder, content: Mapping[str, Any]) -> None:
     write_whole(folder.provenance, (json.dumps(content, indent=2) + "\n").encode())
 
 
-def _utc_offset_s(moment: datetime) -> float:
-    """How far local time on the bench is ahead of UTC."""
-    offset = moment.astimezone().utcoffset()
+def _utc_offset_s(time: datetime) -> float:
+    """Local time on the bench minus UTC."""
+    offset = time.astimezone().utcoffset()
     return 0.0 if offset is None else offset.total_seconds()
 
 
@@ -206,17 +210,17 @@ def _version(package: str) -> str:
 class DataHash:
     """Hash of a file, or of all parts of a log."""
 
-    name: str  #: The file, or the parts: "can/*.blf".
+    name: str  #: Name of the file, or pattern of the parts: "can/*.blf".
     count: int  #: Number of files.
-    #: Of a single file. Of a log in parts that of its manifest, the lines that ``sha256sum`` prints for them:
-    #: ``sha256sum can/*.blf | sha256sum`` in the run folder gives the same.
+    #: Hash of a single file. For a log in parts, hash of its manifest, the lines that ``sha256sum`` prints
+    #: for the parts: ``sha256sum can/*.blf | sha256sum`` in the run folder gives the same.
     sha256: str
     #: Hashes of a log's parts, by their paths in the run folder.
     parts: Mapping[str, str] = field(default_factory=dict)
 
 
 def data_hashes(folder: RunFolder) -> list[DataHash]:
-    """Hash the dwell table, the journal, and the raw logs; what is missing is left out.
+    """Hash the dwell table, the journal, and the raw logs; missing files are omitted.
 
     Raises RunFolderError if a file can't be read.
     """
@@ -228,8 +232,8 @@ def data_hashes(folder: RunFolder) -> list[DataHash]:
     for inner, suffix in ((folder.can, ".blf"), (folder.telemetry, ".parquet")):
         parts = sorted(inner.glob(f"*{suffix}"))
         if parts:
-            each = {part.relative_to(folder.path).as_posix(): file_sha256(part) for part in parts}
-            manifest = "".join(f"{digest}  {path}\n" for path, digest in each.items())
-            whole = hashlib.sha256(manifest.encode()).hexdigest()
-            hashes.append(DataHash(f"{inner.name}/*{suffix}", len(parts), whole, each))
+            digests = {part.relative_to(folder.path).as_posix(): file_sha256(part) for part in parts}
+            manifest = "".join(f"{digest}  {path}\n" for path, digest in digests.items())
+            sha256 = hashlib.sha256(manifest.encode()).hexdigest()
+            hashes.append(DataHash(f"{inner.name}/*{suffix}", len(parts), sha256, digests))
     return hashes

@@ -1,9 +1,9 @@
 """Seals of a run folder: the hashes of all its files, chained, and signed with an Ed25519 key.
 
-The first seal is made at the end of a run; what is added later, as a search or a certificate, is in a further
-seal with who, when and by which command. A seal is a file ``seals/001.jsonl`` of two lines: the seal, and its
-signature. Signing needs the extra ``certificate``; a seal without a signature proves only that nothing
-changed by mistake. Each unit of a run of several has its seals, and those are sealed with the run.
+The first seal is made at the end of a run. Files that are added later, such as a search or a certificate, are
+in another seal, which states the operator, the time and the command. A seal is a file ``seals/001.jsonl`` of
+two lines: the seal, and its signature. Signing needs the extra ``certificate``; a seal without a signature
+only detects changes by mistake. In a run of several units each unit has seals, which are sealed with the run.
 """
 
 from __future__ import annotations
@@ -50,19 +50,19 @@ if TYPE_CHECKING:
 #: Environment variables: file of the key that signs seals (PEM), and its password if it has one.
 KEY_VARIABLE, PASSWORD_VARIABLE = "GYROBENCH_SEAL_KEY", "GYROBENCH_KEY_PASSWORD"
 _SEALS = "seals"
-#: Not sealed: what processes and live views use while a run is under way.
+#: Not sealed: files that processes and live views use during a run.
 _TRANSIENT = ("live.json",)
-#: What was measured, and its inputs; everything else can be computed again.
+#: Measured data and inputs; everything else can be computed again.
 _EVIDENCE_FOLDERS = ("can", "telemetry")
 _EVIDENCE = (JOURNAL, "procedure.yaml", "station.yaml", "calibration.csv", "compensation.yaml")
-_MAX_BYTES = 500_000_000
-_PIECE_BYTES = 1 << 20
+_MAX_SEAL_BYTES = 500_000_000
+_CHUNK_BYTES = 1 << 20
 _MAX_COMMAND_CHARACTERS = 300
 
 
 @dataclass(frozen=True, slots=True)
 class SealedFile:
-    """A file as it was sealed; the fingerprint is empty where an earlier seal has the same content."""
+    """A file as it was sealed; the fingerprint is empty if an earlier seal has the same content."""
 
     size_bytes: int
     sha256: str
@@ -71,10 +71,10 @@ class SealedFile:
 
 @dataclass(frozen=True)
 class SealChanges:
-    """Paths that differ between two seals, by kind."""
+    """Paths of the files that differ between two seals, by kind of change."""
 
     added: Sequence[str] = ()
-    extended: Sequence[str] = ()  #: Of the journal, with all that was sealed still at its beginning.
+    extended: Sequence[str] = ()  #: Journal or log whose sealed content is still at its beginning.
     replaced: Sequence[str] = ()
     removed: Sequence[str] = ()
 
@@ -83,11 +83,11 @@ class SealChanges:
 
     @property
     def evidence(self) -> list[str]:
-        """Measured data and inputs among what was replaced or removed."""
+        """Measured data and inputs that were replaced or removed."""
         return [path for path in (*self.replaced, *self.removed) if _is_evidence(path)]
 
     def describe(self) -> str:
-        """One phrase: what was added, replaced, ..."""
+        """Files by kind of change in one phrase: "added: ...; replaced: ..."."""
         kinds = {kind: paths for kind, paths in asdict(self).items() if paths}
         return "; ".join(
             f"{kind}: {listed(list(paths)) if len(paths) <= 5 else counted(len(paths), 'file')}"
@@ -106,21 +106,21 @@ class Seal:
     utc: str  #: ISO 8601.
     command: str
     program: str
-    previous_sha256: str  #: Of the file of the seal before; empty for the first.
-    changes: SealChanges  #: Since the seal before.
-    journal_broken_links: Sequence[int]  #: Lines of the journal that do not fit the line before.
+    previous_sha256: str  #: Of the file of the previous seal; empty for the first.
+    changes: SealChanges  #: Since the previous seal.
+    journal_broken_links: Sequence[int]  #: Numbers of lines of the journal whose link is broken.
     files: Mapping[str, SealedFile]
     key: str = field(default="", compare=False)  #: Identity of the key that signed; empty without signature.
-    unsigned: str = field(default="", compare=False)  #: Why it is not signed.
-    problem: str = field(default="", compare=False)  #: What is wrong with the seal; empty if nothing.
+    unsigned: str = field(default="", compare=False)  #: Reason why it is not signed.
+    problem: str = field(default="", compare=False)  #: Problem of the seal itself; empty if there is none.
 
     @property
-    def where(self) -> str:
-        """Its path in the run folder."""
+    def relative_path(self) -> str:
+        """Path of the seal in the run folder."""
         return f"{_SEALS}/{self.number:03d}.jsonl"
 
     def describe(self) -> str:
-        """Who sealed what when, and by which key."""
+        """Time, operator, command, changes and key of the seal, in one line."""
         signed = f"signed by {self.key}" if self.key else f"not signed: {self.unsigned}"
         who = self.operator if self.operator == self.login else f"{self.operator} ({self.login})"
         return (
@@ -146,19 +146,19 @@ class SealCheck:
     seals: Sequence[Seal]
     findings: Sequence[SealFinding]  #: In the order of the paths; empty if nothing changed.
     not_sealed: Sequence[str]  #: Files that were added after the last seal.
-    files: Mapping[str, SealedFile]  #: All that is sealed, with the files of each unit.
+    files: Mapping[str, SealedFile]  #: All sealed files, including those of each unit.
 
     @cached_property
     def is_intact(self) -> bool:
-        """Whether nothing that was sealed has changed."""
+        """Whether no sealed file has changed."""
         return not self.findings
 
 
 def seal_run(folder: RunFolder, key: Path | None = None, *, accept_changes: bool = False) -> Seal | None:
-    """Seal a run folder and those of its units, or add seals with what has changed; None where nothing has.
+    """Seal a run folder and those of its units, or seal the changes since; None if nothing has changed.
 
-    ``key``: PEM file of an Ed25519 key, by default that of GYROBENCH_SEAL_KEY; without either the seal is not
-    signed. Raises RunFolderError if measured data or inputs have changed since the last seal, unless
+    ``key``: PEM file of an Ed25519 key, by default that of GYROBENCH_SEAL_KEY; without either, the seal is
+    not signed. Raises RunFolderError if measured data or inputs have changed since the last seal, unless
     ``accept_changes``; or if a file can't be read or written. Raises DocumentError if the key can't be used.
     """
     for unit in folder.unit_folders:
@@ -168,17 +168,20 @@ def seal_run(folder: RunFolder, key: Path | None = None, *, accept_changes: bool
 
 
 def _seal_folder(
-    folder: RunFolder, key: Path | None, accept_changes: bool, known: Mapping[str, str] = MappingProxyType({})
+    folder: RunFolder,
+    key: Path | None,
+    accept_changes: bool,
+    known_sha256: Mapping[str, str] = MappingProxyType({}),
 ) -> Path | None:
-    """Path of the seal that is added; None where nothing has changed. ``known``: hashes of some files."""
+    """Path of the new seal; None if nothing has changed. ``known_sha256``: hashes of some files by path."""
     seals = _read_seals(folder.path)
     last = seals[-1] if seals else None
     sealed = last.files if last else {}
     files = {
         path: SealedFile(
-            (folder.path / path).stat().st_size, known.get(path) or file_sha256(folder.path / path)
+            (folder.path / path).stat().st_size, known_sha256.get(path) or file_sha256(folder.path / path)
         )
-        for path in _paths(folder.path)
+        for path in _paths_to_seal(folder.path)
     }
     changes = _changes(folder.path, sealed, files)
     if last and not changes:
@@ -196,37 +199,39 @@ def _seal_folder(
         utc=WallClock().utc().isoformat(),
         command=command_line()[:_MAX_COMMAND_CHARACTERS],
         program=f"gyrobench {__version__}",
-        previous_sha256=file_sha256(folder.path / last.where) if last else "",
+        previous_sha256=file_sha256(folder.path / last.relative_path) if last else "",
         changes=changes,
         journal_broken_links=broken_links(journal_lines(folder.journal)),
         files=files,
     )
     text = bytearray()
-    for part in _text(folder.path, seal, sealed):
+    for part in _seal_as_json(folder.path, seal, sealed):
         text += part
     signature = {"sha256": hashlib.sha256(text).hexdigest(), **_signature(text, key)}
     make_folder(folder.path / _SEALS)
-    write_whole(folder.path / seal.where, [text, b"\n", json.dumps(signature).encode(), b"\n"])
-    return folder.path / seal.where
+    write_whole(folder.path / seal.relative_path, [text, b"\n", json.dumps(signature).encode(), b"\n"])
+    return folder.path / seal.relative_path
 
 
-def _text(root: Path, seal: Seal, before: Mapping[str, SealedFile]) -> Iterator[bytes]:
-    """Give a seal as JSON, file by file: fingerprints are the most of it, and made here."""
-    record = {name: value for name, value in vars(seal).items() if name not in _NOT_WRITTEN}
+def _seal_as_json(root: Path, seal: Seal, previous: Mapping[str, SealedFile]) -> Iterator[bytes]:
+    """JSON of a seal, file by file; computes the fingerprints, which are most of its size."""
+    record = {name: value for name, value in vars(seal).items() if name not in _NOT_RECORDED}
     yield json.dumps({**record, "changes": asdict(seal.changes), "files": {}}).encode().removesuffix(b"}}")
     separator = ""
     for path, each in seal.files.items():
-        is_known = path in before and before[path].sha256 == each.sha256
-        known = json.dumps({"size_bytes": each.size_bytes, "sha256": each.sha256}).removesuffix("}")
-        yield f'{separator}{json.dumps(path)}: {known}, "fingerprint": "'.encode()
-        yield b"" if is_known else fingerprint_of(root / path).encode()  # no character of it is escaped
+        is_unchanged = path in previous and previous[path].sha256 == each.sha256
+        entry = json.dumps({"size_bytes": each.size_bytes, "sha256": each.sha256}).removesuffix("}")
+        yield f'{separator}{json.dumps(path)}: {entry}, "fingerprint": "'.encode()
+        yield (
+            b"" if is_unchanged else fingerprint_of(root / path).encode()
+        )  # has no character that JSON escapes
         yield b'"}'
         separator = ", "
     yield b"}}"
 
 
 def edited_tables(folder: RunFolder) -> list[str]:
-    """Names of the tables that are not as sealed, though nothing was measured since; empty without a seal."""
+    """Names of tables that differ from their seal though nothing was measured since; empty without a seal."""
     paths = sorted((folder.path / _SEALS).glob("*.jsonl"))
     sealed = _read_seal(paths[-1], None).files if paths else {}
     if JOURNAL not in sealed or _differs(folder.journal, sealed[JOURNAL]):
@@ -238,29 +243,29 @@ def _differs(path: Path, sealed: SealedFile) -> bool:
     return not path.is_file() or file_sha256(path) != sealed.sha256
 
 
-def keep_sealed(
-    folder: RunFolder, known: Mapping[str, str] = MappingProxyType({}), are_tables_new: bool = False
+def update_seal(
+    folder: RunFolder, known_sha256: Mapping[str, str] = MappingProxyType({}), are_tables_new: bool = False
 ) -> None:
-    """Seal a run that has ended, with what was added to it; where the key can't be used, without signature.
+    """Seal a run that has ended, or what was added to it; without a signature if the key can't be used.
 
-    Runs of versions without seals are left as they are, and those with tables that are not as sealed, unless
-    these were computed again (``are_tables_new``). ``known``: hashes, by path, that a report states which was
-    just written: the seal holds the same. Raises RunFolderError if measured data or inputs have changed since
-    the last seal.
+    Leaves a run of a version without seals as it is, and one whose tables differ from their seal, unless they
+    were computed again (``are_tables_new``). ``known_sha256``: hashes by path that a new report states, so
+    that the seal holds the same. Raises RunFolderError if measured data or inputs have changed since the last
+    seal.
     """
     try:
         ended = facts_of(read_journal(folder.journal)).ended
     except RunFolderError:
-        return  # damaged: a seal would confirm it
+        return  # damaged: a seal would confirm the damage
     is_due = (folder.path / _SEALS).exists() or is_linked(folder.journal)
     if ended and is_due and (are_tables_new or not edited_tables(folder)):
-        _seal_folder(folder, None, accept_changes=False, known=known)
+        _seal_folder(folder, None, accept_changes=False, known_sha256=known_sha256)
 
 
 def require_sealed_inputs(folder: RunFolder) -> None:
     """Raise RunFolderError if an input of a sealed run changed since its last seal.
 
-    Its report could not be sealed: better before a run resumes than at its end.
+    Called before a run resumes, since its report could not be sealed at its end.
     """
     paths = sorted((folder.path / _SEALS).glob("*.jsonl"))
     last = _read_seal(paths[-1], None) if paths else None
@@ -286,33 +291,33 @@ def verify_seals(folder: Path, trusted_key: Path | None = None) -> SealCheck:
     seals = _read_seals(folder, trusted_key)
     if not seals:
         raise MissingRunError(f"{folder}: has no seal. Make one with: gyrobench seal {folder}")
-    findings = [SealFinding(seal.where, seal.problem) for seal in seals if seal.problem]
+    findings = [SealFinding(seal.relative_path, seal.problem) for seal in seals if seal.problem]
     previous = ""
     for number, seal in enumerate(seals, start=1):
         if seal.number != number or (seal.previous_sha256 != previous and not seal.problem):
-            findings.append(SealFinding(seal.where, f"does not follow seal {number - 1}"))
-        previous = file_sha256(folder / seal.where)
+            findings.append(SealFinding(seal.relative_path, f"does not follow seal {number - 1}"))
+        previous = file_sha256(folder / seal.relative_path)
     files = dict(seals[-1].files)
     for path, sealed in sorted(files.items()):
         if finding := _finding(folder, path, sealed, seals):
             findings.append(finding)
-    extra = [path for path in _paths(folder) if path not in files]
-    findings += [SealFinding(path, "was added after the last seal") for path in extra if _is_evidence(path)]
-    not_sealed = [path for path in extra if not _is_evidence(path)]
+    added = [path for path in _paths_to_seal(folder) if path not in files]
+    findings += [SealFinding(path, "was added after the last seal") for path in added if _is_evidence(path)]
+    not_sealed = [path for path in added if not _is_evidence(path)]
     for unit in RunFolder(folder).unit_folders:
         if not (unit.path / _SEALS).exists():
-            continue  # its files are among those of this folder
-        check, within = verify_seals(unit.path, trusted_key), f"{UNITS_FOLDER}/{unit.path.name}/"
-        files |= {f"{within}{path}": sealed for path, sealed in check.files.items()}
-        findings += [replace(each, path=f"{within}{each.path}") for each in check.findings]
-        chained = {f"{within}{seal.where}" for seal in check.seals}
-        not_sealed = [path for path in not_sealed if path not in chained]
-        not_sealed += [f"{within}{path}" for path in check.not_sealed]
+            continue  # its files are sealed with this folder
+        check, prefix = verify_seals(unit.path, trusted_key), f"{UNITS_FOLDER}/{unit.path.name}/"
+        files |= {f"{prefix}{path}": sealed for path, sealed in check.files.items()}
+        findings += [replace(each, path=f"{prefix}{each.path}") for each in check.findings]
+        unit_seals = {f"{prefix}{seal.relative_path}" for seal in check.seals}
+        not_sealed = [path for path in not_sealed if path not in unit_seals]
+        not_sealed += [f"{prefix}{path}" for path in check.not_sealed]
     return SealCheck(seals, findings, not_sealed, files)
 
 
 def new_key(path: Path) -> Path:
-    """Make an Ed25519 key for seals: a secret one, which only its owner can read, and FILE.pub beside it.
+    """Make an Ed25519 key pair for seals: a private key, readable only by its owner, and FILE.pub beside it.
 
     Returns the path of the public key. Raises RunFolderError if a file exists or can't be written.
     """
@@ -321,7 +326,7 @@ def new_key(path: Path) -> Path:
     public = path.with_name(path.name + ".pub")
     if path.exists() or public.exists():
         raise UnusablePathError(f"{path}: a key of this name exists. Choose another name")
-    secret = ed25519.Ed25519PrivateKey.generate()
+    private_key = ed25519.Ed25519PrivateKey.generate()
     pem = serialization.Encoding.PEM
     try:
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
@@ -329,29 +334,29 @@ def new_key(path: Path) -> Path:
         raise write_error(path, error) from error
     with open(descriptor, "wb") as stream:  # noqa: PTH123 - a descriptor
         stream.write(
-            secret.private_bytes(pem, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
+            private_key.private_bytes(pem, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
         )
-    form = serialization.PublicFormat.SubjectPublicKeyInfo
-    write_whole(public, secret.public_key().public_bytes(pem, form))
+    key_format = serialization.PublicFormat.SubjectPublicKeyInfo
+    write_whole(public, private_key.public_key().public_bytes(pem, key_format))
     return public
 
 
 #: Attributes of a seal that are not part of its record.
-_NOT_WRITTEN = ("key", "unsigned", "problem")
+_NOT_RECORDED = ("key", "unsigned", "problem")
 
 
 def _is_evidence(path: str) -> bool:
     return path in _EVIDENCE or path.startswith(tuple(f"{name}/" for name in _EVIDENCE_FOLDERS))
 
 
-def _paths(root: Path, below: str = "") -> Iterator[str]:
-    """Paths of the files to be sealed, relative to the run folder, in order."""
+def _paths_to_seal(root: Path, prefix: str = "") -> Iterator[str]:
+    """Sorted paths, relative to the run folder, of the files to be sealed below ``prefix``."""
     try:
-        found = sorted((root / below).iterdir(), key=lambda each: each.name)
+        entries = sorted((root / prefix).iterdir(), key=lambda each: each.name)
     except OSError as error:
-        raise RunFolderError(f"{root / below}: can't be read: {error.strerror}") from error
-    for each in found:
-        path = f"{below}{each.name}"
+        raise RunFolderError(f"{root / prefix}: can't be read: {error.strerror}") from error
+    for each in entries:
+        path = f"{prefix}{each.name}"
         is_evidence = _is_evidence(path) or path in _EVIDENCE_FOLDERS
         if each.name.startswith(".") or path in _TRANSIENT or path == _SEALS:
             continue
@@ -360,41 +365,44 @@ def _paths(root: Path, below: str = "") -> Iterator[str]:
         if not each.is_dir():
             yield path
         elif is_evidence or not (each / _SEALS).exists():
-            yield from _paths(root, f"{path}/")
-        elif below == f"{UNITS_FOLDER}/":
+            yield from _paths_to_seal(root, f"{path}/")
+        elif prefix == f"{UNITS_FOLDER}/":
             yield from (f"{path}/{_SEALS}/{seal.name}" for seal in sorted((each / _SEALS).glob("*.jsonl")))
-        # Other runs in the folder have their own seals.
+        # Other runs inside the folder have their own seals.
 
 
-def _changes(root: Path, before: Mapping[str, SealedFile], files: Mapping[str, SealedFile]) -> SealChanges:
-    changed = [path for path in files if path in before and files[path].sha256 != before[path].sha256]
-    extended = [path for path in changed if _is_evidence(path) and _starts_with(root / path, before[path])]
+def _changes(root: Path, previous: Mapping[str, SealedFile], files: Mapping[str, SealedFile]) -> SealChanges:
+    changed = [path for path in files if path in previous and files[path].sha256 != previous[path].sha256]
+    extended = [path for path in changed if _is_evidence(path) and _starts_with(root / path, previous[path])]
     return SealChanges(
-        added=[path for path in files if path not in before],
+        added=[path for path in files if path not in previous],
         extended=extended,
         replaced=[path for path in changed if path not in extended],
-        removed=[path for path in before if path not in files],
+        removed=[path for path in previous if path not in files],
     )
 
 
 def _starts_with(path: Path, sealed: SealedFile) -> bool:
-    digest, left = hashlib.sha256(), sealed.size_bytes
+    """Whether a file begins with its sealed content."""
+    digest, remaining = hashlib.sha256(), sealed.size_bytes
     with path.open("rb") as file:
-        while content := file.read(min(left, _PIECE_BYTES)):
+        while content := file.read(min(remaining, _CHUNK_BYTES)):
             digest.update(content)
-            left -= len(content)
+            remaining -= len(content)
     return digest.hexdigest() == sealed.sha256
 
 
 def _finding(root: Path, path: str, sealed: SealedFile, seals: Sequence[Seal]) -> SealFinding | None:
-    at = root / path
-    if not at.is_file():
+    file = root / path
+    if not file.is_file():
         return SealFinding(path, "is missing")
-    if file_sha256(at) == sealed.sha256:
+    if file_sha256(file) == sealed.sha256:
         return None
-    same = (seal.files[path] for seal in seals if path in seal.files)
-    known = [each.fingerprint for each in same if each.sha256 == sealed.sha256 and each.fingerprint]
-    change = find_change(at, known[0]) if known else None
+    sealed_versions = (seal.files[path] for seal in seals if path in seal.files)
+    fingerprints = [
+        each.fingerprint for each in sealed_versions if each.sha256 == sealed.sha256 and each.fingerprint
+    ]
+    change = find_change(file, fingerprints[0]) if fingerprints else None
     if change is None:
         return SealFinding(path, "differs; where is not known")
     return SealFinding(path, change.text, change.start, change.end)
@@ -407,13 +415,13 @@ def _read_seals(root: Path, trusted_key: Path | None = None) -> list[Seal]:
 
 def _read_seal(path: Path, trusted: bytes | None) -> Seal:
     """Read a seal and verify its signature. Raises RunFolderError if it is damaged beyond reading."""
-    text, _, rest = read_limited(path, _MAX_BYTES, RunFolderError).partition(b"\n")
+    text, _, rest = read_limited(path, _MAX_SEAL_BYTES, RunFolderError).partition(b"\n")
     try:
         record, signature = parse_json(text), parse_json(rest)
         files = {name: SealedFile(**each) for name, each in record.pop("files").items()}
         seal = Seal(**{**record, "files": files, "changes": SealChanges(**record["changes"])})
         key = base64.b64decode(signature.get("public_key", ""))
-        problem = _problem_of(text, signature, key, trusted)
+        problem = _signature_problem(text, signature, key, trusted)
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise RunFolderError(f"{path}: this seal is damaged: {error}. Restore it from a copy") from error
     identity = f"Ed25519 key {hashlib.sha256(key).hexdigest()[:16]}" if key else ""
@@ -421,7 +429,7 @@ def _read_seal(path: Path, trusted: bytes | None) -> Seal:
     return Seal(**{**values, "key": identity, "unsigned": signature.get("unsigned", ""), "problem": problem})
 
 
-def _problem_of(text: bytes, signature: Mapping[str, Any], key: bytes, trusted: bytes | None) -> str:
+def _signature_problem(text: bytes, signature: Mapping[str, Any], key: bytes, trusted: bytes | None) -> str:
     if hashlib.sha256(text).hexdigest() != signature["sha256"]:
         return "was changed: its hash does not fit"
     if trusted is not None and key != trusted:
@@ -442,16 +450,16 @@ def _signature(text: bytearray, key: Path | None) -> dict[str, str]:
     if key is None and not configured:
         return {"unsigned": f"no key; {KEY_VARIABLE} names one"}
     try:
-        secret = _load_key(key or Path(configured))
+        private_key = _load_key(key or Path(configured))
     except GyrobenchError as error:
         if key is not None:
             raise
         return {"unsigned": str(error)}
-    public = base64.b64encode(secret.public_key().public_bytes_raw()).decode()
+    public = base64.b64encode(private_key.public_key().public_bytes_raw()).decode()
     return {
         "algorithm": "Ed25519",
         "public_key": public,
-        "signature": base64.b64encode(secret.sign(text)).decode(),
+        "signature": base64.b64encode(private_key.sign(text)).decode(),
     }
 
 

@@ -20,7 +20,7 @@ import psutil
 from gyrobench.bench.fleet.jobs import FleetRecord, JobKind
 from gyrobench.bench.fleet.workers import Workers, connect_workers, work_through
 from gyrobench.bench.foundations.clock import WallClock
-from gyrobench.bench.runs.index.store import runs_named
+from gyrobench.bench.runs.index.store import find_run_folders
 from tests.benchmarks.fleet_runs import make_runs
 
 TABLE = Path(__file__).parents[2] / "docs" / "fleet_benchmark.md"
@@ -177,7 +177,7 @@ def main():
     options = parser.parse_args()
     if options.case:
         kind, workers, are_threads = options.case
-        paths = runs_named([str(options.out)])[: options.runs]
+        paths = find_run_folders([str(options.out)])[: options.runs]
         case = measure(kind, paths, int(workers), are_threads == "1", options.record)
         print(json.dumps(asdict(case)))
         return

@@ -49,7 +49,7 @@ def variance_shares(budget: BudgetSummary) -> list[Shares]:
         parts = {
             name: each.variance / total
             for name, each in contributions.items()
-            if each.shares and name != COMBINED
+            if each.share_count and name != COMBINED
         }
         label = f"{gyro_label(axis)} {level_or_vertical(is_vertical)}"
         result.append(Shares(label, is_vertical, count, math.sqrt(total / count), parts))

@@ -1,1 +1,1 @@
-"""The index of many runs: where they lie, tables of what they hold, selections and drift over time."""
+"""The index of many runs: their folders, tables of their results, selections, and drift over time."""

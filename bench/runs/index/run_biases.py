@@ -1,7 +1,7 @@
 """Biases of many runs: levels and position differences by gyro and bin, and their drift over calendar time.
 
-Runs are compared by the positions that they have in common: a mean over other positions would be
-another number, although nothing changed.
+Runs are compared by the positions that they have in common, since means over different positions differ
+even if no bias changed.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from gyrobench.bench.foundations.text import bin_label
 from gyrobench.bench.navigation.positions import POSITIONS, gyro_label, position_label
 from gyrobench.bench.runs.index.run_index import RunIndex
 
-#: Name of the quantity that is the mean over the positions.
+#: Name of the mean over the positions.
 LEVEL = "level"
 
 
@@ -29,8 +29,8 @@ LEVEL = "level"
 class RunBias:
     """One quantity in one run."""
 
-    unit: str  #: Its INS.
-    started_utc: datetime  #: Its start.
+    unit: str  #: Serial number of the INS.
+    started_utc: datetime  #: Start of the run.
     #: bias_dph, sigma_dph: Value and standard uncertainty.
     bias_dph: float
     sigma_dph: float
@@ -48,18 +48,22 @@ class BiasQuantity:
     positions: tuple[str, ...]  #: Positions averaged in the level.
 
     def is_same_as(self, other: BiasQuantity) -> bool:
-        """Whether it is the same quantity of another unit: equal but for the positions averaged."""
+        """Whether it is the same quantity of another unit, with possibly other positions averaged."""
         return replace(self, positions=other.positions) == other
 
     @property
     def label(self) -> str:
-        """Say what it is: "X gyro at 20 to 40 °C", "X gyro at 20 to 40 °C, Z-Up minus the mean"."""
-        place = f"{gyro_label(self.gyro)} at {bin_label(self.bin_low_c, self.bin_high_c)} °C"
-        return place if self.name == LEVEL else f"{place}, {position_label(self.name)} minus the mean"
+        """Label: "X gyro at 20 to 40 °C", "X gyro at 20 to 40 °C, Z-Up minus the mean"."""
+        level_label = f"{gyro_label(self.gyro)} at {bin_label(self.bin_low_c, self.bin_high_c)} °C"
+        return (
+            level_label
+            if self.name == LEVEL
+            else f"{level_label}, {position_label(self.name)} minus the mean"
+        )
 
 
 def read_run_biases(index: RunIndex, paths: Sequence[str]) -> dict[BiasQuantity, list[RunBias]]:
-    """Read levels and differences of some runs, each quantity in the order of time.
+    """Read levels and position differences of some runs, each quantity in the order of time.
 
     Runs in which the INS compensated biases are left out: they measured residuals.
     """
@@ -72,18 +76,18 @@ def read_run_biases(index: RunIndex, paths: Sequence[str]) -> dict[BiasQuantity,
 
 
 def run_biases(rows: Iterable[Mapping[str, Any]]) -> dict[BiasQuantity, list[RunBias]]:
-    """Form levels and differences from biases by run, gyro, bin and position.
+    """Compute levels and position differences from biases by run, gyro, bin and position.
 
     For each gyro and bin the positions common to most runs are used; runs that lack one are left out.
     """
     cells: dict[tuple[str, float, float], dict[str, dict[str, Mapping[str, Any]]]] = defaultdict(dict)
     for row in rows:
-        of_bin = cells[row["gyro"], row["bin_low_c"], row["bin_high_c"]]
-        of_bin.setdefault(row["path"], {})[row["position"]] = row
+        rows_by_run = cells[row["gyro"], row["bin_low_c"], row["bin_high_c"]]
+        rows_by_run.setdefault(row["path"], {})[row["position"]] = row
     result: dict[BiasQuantity, list[RunBias]] = {}
     for (gyro, low_c, high_c), runs in sorted(cells.items()):
         positions = _common_positions(runs.values())
-        whole = [run for run in runs.values() if set(positions) <= run.keys()]
+        complete_runs = [run for run in runs.values() if set(positions) <= run.keys()]
         # With two positions, one difference is the negative of the other.
         names = [LEVEL, *(positions if len(positions) > 2 else positions[1:])]
         for name in names:
@@ -91,23 +95,27 @@ def run_biases(rows: Iterable[Mapping[str, Any]]) -> dict[BiasQuantity, list[Run
             if name != LEVEL:
                 weights = np.eye(len(positions))[positions.index(name)] - weights
             quantity = BiasQuantity(gyro, low_c, high_c, name, positions)
-            result[quantity] = [_combined([run[each] for each in positions], weights) for run in whole]
+            result[quantity] = [
+                _weighted_sum([run[each] for each in positions], weights) for run in complete_runs
+            ]
     return result
 
 
 def _common_positions(runs: Iterable[Mapping[str, object]]) -> tuple[str, ...]:
-    """Set of positions with the largest product of its size and the number of runs that have it."""
+    """Set of positions with the largest product of its size and the number of runs that have all of it."""
     sets = Counter(frozenset(run) for run in runs)
 
     def coverage(candidate: frozenset[str]) -> tuple[int, list[str]]:
-        having = sum(count for each, count in sets.items() if candidate <= each)
-        return having * len(candidate), sorted(candidate)
+        run_count = sum(count for each, count in sets.items() if candidate <= each)
+        return run_count * len(candidate), sorted(candidate)
 
     common = max(sets, key=coverage)
     return tuple(position for position in POSITIONS if position in common)
 
 
-def _combined(rows: Sequence[Mapping[str, Any]], weights: np.ndarray[Any, np.dtype[np.float64]]) -> RunBias:
+def _weighted_sum(
+    rows: Sequence[Mapping[str, Any]], weights: np.ndarray[Any, np.dtype[np.float64]]
+) -> RunBias:
     bias_dph = np.array([row["bias_dph"] for row in rows])
     sigma_dph = np.array([row["sigma_dph"] for row in rows])
     first = rows[0]
@@ -121,7 +129,7 @@ def _combined(rows: Sequence[Mapping[str, Any]], weights: np.ndarray[Any, np.dty
 
 #: Mean length of a month, days.
 MONTH_DAYS = 365.2425 / 12.0
-#: Least number of runs at different times for a line with uncertainty.
+#: Smallest number of runs at different times for a slope with uncertainty.
 _MIN_RUNS = 3
 #: Family-wise false-alarm probability of all comparisons of a trend or a batch.
 FALSE_ALARM = 0.01
@@ -138,7 +146,7 @@ class Trend:
     #: bias_dph, sigma_dph: Mean over the runs, and its standard uncertainty.
     bias_dph: float
     sigma_dph: float
-    #: Standard deviation of the runs about the line beyond their uncertainties (turn-on bias).
+    #: Standard deviation of the runs about the line in excess of their uncertainties (turn-on bias).
     between_runs_dph: float
     #: slope_dph_per_month, slope_sigma_dph_per_month: The drift; NaN with too few runs.
     slope_dph_per_month: float
@@ -155,13 +163,15 @@ class Trend:
 def trends(biases: Mapping[BiasQuantity, Sequence[RunBias]]) -> list[Trend]:
     """Fit a line to the level of each gyro and bin of one unit.
 
-    The uncertainty of a slope includes the scatter of the runs about the line beyond their own
-    uncertainties; its p-value is that of Student's t.
+    The uncertainty of a slope includes the scatter of the runs about the line in excess of
+    their uncertainties; its p-value is that of Student's t.
     """
     levels = [(quantity, runs) for quantity, runs in biases.items() if quantity.name == LEVEL and runs]
-    fitted = [_fitted(quantity, runs) for quantity, runs in levels]
-    adjusted = holm([each.p_value for each in fitted])
-    return [Trend(**{**vars(each), "p_adjusted": float(p)}) for each, p in zip(fitted, adjusted, strict=True)]
+    unadjusted = [_fit_trend(quantity, runs) for quantity, runs in levels]
+    adjusted = holm([each.p_value for each in unadjusted])
+    return [
+        Trend(**{**vars(each), "p_adjusted": float(p)}) for each, p in zip(unadjusted, adjusted, strict=True)
+    ]
 
 
 def months_since_first(runs: Sequence[RunBias]) -> list[float]:
@@ -181,7 +191,7 @@ def mixed_origins(runs: Sequence[Mapping[str, Any]]) -> list[str]:
     return texts
 
 
-def _fitted(quantity: BiasQuantity, runs: Sequence[RunBias]) -> Trend:
+def _fit_trend(quantity: BiasQuantity, runs: Sequence[RunBias]) -> Trend:
     values = np.array([run.bias_dph for run in runs])
     variances = np.array([run.sigma_dph for run in runs]) ** 2
     months = np.array(months_since_first(runs))
@@ -190,8 +200,8 @@ def _fitted(quantity: BiasQuantity, runs: Sequence[RunBias]) -> Trend:
     design = constant
     if len(np.unique(months)) >= _MIN_RUNS:
         design = np.column_stack([constant, months - months.mean()])
-    between = excess_variance(values, variances, design)
-    fit = weighted_fit(values, variances + between, design)
+    excess = excess_variance(values, variances, design)
+    fit = weighted_fit(values, variances + excess, design)
     # Runs that agree better than their uncertainties do not reduce the uncertainty.
     scale = max(fit.chi2 / fit.dof, 1.0) if fit.dof else 1.0
     sigmas = np.sqrt(scale * np.diag(fit.covariance))
@@ -199,6 +209,6 @@ def _fitted(quantity: BiasQuantity, runs: Sequence[RunBias]) -> Trend:
         slope, slope_sigma = float(fit.values[1]), float(sigmas[1])
         p_value = float(2.0 * student.sf(abs(slope) / slope_sigma, fit.dof))
     return Trend(
-        quantity, runs, float(fit.values[0]), float(sigmas[0]), math.sqrt(between), slope, slope_sigma,
+        quantity, runs, float(fit.values[0]), float(sigmas[0]), math.sqrt(excess), slope, slope_sigma,
         p_value, math.nan,
     )  # fmt: skip

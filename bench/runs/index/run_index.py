@@ -1,7 +1,7 @@
 """The index of the runs of a folder or object store: one DuckDB file, made from the run folders.
 
-Everything in it comes from the run folders, so it may be removed at any time. Only runs whose files
-have changed are read again.
+All its content comes from the run folders, so it may be deleted at any time. An update reads only runs whose
+files have changed.
 """
 
 from __future__ import annotations
@@ -42,15 +42,15 @@ _INDEX = "index.duckdb"
 #: Runs per transaction; complete transactions survive an interruption.
 _RUNS_PER_TRANSACTION = 100
 #: Parallel requests to an object store, which answers slowly.
-_READERS = 16
-#: Wait for another process that updates the index.
+_MAX_READERS = 16
+#: Longest wait for another process that updates the index.
 _LOCK_TIMEOUT_S = 20.0
 #: Texts of DuckDB's errors for a locked and for a damaged file.
 _LOCKED = "set lock on file"
 _DAMAGED = ("Corrupt database", "not a valid DuckDB database", "Serialization Error")
 _LOCK_POLL_S = 0.2
-_MAGIC = slice(8, 12), b"DUCK"
-_PROTECTED = {"enable_external_access": "false", "lock_configuration": "true"}
+_FILE_SIGNATURE = slice(8, 12), b"DUCK"
+_READ_ONLY_CONFIG = {"enable_external_access": "false", "lock_configuration": "true"}
 
 ReportProgress = Callable[[int, int], None]
 
@@ -60,14 +60,14 @@ class IndexUpdate:
     """Result of an update: number of runs read, removed, and unchanged."""
 
     read: int
-    gone: int
+    removed: int
     unchanged: int
 
     @property
     def text(self) -> str:
-        """For people: "12 of 300 runs read, 1 run removed"; empty if nothing changed."""
+        """Summary: "12 of 300 runs read, 1 run removed"; empty if nothing changed."""
         read = [f"{self.read} of {counted(self.read + self.unchanged, 'run')} read"] if self.read else []
-        return ", ".join([*read, *([f"{counted(self.gone, 'run')} removed"] if self.gone else [])])
+        return ", ".join([*read, *([f"{counted(self.removed, 'run')} removed"] if self.removed else [])])
 
 
 @dataclass(frozen=True)
@@ -105,19 +105,19 @@ class RunIndex:
         so far and in total. Raises RunFolderError if the runs can't be found or the index can't be written.
         Raises DocumentError if the table of units is wrong.
         """
-        found = {run.path: run for run in self._store.runs()}
+        runs = {run.path: run for run in self._store.runs()}
         units_tag = self._store.tag(UNITS)
         is_new = rebuild or not self._is_usable()
-        known = {} if is_new else self._fingerprints()
-        changed = [run for path, run in found.items() if known.get(path) != run.fingerprint]
-        gone = [path for path in known if path not in found and path != UNITS]
-        if changed or gone or known.get(UNITS) != units_tag or is_new:
+        indexed = {} if is_new else self._fingerprints()
+        changed = [run for path, run in runs.items() if indexed.get(path) != run.fingerprint]
+        removed = [path for path in indexed if path not in runs and path != UNITS]
+        if changed or removed or indexed.get(UNITS) != units_tag or is_new:
             make_folder(self.path.parent)
             with self._connect_to_write(is_new=is_new) as connection:
                 try:
-                    if is_new:  # in the same file, whose lock other processes wait for
+                    if is_new:  # in the same file, since other processes wait for its lock
                         _make_tables(connection)
-                    _remove_runs(connection, gone)
+                    _remove_runs(connection, removed)
                     self._read_changed(connection, changed, progress)
                     self._read_units(connection, units_tag)
                 except self._duckdb.Error as error:
@@ -125,7 +125,7 @@ class RunIndex:
                     raise RunFolderError(
                         f"{self.path}: can't be written: {text}. Choose another file with --index"
                     ) from error
-        return IndexUpdate(len(changed), len(gone), len(found) - len(changed))
+        return IndexUpdate(len(changed), len(removed), len(runs) - len(changed))
 
     def query(self, sql: str, parameters: Sequence[Any] = ()) -> QueryResult:
         """Query the index, read-only and without access to other files.
@@ -143,7 +143,7 @@ class RunIndex:
                 raise DocumentError(f"invalid query: {error}") from error
 
     def problems(self) -> dict[str, str]:
-        """Reasons by run folder that can't be read."""
+        """Run folders that can't be read, with the reasons."""
         return dict(self.query("SELECT path, problem FROM files WHERE problem <> '' ORDER BY path").rows)
 
     def _read_changed(
@@ -152,10 +152,10 @@ class RunIndex:
         changed: Sequence[RunFiles],
         progress: ReportProgress | None,
     ) -> None:
-        with ThreadPoolExecutor(1 if self._store.is_local else _READERS) as readers:
+        with ThreadPoolExecutor(1 if self._store.is_local else _MAX_READERS) as readers:
             for first in range(0, len(changed), _RUNS_PER_TRANSACTION):
                 runs = changed[first : first + _RUNS_PER_TRANSACTION]
-                outcomes = list(readers.map(partial(_outcome, self._store), runs))
+                outcomes = list(readers.map(partial(_read_or_problem, self._store), runs))
                 connection.begin()
                 _remove_runs(connection, [run.path for run in runs])
                 _insert(connection, "files", [_file_row(*each) for each in zip(runs, outcomes, strict=True)])
@@ -181,13 +181,13 @@ class RunIndex:
         connection.commit()
 
     def _fingerprints(self) -> dict[str, str]:
-        """Fingerprints of the runs in the index; none for one with a problem, which is read again."""
+        """Fingerprints of the runs in the index; None for a run with a problem, so that it is read again."""
         if not self.path.exists():
             return {}
         return dict(self.query("SELECT path, CASE problem WHEN '' THEN fingerprint END FROM files").rows)
 
     def _is_usable(self) -> bool:
-        """Whether there is an index with the columns of this program."""
+        """Whether an index exists that has the columns of this version."""
         if not self.path.exists():
             return False
         if not _is_duckdb(self.path):
@@ -209,7 +209,7 @@ class RunIndex:
             raise RunFolderError(f"{self.path}: can't be removed: {error.strerror}") from error
 
     def _connect_to_write(self, *, is_new: bool) -> duckdb.DuckDBPyConnection:
-        """Connect; a file that can't be opened is replaced where all of it is written again."""
+        """Connect; a file that can't be opened is replaced if the index ``is_new``."""
         try:
             return self._connect(read_only=False)
         except _IndexInUseError:
@@ -226,16 +226,16 @@ class RunIndex:
         while True:
             try:
                 connection: duckdb.DuckDBPyConnection = self._duckdb.connect(
-                    str(self.path), read_only=read_only, config=dict(_PROTECTED) if read_only else {}
+                    str(self.path), read_only=read_only, config=dict(_READ_ONLY_CONFIG) if read_only else {}
                 )
                 return connection
             except self._duckdb.Error as error:
                 is_held = _LOCKED in str(error)
                 if not is_held or deadline.expired():
-                    raise self._not_opened(error, is_held=is_held) from error
+                    raise self._connection_error(error, is_held=is_held) from error
             clock.sleep(_LOCK_POLL_S)
 
-    def _not_opened(self, error: duckdb.Error, *, is_held: bool) -> RunFolderError:
+    def _connection_error(self, error: duckdb.Error, *, is_held: bool) -> RunFolderError:
         if is_held:
             return _IndexInUseError(
                 f"{self.path}: another process is using this index. Wait until it has finished"
@@ -253,22 +253,22 @@ def _default_path(store: RunStore) -> Path:
     if store.is_local and os.access(store.root, os.W_OK):
         return Path(store.root) / _INDEX
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    place = store.root if store.is_local else store.url
-    name = hashlib.sha256(place.encode()).hexdigest()[:16]
+    location = store.root if store.is_local else store.url
+    name = hashlib.sha256(location.encode()).hexdigest()[:16]
     return cache / "gyrobench" / f"index-{name}.duckdb"
 
 
 def _is_duckdb(path: Path) -> bool:
-    place, mark = _MAGIC
+    span, signature = _FILE_SIGNATURE
     try:
         with path.open("rb") as stream:
-            return stream.read(place.stop)[place] == mark
+            return stream.read(span.stop)[span] == signature
     except OSError as error:
         raise RunFolderError(f"{path}: can't be read: {error.strerror}") from error
 
 
 def _make_tables(connection: duckdb.DuckDBPyConnection) -> None:
-    """Make empty tables in place of those that are there."""
+    """Replace all tables by empty ones."""
     connection.begin()
     for (name,) in connection.execute("SELECT table_name FROM duckdb_tables()").fetchall():
         connection.execute(f'DROP TABLE "{name}"')
@@ -293,16 +293,16 @@ def _insert(connection: duckdb.DuckDBPyConnection, table: str, rows: Sequence[di
     connection.unregister("added")
 
 
-def _outcome(store: RunStore, run: RunFiles) -> RunRecord | str:
-    """Read a run, or give the reason why it can't be read."""
+def _read_or_problem(store: RunStore, run: RunFiles) -> RunRecord | str:
+    """Read a run; returns the reason if it can't be read."""
     try:
         return read_run_record(run, store.read)
     except GyrobenchError as error:
         return str(error)
 
 
-def _file_row(run: RunFiles, outcome: RunRecord | str) -> dict[str, Any]:
-    problem = outcome if isinstance(outcome, str) else ""
+def _file_row(run: RunFiles, result: RunRecord | str) -> dict[str, Any]:
+    problem = result if isinstance(result, str) else ""
     return {"path": run.path, "fingerprint": run.fingerprint, "problem": problem}
 
 
@@ -314,14 +314,14 @@ def find_runs(index: RunIndex, selection: Selection) -> list[dict[str, Any]]:
 
 
 def watermark(runs: Sequence[Mapping[str, Any]]) -> str:
-    """Word across what is drawn from rows of :func:`find_runs`; empty where no world is behind them."""
+    """Watermark of results of these rows of :func:`find_runs`; empty if no run was emulated."""
     return SIMULATED if any(run["world"] for run in runs) else ""
 
 
 Grouping = Literal["unit", "batch", "bench", "procedure", "month"]
 
-#: SQL expression of each group's name; versions of a procedure differ in the beginning of the SHA-256.
-_NAMES: dict[Grouping, str] = {
+#: SQL expression of a group's name; versions of a procedure differ in the first digits of the SHA-256.
+_GROUP_NAMES: dict[Grouping, str] = {
     "unit": "unit",
     "batch": "batch",
     "bench": "station",
@@ -329,7 +329,7 @@ _NAMES: dict[Grouping, str] = {
     "month": "strftime(started_utc, '%Y-%m')",
 }
 
-_SQL = """
+_GROUP_SQL = """
 WITH chosen AS (SELECT *, {name} AS name FROM runs WHERE {condition}),
 levels AS (
     SELECT path, gyro, sum(bias_dph / sigma_dph ** 2) / sum(1 / sigma_dph ** 2) AS bias_dph
@@ -355,10 +355,10 @@ SELECT * FROM counts LEFT JOIN biases USING (name) ORDER BY name
 
 
 def group_runs(index: RunIndex, by: Grouping, selection: Selection) -> list[dict[str, Any]]:
-    """Count verdicts and average biases of the selected runs by group.
+    """Counts of verdicts and mean biases of the selected runs by group.
 
     A run's bias is the weighted mean over its bins and positions; the spread is the standard deviation
-    over the runs. Runs in which the INS compensated biases are left out of both.
+    over the runs. Both exclude runs in which the INS compensated biases.
     """
     condition, parameters = selection.condition()
     columns = ", ".join(
@@ -366,7 +366,7 @@ def group_runs(index: RunIndex, by: Grouping, selection: Selection) -> list[dict
         for gyro in "xyz"
         for kind, function in (("bias", "avg"), ("spread", "stddev_samp"))
     )
-    sql = _SQL.format(name=_NAMES[by], condition=condition, columns=columns)
+    sql = _GROUP_SQL.format(name=_GROUP_NAMES[by], condition=condition, columns=columns)
     return index.query(sql, parameters).records()
 
 

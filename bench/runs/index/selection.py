@@ -9,7 +9,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Selection:
-    """Criteria for runs; None for any."""
+    """Criteria for runs; None selects any."""
 
     #: unit, batch, bench: Serial number, batch of its gyros, name of the station.
     unit: str | None = None
@@ -34,9 +34,9 @@ class Selection:
             ("(verdict = ? OR acceptance = ?)", self.verdict),
             ("ended = ?", self.ended),
         ]
-        asked = [(test, value) for test, value in tests if value is not None]
-        parameters = [value for test, value in asked for _ in range(test.count("?"))]
-        return " AND ".join(test for test, _ in asked) or "true", parameters
+        active = [(test, value) for test, value in tests if value is not None]
+        parameters = [value for test, value in active for _ in range(test.count("?"))]
+        return " AND ".join(test for test, _ in active) or "true", parameters
 
 
 #: No criterion.

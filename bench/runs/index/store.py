@@ -1,4 +1,4 @@
-"""Run folders in a folder or an object store: where they are, and whether they changed."""
+"""Run folders in a folder or an object store: their paths, and tags that change with their files."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ CLOSURE_FILE = f"{CLOSURE}/closure.json"
 #: Table of the units, in the root of the runs.
 UNITS = "units.csv"
 
-#: Page of that search as data, with the hash of the dwells searched.
+#: Findings of a search as data, with the hash of the dwells that were searched.
 CLOSURE_FINDINGS = f"{CLOSURE}/findings.json"
 
-_OF_A_RUN = (JOURNAL, PROVENANCE, DWELLS, BIAS_BINS, ACCEPTANCE, COMPENSATION)
-_OF_AN_INVESTIGATION = "start.csv"
+_RUN_FILES = (JOURNAL, PROVENANCE, DWELLS, BIAS_BINS, ACCEPTANCE, COMPENSATION)
+_INVESTIGATION_FILE = "start.csv"
 #: Maximum depth of run folders; it also ends a walk through cyclic links.
 _MAX_DEPTH = 8
 _MAX_BYTES = 1_000_000_000
-#: Keys that change with a file: the tag of the store if it has one, else the time.
+#: Keys of values that change with a file: the tag of the store if it has one, else the time.
 _TAGS = ("ETag", "etag", "mtime", "LastModified", "last_modified", "created")
 
 
@@ -48,7 +48,7 @@ _TAGS = ("ETag", "etag", "mtime", "LastModified", "last_modified", "created")
 class RunFiles:
     """One run folder of a store."""
 
-    path: str  #: Relative to the root; "." where the root is the run.
+    path: str  #: Relative to the root; "." if the root is the run.
     files: Mapping[str, str]  #: Size and tag of each file that the index reads, by name.
 
     @property
@@ -74,32 +74,33 @@ class RunStore:
     def runs(self) -> Iterator[RunFiles]:
         """Find run folders in order of their paths; folders inside a run are not searched.
 
-        Of a run with several units those of the units are found, not that of the whole; of an investigation
-        its runs.
+        For a run with several units, finds the folders of the units instead of that of the run; for an
+        investigation, its runs.
+
         Raises RunFolderError if the root does not exist or can't be read.
         """
         for folder, inner, files in self._walk():
-            further = _further(inner, files)
-            if further is None:
-                found = {name: _tag(files[name]) for name in _OF_A_RUN if name in files}
+            to_search = _folders_to_search(inner, files)
+            if to_search is None:
+                tags = {name: _tag(files[name]) for name in _RUN_FILES if name in files}
                 if CLOSURE in inner:
-                    found |= self._closure(folder)
+                    tags |= self._closure(folder)
                 inner.clear()
-                yield RunFiles(folder.removeprefix(self.root).strip("/") or ".", found)
+                yield RunFiles(folder.removeprefix(self.root).strip("/") or ".", tags)
             else:
-                # In place: sets the order of the walk.
-                ordered = {name: inner[name] for name in further}
+                # In place, which sets the order of the walk.
+                ordered = {name: inner[name] for name in to_search}
                 inner.clear()
                 inner.update(ordered)
 
     def read(self, path: str) -> bytes:
         """Content of a file. Raises RunFolderError if it can't be read, or is too large."""
-        whole = f"{self.root.rstrip('/')}/{path}"
+        full_path = f"{self.root.rstrip('/')}/{path}"
         try:
-            size = self.file_system.size(whole)
+            size = self.file_system.size(full_path)
             if size is not None and size > _MAX_BYTES:
                 raise RunFolderError(f"{path}: {size} bytes exceed the limit of {_MAX_BYTES}")
-            return bytes(self.file_system.cat_file(whole))
+            return bytes(self.file_system.cat_file(full_path))
         except RunFolderError:
             raise
         except OSError as error:
@@ -151,41 +152,41 @@ def _tag(info: Mapping[str, Any]) -> str:
     return f"{info.get('size')} {next((info[name] for name in _TAGS if info.get(name)), '')}"
 
 
-def runs_named(names: Sequence[str]) -> list[Path]:
+def find_run_folders(names: Sequence[str]) -> list[Path]:
     """Absolute paths of run folders, each once.
 
     ``names``: run folders, folders that hold them at any depth, and patterns with ``*``, ``?`` or ``[]``.
     Raises RunFolderError if a name matches no run folder.
     """
-    paths = [path for name in names for path in _named(name)]
+    paths = [path for name in names for path in _matching_folders(name)]
     return list(dict.fromkeys(paths))
 
 
-def _named(name: str) -> Iterator[Path]:
+def _matching_folders(name: str) -> Iterator[Path]:
     matches = [name] if Path(name).exists() else sorted(glob.glob(name))  # noqa: PTH207 - may be absolute
-    places = [Path(match) for match in matches]
-    found = False
-    for place in places:
-        for path in _below(place.absolute()):
-            found = True
+    roots = [Path(match) for match in matches]
+    is_found = False
+    for root in roots:
+        for path in _run_folders_below(root.absolute()):
+            is_found = True
             yield path
-    if not found:
+    if not is_found:
         raise MissingRunError(f"{name}: no run folder found. Give run folders, or folders that contain some")
 
 
-def _below(place: Path) -> Iterator[Path]:
-    """Run folders of this machine, found as by :meth:`RunStore.runs`, which needs fsspec."""
-    for folder, inner, files in os.walk(place, followlinks=True):
+def _run_folders_below(root: Path) -> Iterator[Path]:
+    """Run folders of this machine, as :meth:`RunStore.runs`, but without fsspec."""
+    for folder, inner, files in os.walk(root, followlinks=True):
         path = Path(folder)
-        further = _further(inner, files)
-        if further is None:
+        to_search = _folders_to_search(inner, files)
+        if to_search is None:
             yield path
-        is_deepest = len(path.relative_to(place).parts) + 1 >= _MAX_DEPTH
-        inner[:] = [] if is_deepest else further or []
+        is_deepest = len(path.relative_to(root).parts) + 1 >= _MAX_DEPTH
+        inner[:] = [] if is_deepest else to_search or []
 
 
-def _further(inner: Collection[str], files: Collection[str]) -> list[str] | None:
-    """Folders in a folder in which runs are looked for, in order; None where it is a run."""
-    if JOURNAL not in files or _OF_AN_INVESTIGATION in files:
+def _folders_to_search(inner: Collection[str], files: Collection[str]) -> list[str] | None:
+    """Inner folders to search for runs, in order; None if the folder is a run without units."""
+    if JOURNAL not in files or _INVESTIGATION_FILE in files:
         return sorted(inner)
     return [UNITS_FOLDER] if UNITS_FOLDER in inner else None

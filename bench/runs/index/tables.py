@@ -1,4 +1,4 @@
-"""Tables of the index: what they hold of one run, read from the files of its folder, and the units."""
+"""Tables of the index: their rows for one run, read from the files of its folder, and the units."""
 
 from __future__ import annotations
 
@@ -45,15 +45,15 @@ class UnitRow:
 def parse_units(text: str, name: str) -> list[UnitRow]:
     """Read CSV text with the columns unit and batch, optionally hardware and note.
 
-    ``name``: what to call the file in messages. Raises DocumentError, which lists all errors with their
+    ``name``: of the file, for messages. Raises DocumentError, which lists all errors with their
     lines.
     """
     table = CsvTable(text, name, required=("unit", "batch"))
-    seen: dict[str, int] = {}
+    first_indices: dict[str, int] = {}
     units = []
     for index in range(len(table)):
         unit = table.name(index, "unit")
-        first = seen.setdefault(unit, index)
+        first = first_indices.setdefault(unit, index)
         if first != index:
             table.problem(index, "unit", f"unit {unit} is also in line {table.lines[first]}")
         units.append(
@@ -65,9 +65,9 @@ def parse_units(text: str, name: str) -> list[UnitRow]:
     return units
 
 
-#: State of a run whose journal has no end: killed, or still running.
+#: State of a run whose journal has no end: it was killed, or is still running.
 _NOT_ENDED = "not ended"
-#: Verdict of a search on dwells that have been re-evaluated since.
+#: Verdict of a search whose dwells have been re-evaluated since.
 STALE = "stale"
 
 _ModelT = TypeVar("_ModelT", bound=BaseModel)
@@ -105,7 +105,7 @@ class _Closure(BaseModel):
 
 
 class _Findings(BaseModel):
-    """Part of findings.json: hash of the dwells searched."""
+    """Part of findings.json: hash of the dwells that were searched."""
 
     dwells_sha256: str = ""
 
@@ -128,15 +128,15 @@ class RunRow:
     procedure: str
     procedure_sha256: str
     gyrobench: str
-    #: clock, world: Clock of the run, and world behind emulated instruments.
+    #: clock, world: Clock of the run, and world of emulated instruments.
     clock: str
     world: str
     started_utc: datetime  #: Start, UTC without time zone.
     duration_h: float  #: From its journal.
-    #: ended, reason: From its journal; or :data:`_NOT_ENDED`.
+    #: ended, reason: From its journal; ``ended`` is :data:`_NOT_ENDED` without an end.
     ended: str
     reason: str
-    #: dwells, flagged: Number of dwells measured, and flagged.
+    #: dwells, flagged: Numbers of measured and of flagged dwells.
     dwells: int
     flagged: int
     compensated: bool  #: Whether the INS compensated biases: the measured ones are residuals.
@@ -170,7 +170,7 @@ def read_run_record(files: RunFiles, read: Callable[[str], bytes]) -> RunRecord:
         raise RunFolderError(f"{files.path}: has a journal but no {PROVENANCE}. Not a complete run folder")
     folder = _Folder(files, read)
     provenance = folder.document(PROVENANCE, _Provenance)
-    closure = _search_of(folder)
+    closure = _current_closure(folder)
     dwells = parse_dwells(*folder.text(DWELLS)) if DWELLS in files.files else []
     bins = parse_bins(*folder.text(BIAS_BINS)) if BIAS_BINS in files.files else []
     journal = folder.path(JOURNAL)
@@ -182,7 +182,7 @@ def read_run_record(files: RunFiles, read: Callable[[str], bytes]) -> RunRecord:
         gyrobench=provenance.gyrobench,
         clock=str(provenance.options.get("clock", "")),
         world=str(provenance.options.get("world", "")),
-        started_utc=_plain_utc(provenance.started_utc),
+        started_utc=_naive_utc(provenance.started_utc),
         dwells=len(dwells),
         flagged=sum(bool(each.flags) for each in dwells),
         compensated=COMPENSATION in files.files,
@@ -202,14 +202,14 @@ def read_run_record(files: RunFiles, read: Callable[[str], bytes]) -> RunRecord:
     return RunRecord(row, dwells, bins, closure.effects)
 
 
-def _search_of(folder: _Folder) -> _Closure:
-    """Result of the search, if the dwells have not changed since."""
+def _current_closure(folder: _Folder) -> _Closure:
+    """Result of the search; only the verdict :data:`STALE` if the dwells have changed since."""
     closure = folder.document(CLOSURE_FILE, _Closure)
-    seen = folder.document(CLOSURE_FINDINGS, _Findings).dwells_sha256
-    if not closure.verdict or not seen or DWELLS not in folder.files.files:
+    searched_sha256 = folder.document(CLOSURE_FINDINGS, _Findings).dwells_sha256
+    if not closure.verdict or not searched_sha256 or DWELLS not in folder.files.files:
         return closure
-    is_same = hashlib.sha256(folder.read(folder.path(DWELLS))).hexdigest() == seen
-    return closure if is_same else _Closure(verdict=STALE)
+    is_current = hashlib.sha256(folder.read(folder.path(DWELLS))).hexdigest() == searched_sha256
+    return closure if is_current else _Closure(verdict=STALE)
 
 
 @dataclass(frozen=True)
@@ -238,12 +238,14 @@ class _Folder:
         try:
             return model.model_validate_json(self.read(path))
         except ValidationError as error:
-            first = error.errors()[0]
-            place = ".".join(map(str, first["loc"]))
-            raise RunFolderError(f"{path}: damaged: {f'{place}: ' if place else ''}{first['msg']}") from error
+            error_details = error.errors()[0]
+            location = ".".join(map(str, error_details["loc"]))
+            raise RunFolderError(
+                f"{path}: damaged: {f'{location}: ' if location else ''}{error_details['msg']}"
+            ) from error
 
 
-def _plain_utc(time: datetime) -> datetime:
+def _naive_utc(time: datetime) -> datetime:
     """UTC without time zone; a time without zone is taken as UTC."""
     return time.astimezone(UTC).replace(tzinfo=None) if time.tzinfo else time
 
@@ -259,11 +261,11 @@ _DWELL_TRIPLES = ("gyro_c", "gyro_rate_c_per_h", "bias_dph", "sigma_dph")
 
 def _schema_of(model: type, *first: tuple[str, pa.DataType], without: str = "") -> pa.Schema:
     types = _TYPES | _OTHER_TYPES
-    own = [(each.name, types[str(each.type)]) for each in fields(model) if each.name != without]
-    return pa.schema([*first, *own])
+    columns = [(each.name, types[str(each.type)]) for each in fields(model) if each.name != without]
+    return pa.schema([*first, *columns])
 
 
-#: Columns by table. Names and units are those of the files of a run; ``path`` is that of the run.
+#: Columns of each table. Names and units are those of the files of a run; ``path`` is that of the run.
 SCHEMAS: Mapping[str, pa.Schema] = {
     "runs": _schema_of(RunRow).append(pa.field("batch", _TEXT)).append(pa.field("hardware", _TEXT)),
     "bins": _schema_of(BiasBin, ("path", _TEXT), without="by_power_cycle"),
@@ -286,7 +288,7 @@ SCHEMAS: Mapping[str, pa.Schema] = {
     "units": _schema_of(UnitRow),
     "files": pa.schema([(name, _TEXT) for name in ("path", "fingerprint", "problem")]),
 }
-#: Tables with rows of runs.
+#: Tables with rows that belong to a run.
 RUN_TABLES = ("runs", "bins", "dwells", "effects")
 
 
@@ -296,7 +298,7 @@ def arrow_table(name: str, rows: Iterable[Mapping[str, Any]]) -> pa.Table:
 
 
 def rows_by_table(records: Sequence[RunRecord]) -> dict[str, list[dict[str, Any]]]:
-    """Rows by table that some runs have."""
+    """Rows of some runs, by table."""
     return {
         "runs": [asdict(record.row) for record in records],
         "bins": [{"path": record.row.path, **asdict(each)} for record in records for each in record.bins],
@@ -320,9 +322,9 @@ def _dwell_values(path: str, row: DwellRow) -> dict[str, Any]:
         for name in _DWELL_TRIPLES
         for column, value in zip(columns_of((name,)), getattr(row, name), strict=True)
     }
-    names = ("run", "dwell", "cycle", "position", *SCALARS, "fit_p_value")
-    plain = {name: getattr(row, name) for name in names}
-    return {"path": path, **plain, **triples, "flags": flag_text(row.flags)}
+    scalar_names = ("run", "dwell", "cycle", "position", *SCALARS, "fit_p_value")
+    scalars = {name: getattr(row, name) for name in scalar_names}
+    return {"path": path, **scalars, **triples, "flags": flag_text(row.flags)}
 
 
 def _without_nan(row: Mapping[str, Any]) -> dict[str, Any]:

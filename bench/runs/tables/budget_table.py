@@ -17,7 +17,7 @@ from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN
 from gyrobench.bench.foundations.csv_tables import CsvTable, iter_rows, write_rows
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
-#: Names of the sums in the column ``contribution``: the stated uncertainty, and that with what lies outside.
+#: Names of the sums in the column ``contribution``: the stated uncertainty, and that for any power cycle.
 COMBINED, ANY_POWER_CYCLE = "combined", "combined_any_power_cycle"
 
 
@@ -27,24 +27,24 @@ class BudgetRow:
 
     result: str  #: ``dwell``, ``bin`` or ``coefficient``.
     quantity: str  #: ``gyro_bias``, or the name of the coefficient.
-    axis: str  #: "x", "y" or "z"; of misalignments the sensor and the axis that it senses.
+    axis: str  #: "x", "y" or "z"; of a misalignment the sensor and the axis that it senses.
     dwell: int | None = None  #: Number of the dwell; None for other results.
-    plateau: int | None = None  #: Number of the plateau; None but for coefficients.
+    plateau: int | None = None  #: Number of the plateau; None except for coefficients.
     position: str = ""  #: Position of the unit; empty for coefficients.
-    #: bin_low_c, bin_high_c: Range of the gyro's temperature; NaN but for bins.
+    #: bin_low_c, bin_high_c: Range of the gyro's temperature; NaN except for bins.
     bin_low_c: float = math.nan
     bin_high_c: float = math.nan
     contribution: str  #: Key of :data:`gyrobench.bench.bias.budget.SOURCES`, or name of a sum.
     type: str = ""  #: "A" or "B"; empty for a sum.
     distribution: str  #: ``normal`` or ``rectangular``; ``t`` for a sum with finite degrees of freedom.
-    #: input_sigma, input_unit: Standard uncertainty of the input quantity; NaN where it has none.
+    #: input_sigma, input_unit: Standard uncertainty of the input quantity; NaN if there is none.
     input_sigma: float = math.nan
     input_unit: str = ""
     sensitivity: float = math.nan  #: Unit of the result per unit of the input; NaN likewise.
-    sigma: float  #: Standard uncertainty of the result by this; NaN where not evaluated.
+    sigma: float  #: Standard uncertainty of the result due to this contribution; NaN if not evaluated.
     unit: str  #: Of the result.
-    share: float  #: Share of the stated variance; NaN for what lies outside.
-    dof: float  #: Degrees of freedom, of a sum the effective ones; infinite where declared.
+    share: float  #: Share of the stated variance; NaN if not included in it.
+    dof: float  #: Degrees of freedom, effective ones of a sum; infinite for declared values.
     #: k, expanded: Coverage factor for 95 % and expanded uncertainty of a sum; NaN for contributions.
     k: float = math.nan
     expanded: float = math.nan
@@ -97,7 +97,7 @@ def coefficient_budget_rows(
 
 
 def _rows_of(budget: Budget, unit: str, **result: Any) -> Iterator[BudgetRow]:
-    """Rows of one budget in a unit; ``result`` is the fields that say of what."""
+    """Rows of one budget, in ``unit``; ``result``: fields that identify the result."""
     stated = budget.stated
     for each in budget.contributions:
         yield BudgetRow(
@@ -114,13 +114,13 @@ def _rows_of(budget: Budget, unit: str, **result: Any) -> Iterator[BudgetRow]:
             dof=each.dof,
             note=each.note,
         )
-    yield _sum(COMBINED, stated, unit, 1.0, "", result)
+    yield _sum_row(COMBINED, stated, unit, 1.0, "", result)
     if budget.any_power_cycle:
         note = "with temperature sensor and repeatability, as far as evaluated"
-        yield _sum(ANY_POWER_CYCLE, budget.any_power_cycle, unit, math.nan, note, result)
+        yield _sum_row(ANY_POWER_CYCLE, budget.any_power_cycle, unit, math.nan, note, result)
 
 
-def _sum(
+def _sum_row(
     name: str, combined: CombinedUncertainty, unit: str, share: float, note: str, result: Mapping[str, Any]
 ) -> BudgetRow:
     return BudgetRow(
@@ -137,17 +137,17 @@ def _sum(
     )
 
 
-#: Note of a latitude that the data show to be off by more than declared.
-_FOUND_LATITUDE = "estimated from the data, in place of location.latitude_uncertainty_arcmin"
+#: Note for a latitude whose error, by the data, exceeds the declared uncertainty.
+_ESTIMATED_LATITUDE = "estimated from the data, in place of location.latitude_uncertainty_arcmin"
 
 
-def with_found_latitude(rows: Iterable[BudgetRow], declared_rad: float) -> Iterator[BudgetRow]:
-    """The rows; those with another uncertainty of the latitude than declared are noted."""
+def note_estimated_latitude(rows: Iterable[BudgetRow], declared_rad: float) -> Iterator[BudgetRow]:
+    """The rows, with a note on an uncertainty of the latitude that differs from the declared one."""
     for row in rows:
-        is_found = row.contribution == "latitude" and not math.isclose(
+        is_estimated = row.contribution == "latitude" and not math.isclose(
             row.input_sigma, declared_rad * RAD_TO_ARCMIN, rel_tol=1e-3
         )
-        yield replace(row, note=_FOUND_LATITUDE) if is_found else row
+        yield replace(row, note=_ESTIMATED_LATITUDE) if is_estimated else row
 
 
 def write_budget(path: Path, rows: Iterable[BudgetRow]) -> None:
@@ -162,64 +162,65 @@ def read_budget(path: Path) -> Iterator[BudgetRow]:
 
 @dataclass
 class ContributionSummary:
-    """One contribution to several results in numbers, or their sum."""
+    """Statistics of one contribution to several results, or of their sum."""
 
-    example: BudgetRow  #: The first, or the first with a known uncertainty where there is one.
+    example: BudgetRow  #: First row; the first with a known uncertainty if there is one.
     count: int = 0  #: Number of results.
-    #: known, variance: Number of known uncertainties, and the sum of their squares.
-    known: int = 0
+    #: known_count, variance: Number of known uncertainties, and the sum of their squares.
+    known_count: int = 0
     variance: float = 0.0
     expanded_square: float = 0.0  #: Sum of the squares of the expanded uncertainties.
-    #: sensitivities, sensitivity_square, shares, share: Number and sum of what is known.
-    sensitivities: int = 0
+    #: sensitivity_count, sensitivity_square, share_count, share: Numbers of known values, and sums of squared
+    #: sensitivities and of shares.
+    sensitivity_count: int = 0
     sensitivity_square: float = 0.0
-    shares: int = 0
+    share_count: int = 0
     share: float = 0.0
-    #: dof: Least degrees of freedom of known uncertainties.
+    #: Smallest degrees of freedom of known uncertainties.
     dof: float = math.inf
-    #: input_sigma, k: Smallest and largest; of none infinite.
+    #: input_sigma, k: Smallest and largest value; (infinity, -infinity) without values.
     input_sigma: tuple[float, float] = (math.inf, -math.inf)
     k: tuple[float, float] = (math.inf, -math.inf)
-    is_estimated: bool = True  #: Whether all are from the data.
-    is_declared: bool = True  #: Whether none is from the data.
+    is_estimated: bool = True  #: Whether all are estimated from the data.
+    is_declared: bool = True  #: Whether none is estimated from the data.
 
     def add(self, row: BudgetRow) -> None:
-        """Count one more result."""
+        """Add one result."""
         self.count += 1
-        is_estimated = row.type == "A" or row.note == _FOUND_LATITUDE
+        is_estimated = row.type == "A" or row.note == _ESTIMATED_LATITUDE
         self.is_estimated &= is_estimated
         self.is_declared &= not is_estimated
         if row.input_sigma > 0.0:
-            self.input_sigma = _wider(self.input_sigma, row.input_sigma)
+            self.input_sigma = _extend(self.input_sigma, row.input_sigma)
         if math.isnan(row.sigma):
             return
-        if not self.known:
+        if not self.known_count:
             self.example = row
-        self.known += 1
+        self.known_count += 1
         self.variance += row.sigma**2
         self.dof = min(self.dof, row.dof)
         if not math.isnan(row.sensitivity):
-            self.sensitivities += 1
+            self.sensitivity_count += 1
             self.sensitivity_square += row.sensitivity**2
         if not math.isnan(row.share):
-            self.shares += 1
+            self.share_count += 1
             self.share += row.share
         if not math.isnan(row.k):
-            self.k = _wider(self.k, row.k)
+            self.k = _extend(self.k, row.k)
             self.expanded_square += row.expanded**2
 
 
-def _wider(ends: tuple[float, float], value: float) -> tuple[float, float]:
-    return min(ends[0], value), max(ends[1], value)
+def _extend(limits: tuple[float, float], value: float) -> tuple[float, float]:
+    return min(limits[0], value), max(limits[1], value)
 
 
 @dataclass(frozen=True)
 class BudgetSummary:
-    """Budgets of a run without those of each dwell, which are many."""
+    """Budgets of a run, those of its many dwells summarised."""
 
-    #: Of the biases in dwells: by gyro and whether it was vertical, and by contribution.
+    #: Biases in dwells, by gyro and whether it was vertical, and by contribution.
     dwells: dict[tuple[str, bool], dict[str, ContributionSummary]] = field(default_factory=dict)
-    #: The same of all three gyros.
+    #: The same for all three gyros together.
     all_gyros: dict[bool, dict[str, ContributionSummary]] = field(default_factory=dict)
     #: Stated uncertainties of bins and coefficients.
     stated: list[BudgetRow] = field(default_factory=list)
@@ -243,9 +244,11 @@ class BudgetSummary:
         return result
 
     def dwells_dof(self, gyro: str) -> float:
-        """Least degrees of freedom of a gyro's biases in dwells; infinite without any."""
-        sums = [own[COMBINED].dof for (axis, _), own in self.dwells.items() if axis == gyro]
-        return min(sums, default=math.inf)
+        """Smallest degrees of freedom of a gyro's biases in dwells; infinite if there is none."""
+        dofs = [
+            contributions[COMBINED].dof for (axis, _), contributions in self.dwells.items() if axis == gyro
+        ]
+        return min(dofs, default=math.inf)
 
 
 #: Coverage factor and expanded uncertainty by quantity, axis, and position and lower end of the bin in degC,
@@ -270,26 +273,31 @@ def _dof(table: CsvTable, index: int, name: str) -> float:
 
 
 def budget_records(rows: Iterable[BudgetRow]) -> list[dict[str, Any]]:
-    """One object for each result, with its sums and its contributions; what is not known is left out."""
-    of = attrgetter("result", "quantity", "axis", "dwell", "plateau", "position", "bin_low_c", "unit")
+    """One object for each result, with its sums and its contributions; unknown values are omitted."""
+    result_of = attrgetter("result", "quantity", "axis", "dwell", "plateau", "position", "bin_low_c", "unit")
     records = []
-    for _, group in groupby(rows, key=lambda row: str(of(row))):
+    for _, group in groupby(rows, key=lambda row: str(result_of(row))):
         members = list(group)
         first = members[0]
-        head = (
+        identity = (
             *("result", "quantity", "axis", "dwell", "plateau", "position", "bin_low_c", "bin_high_c"),
             "unit",
         )
-        record = _known({name: getattr(first, name) for name in head})
-        rest = [name for name in _COLUMNS if name not in (*head, "contribution")]
-        named = {row.contribution: _known({name: getattr(row, name) for name in rest}) for row in members}
-        sums = {name: named.pop(name) for name in (COMBINED, ANY_POWER_CYCLE) if name in named}
-        records.append(record | sums | {"contributions": named})
+        record = _without_unknown({name: getattr(first, name) for name in identity})
+        details = [name for name in _COLUMNS if name not in (*identity, "contribution")]
+        contributions = {
+            row.contribution: _without_unknown({name: getattr(row, name) for name in details})
+            for row in members
+        }
+        sums = {
+            name: contributions.pop(name) for name in (COMBINED, ANY_POWER_CYCLE) if name in contributions
+        }
+        records.append(record | sums | {"contributions": contributions})
     return records
 
 
-def _known(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Values that are known; infinite degrees of freedom, which JSON has no number for, are left out."""
+def _without_unknown(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Known values, without infinite degrees of freedom, which JSON can't represent."""
     return {
         name: value
         for name, value in values.items()

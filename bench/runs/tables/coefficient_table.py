@@ -25,23 +25,23 @@ from gyrobench.bench.runs.tables.budget_table import read_budget
 
 @dataclass(frozen=True, slots=True)
 class PlateauCoefficientRow:
-    """One coefficient at one plateau; NaN where a number is not known."""
+    """One coefficient at one plateau; NaN for unknown numbers."""
 
     plateau: int  #: Number of the plateau, from 1.
     cycle: int
     chamber_set_c: float
-    temperature_c: float  #: Mean of the gyro, of an accelerometer that of the case.
+    temperature_c: float  #: Mean temperature of the gyro; for an accelerometer, of the case.
     coefficient: str  #: ``gyro_bias``, ``accelerometer_misalignment``, ...
-    axis: str  #: Sensor axis; of misalignments the sensor and the axis that it senses.
-    value: float  #: NaN where not observable.
+    axis: str  #: Sensor axis; of a misalignment the sensor and the axis that it senses.
+    value: float  #: NaN if not observable.
     sigma: float  #: Standard uncertainty.
     unit: str
-    finding: str  #: Empty, ``not observable``, or what is wrong with the plateau.
-    #: Expected standard uncertainty if the INS sent specific forces; NaN where it does.
+    finding: str  #: Empty, ``not observable``, or the problem of the plateau.
+    #: Expected standard uncertainty if the INS sent specific force; NaN if it does.
     sigma_with_force: float
     #: Slope of the temperature of the gyro along the sensor's axis in the rotations; NaN without these.
     gyro_rate_c_per_h: float
-    note: str = ""  #: What was estimated at the plateau beside the coefficients, and leaves them in no doubt.
+    note: str = ""  #: Effect estimated at the plateau in addition to the coefficients, which remain valid.
 
 
 _COLUMNS = [each.name for each in fields(PlateauCoefficientRow)]
@@ -62,30 +62,30 @@ TEMPERATURE_TEXT = (
 
 def plateau_heads(rows: Iterable[PlateauCoefficientRow]) -> dict[int, str]:
     """Temperatures of the x gyro and of the case at each plateau, ``67 / 63 °C``, by its number."""
-    found: dict[int, dict[str, float]] = {}
+    temperatures_by_plateau: dict[int, dict[str, float]] = {}
     for row in rows:
         sensor = "gyro" if row.coefficient.startswith("gyro") else "case"
-        found.setdefault(row.plateau, {}).setdefault(sensor, row.temperature_c)
+        temperatures_by_plateau.setdefault(row.plateau, {}).setdefault(sensor, row.temperature_c)
     return {
         plateau: " / ".join("–" if math.isnan(each) else f"{each:.0f}" for each in temperatures.values())
         + " °C"
-        for plateau, temperatures in found.items()
+        for plateau, temperatures in temperatures_by_plateau.items()
     }
 
 
 def plateau_findings(rows: Iterable[PlateauCoefficientRow]) -> list[str]:
-    """What is wrong with plateaus."""
-    return _of_plateaus(
+    """Problems of plateaus, one sentence each."""
+    return _plateau_texts(
         (row.plateau, row.finding.removeprefix(NOT_OBSERVABLE).removeprefix("; ")) for row in rows
     )
 
 
 def plateau_notes(rows: Iterable[PlateauCoefficientRow]) -> list[str]:
-    """What plateaus show beside their coefficients."""
-    return _of_plateaus((row.plateau, row.note) for row in rows)
+    """Effects at plateaus that leave the coefficients valid, one sentence each."""
+    return _plateau_texts((row.plateau, row.note) for row in rows)
 
 
-def _of_plateaus(texts: Iterable[tuple[int, str]]) -> list[str]:
+def _plateau_texts(texts: Iterable[tuple[int, str]]) -> list[str]:
     return [f"Plateau {plateau}: {text}." for plateau, text in dict.fromkeys(texts) if text]
 
 
@@ -95,7 +95,7 @@ def write_coefficients(path: Path, rows: Sequence[PlateauCoefficientRow]) -> Non
 
 
 def write_correlations(path: Path, plateaus: Sequence[tuple[int, FloatArray]]) -> None:
-    """Write correlation coefficients (21, 21), by number of plateau; NaN where not observed."""
+    """Write correlation coefficients (21, 21), by number of plateau; NaN if not observable."""
     names = [f"{each.name}_{each.axis}" for each in COEFFICIENTS]
     lines = [",".join(["plateau", "coefficient", *names])]
     for plateau, correlations in plateaus:
@@ -105,7 +105,7 @@ def write_correlations(path: Path, plateaus: Sequence[tuple[int, FloatArray]]) -
 
 
 def read_correlations(path: Path) -> dict[int, FloatArray]:
-    """Read ``correlations.csv``: (21, 21) by number of plateau, NaN where not observed.
+    """Read ``correlations.csv``: (21, 21) by number of plateau, NaN if not observable.
 
     Raises DocumentError if the file can't be read or is wrong.
     """
@@ -126,11 +126,11 @@ def read_coefficients(path: Path) -> list[PlateauCoefficientRow]:
     return read_rows(path, PlateauCoefficientRow, {"coefficient": one_of(names), "axis": one_of(axes)})
 
 
-def read_coefficients_apart(coefficients: Path, budget: Path) -> list[PlateauCoefficientRow]:
-    """Coefficients with the uncertainties by which plateaus differ, for fits over plateaus.
+def read_coefficients_for_fit(coefficients: Path, budget: Path) -> list[PlateauCoefficientRow]:
+    """Read coefficients without the uncertainties that plateaus share, for fits over plateaus.
 
-    An error of gravity or latitude is the same at all plateaus. It is left out where ``budget.csv`` states
-    it; errors as for :func:`gyrobench.bench.foundations.csv_tables.read_rows`.
+    An error of gravity or latitude is the same at all plateaus. It is excluded if ``budget.csv`` states it;
+    errors as for :func:`gyrobench.bench.foundations.csv_tables.read_rows`.
     """
     variances: dict[tuple[int | None, str, str], float] = {}
     for each in read_budget(budget) if budget.exists() else ():

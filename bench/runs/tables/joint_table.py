@@ -31,50 +31,50 @@ class JointBiasRow:
     position: str
     gyro: str
     temperature_c: float  #: Mean of the gyro.
-    #: single_dph, single_sigma_dph: The dwell by itself.
+    #: single_dph, single_sigma_dph: Estimate from this dwell only.
     single_dph: float
     single_sigma_dph: float
-    #: joint_dph, joint_sigma_dph: All dwells of the plateau together.
+    #: joint_dph, joint_sigma_dph: Joint estimate from all dwells of the plateau.
     joint_dph: float
     joint_sigma_dph: float
-    #: corrected_dph, corrected_sigma_dph: The same with the rate Up taken away from the vertical gyros; NaN
-    #: where that is not to be done.
+    #: corrected_dph, corrected_sigma_dph: The same with the rate Up subtracted from the vertical gyros; NaN
+    #: if the correction does not apply.
     corrected_dph: float
     corrected_sigma_dph: float
 
 
 @dataclass(frozen=True, slots=True)
 class JointSigmas:
-    """Standard uncertainties of biases, deg/h: of dwells by themselves, and joint."""
+    """Standard uncertainties of biases, deg/h: from single dwells, and joint."""
 
     single_dph: array[float] = field(default_factory=lambda: array("d"))
     joint_dph: array[float] = field(default_factory=lambda: array("d"))
 
     @classmethod
     def of(cls, rows: Iterable[JointBiasRow]) -> dict[tuple[int, bool], JointSigmas]:
-        """By plateau, and whether the gyro was vertical."""
-        found: dict[tuple[int, bool], JointSigmas] = {}
+        """Uncertainties by plateau, and whether the gyro was vertical."""
+        by_group: dict[tuple[int, bool], JointSigmas] = {}
         for row in rows:
             is_vertical = AXES[POSITIONS[row.position].up_axis] == row.gyro
-            sigmas = found.setdefault((row.plateau, is_vertical), cls())
+            sigmas = by_group.setdefault((row.plateau, is_vertical), cls())
             sigmas.single_dph.append(row.single_sigma_dph)
             sigmas.joint_dph.append(row.joint_sigma_dph)
-        return found
+        return by_group
 
     @property
     def gains(self) -> list[float]:
-        """Uncertainties of the dwells by themselves over the joint ones."""
-        return [one / joint for one, joint in zip(self.single_dph, self.joint_dph, strict=True)]
+        """Ratios of the uncertainties from single dwells to the joint ones."""
+        return [single / joint for single, joint in zip(self.single_dph, self.joint_dph, strict=True)]
 
 
 @dataclass(frozen=True, slots=True)
 class JointPlateauRow:
-    """What the dwells of one plateau share."""
+    """Parameters that the dwells of one plateau share."""
 
-    plateau: int  #: Number, from 1 (column ``stop``); 0 is all plateaus together, with the rate Up alone.
+    plateau: int  #: Number, from 1 (column ``stop``); 0 for all plateaus together, with only the rate Up.
     cycle: int
     dwells: int  #: Number of dwells.
-    chamber_set_c: float  #: Set point; NaN where there is none.
+    chamber_set_c: float  #: Set point; NaN if there is none.
     #: Biases of the accelerometers and their standard uncertainties.
     accelerometer_x_ug: float
     accelerometer_y_ug: float
@@ -82,7 +82,7 @@ class JointPlateauRow:
     accelerometer_x_sigma_ug: float
     accelerometer_y_sigma_ug: float
     accelerometer_z_sigma_ug: float
-    #: Rates fixed in the navigation frame and their standard uncertainties; NaN where not observable.
+    #: Rates fixed in the navigation frame and their standard uncertainties; NaN if not observable.
     north_rate_dph: float
     north_rate_sigma_dph: float
     up_rate_dph: float
@@ -91,9 +91,9 @@ class JointPlateauRow:
     latitude_error_arcmin: float
     latitude_error_sigma_arcmin: float
     up_rate_p_value: float  #: Test that the half-differences of all gyros are equal.
-    #: What those of the vertical gyros are: name of a :class:`gyrobench.bench.bias.vertical_pairs.Finding`.
+    #: Cause of those of the vertical gyros: name of a :class:`gyrobench.bench.bias.vertical_pairs.Finding`.
     finding: str
-    #: Test that the dwells agree on what they share, with the latitude as declared and with any rate North.
+    #: Test that the shared parameters fit all dwells, with the declared latitude and with any rate North.
     fit_p_value: float
     any_north_p_value: float
 
@@ -107,7 +107,7 @@ def joint_bias_rows(solutions: Sequence[JointSolution], up_rate: UpRate | None) 
 
 
 def joint_plateau_rows(solutions: Sequence[JointSolution], up_rate: UpRate | None) -> list[JointPlateauRow]:
-    """What is shared, plateau by plateau; last a row, numbered 0, with the rate Up of all together."""
+    """Shared parameters of each plateau; last a row with number 0, the rate Up of all plateaus together."""
     rows = [_plateau_row(plateau, each) for plateau, each in enumerate(solutions, 1)]
     if up_rate is not None and len(solutions) > 1:
         rows.append(_all_plateaus(sum(row.dwells for row in rows), up_rate))
@@ -115,8 +115,8 @@ def joint_plateau_rows(solutions: Sequence[JointSolution], up_rate: UpRate | Non
 
 
 def columns(kind: type[_Row]) -> list[str]:
-    """Columns of the file with rows of a kind."""
-    return [_COLUMNS.get(field.name, field.name) for field in fields(kind)]
+    """Columns of the file with rows of this kind."""
+    return [_COLUMN_NAMES.get(field.name, field.name) for field in fields(kind)]
 
 
 def write_joint(path: Path, rows: Iterable[_Row], kind: type[_Row]) -> None:
@@ -125,24 +125,24 @@ def write_joint(path: Path, rows: Iterable[_Row], kind: type[_Row]) -> None:
 
 
 def read_joint_biases(path: Path) -> Iterator[JointBiasRow]:
-    """Give the rows of ``joint_biases.csv``; see :func:`gyrobench.bench.foundations.csv_tables.iter_rows`."""
-    return iter_rows(path, JointBiasRow, {"position": one_of(POSITIONS), "gyro": one_of(AXES)}, _COLUMNS)
+    """Rows of ``joint_biases.csv``; errors as of :func:`gyrobench.bench.foundations.csv_tables.iter_rows`."""
+    return iter_rows(path, JointBiasRow, {"position": one_of(POSITIONS), "gyro": one_of(AXES)}, _COLUMN_NAMES)
 
 
 def read_joint_plateaus(path: Path) -> list[JointPlateauRow]:
     """Read ``joint.csv``; errors as for :func:`gyrobench.bench.foundations.csv_tables.read_rows`."""
     findings = [finding.name.lower() for finding in Finding]
-    return read_rows(path, JointPlateauRow, {"finding": one_of(findings)}, _COLUMNS)
+    return read_rows(path, JointPlateauRow, {"finding": one_of(findings)}, _COLUMN_NAMES)
 
 
 def _bias_rows(plateau: int, solution: JointSolution, up_rate: UpRate | None) -> Iterator[JointBiasRow]:
     corrected = solution.corrected(up_rate) if up_rate is not None and up_rate.applies else None
     for index, dwell in enumerate(solution.dwells):
         for axis, gyro in enumerate(AXES):
-            pairs = (solution.single, solution.together, corrected)
+            estimates = (solution.single, solution.together, corrected)
             values = [
                 RADPS_TO_DPH * value
-                for each in pairs
+                for each in estimates
                 for value in (
                     (each.bias_radps[index, axis], each.sigma_radps[index, axis])
                     if each
@@ -173,16 +173,16 @@ def _plateau_row(plateau: int, solution: JointSolution) -> JointPlateauRow:
         fit_p_value=solution.fit.p_value,
         any_north_p_value=solution.north_free_fit.p_value,
         **values,
-        **_up(solution.up_rate),
+        **_up_rate_values(solution.up_rate),
     )
 
 
 def _all_plateaus(dwells: int, rate: UpRate) -> JointPlateauRow:
     values: dict[str, Any] = {field.name: math.nan for field in fields(JointPlateauRow)}
-    return JointPlateauRow(**values | {"plateau": 0, "cycle": 0, "dwells": dwells} | _up(rate))
+    return JointPlateauRow(**values | {"plateau": 0, "cycle": 0, "dwells": dwells} | _up_rate_values(rate))
 
 
-def _up(rate: UpRate) -> dict[str, Any]:
+def _up_rate_values(rate: UpRate) -> dict[str, Any]:
     return {
         "up_rate_dph": rate.rate * RADPS_TO_DPH,
         "up_rate_sigma_dph": rate.sigma * RADPS_TO_DPH,
@@ -193,5 +193,5 @@ def _up(rate: UpRate) -> dict[str, Any]:
     }
 
 
-#: Columns whose name in the files is another one.
-_COLUMNS = {"plateau": "stop"}
+#: Names of columns that differ from those of the fields.
+_COLUMN_NAMES = {"plateau": "stop"}

@@ -1,4 +1,4 @@
-"""The noise that a run showed, kept as ``noise.json``: a summary, and all that it was read from."""
+"""The noise estimate of a run as ``noise.json``: a summary, and the data that it is computed from."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from gyrobench.bench.foundations.files import parse_json
 from gyrobench.bench.navigation.positions import AXES
 
 _UNITS = "SI (rad, m/s, s), but for the summary, whose names say the unit; below: limit with 95 % confidence"
-#: An array of plain numbers, which goes into one line.
-_OfTerms = Annotated[list[float], Field(min_length=3, max_length=3)]
-#: What the file calls :attr:`gyrobench.bench.bias.allan.RateNoise.excess`.
-_EXCESS = "misfit"
+_TermValues = Annotated[list[float], Field(min_length=3, max_length=3)]
+#: Key in the file of :attr:`gyrobench.bench.bias.allan.RateNoise.excess`.
+_EXCESS_KEY = "misfit"
+#: An array of plain numbers, which is written in one line.
 _ARRAY = re.compile(r"\[[^][{}]*\]")
 
 
 def write_noise(path: Path, noise: NoiseEstimate) -> None:
     """Write a noise estimate. Raises RunFolderError if the file can't be written."""
-    data = {"units": _UNITS, "summary": _summary(noise), **asdict(noise, dict_factory=_in_file)}
+    data = {"units": _UNITS, "summary": _summary(noise), **asdict(noise, dict_factory=_rename_excess)}
     text = json.dumps(data, indent=1, default=lambda array: array.tolist())
     write_text(path, _ARRAY.sub(lambda array: " ".join(array[0].split()), text) + "\n")
 
@@ -54,12 +54,12 @@ def read_noise(path: Path) -> NoiseEstimate:
     )
 
 
-def _in_file(items: list[tuple[str, Any]]) -> dict[str, Any]:
-    return {_EXCESS if name == "excess" else name: value for name, value in items}
+def _rename_excess(items: list[tuple[str, Any]]) -> dict[str, Any]:
+    return {_EXCESS_KEY if name == "excess" else name: value for name, value in items}
 
 
-class _Part(StrictModel):
-    """What was measured may be infinite or not a number."""
+class _NoiseRecord(StrictModel):
+    """Part of the file; measured numbers may be infinite or NaN."""
 
     model_config = ConfigDict(allow_inf_nan=True)
 
@@ -76,12 +76,12 @@ def _not_negative(value: float) -> float:
     return value
 
 
-#: As pydantic's own limits, but NaN passes.
+#: As pydantic's own limits, but NaN is valid.
 _Positive = Annotated[float, AfterValidator(_positive)]
 _NotNegative = Annotated[float, AfterValidator(_not_negative)]
 
 
-class _Allan(_Part):
+class _Allan(_NoiseRecord):
     interval_s: float = Field(gt=0.0)
     factors: list[Annotated[int, Field(ge=1, lt=2**53)]]
     variance: list[_NotNegative]
@@ -89,29 +89,29 @@ class _Allan(_Part):
     lengths: list[Annotated[int, Field(ge=0, lt=2**53)]]
 
 
-class _Fit(_Part):
-    terms: _OfTerms
-    unbounded: _OfTerms
-    covariance: Annotated[list[_OfTerms], Field(min_length=3, max_length=3)]
+class _Fit(_NoiseRecord):
+    terms: _TermValues
+    unbounded: _TermValues
+    covariance: Annotated[list[_TermValues], Field(min_length=3, max_length=3)]
     expected: list[_NotNegative]
     used: list[bool]
     edf: list[_Positive]
-    excess: float = Field(validation_alias=_EXCESS)
+    excess: float = Field(validation_alias=_EXCESS_KEY)
 
     @model_validator(mode="after")
-    def _variances(self) -> Self:
+    def _check_variances(self) -> Self:
         for index, row in enumerate(self.covariance):
             _not_negative(row[index])
         return self
 
 
-class _Channel(_Part):
+class _Channel(_NoiseRecord):
     allan: _Allan
     step: _NotNegative
     fit: _Fit | None
 
     @model_validator(mode="after")
-    def _same_averaging_times(self) -> Self:
+    def _check_lengths(self) -> Self:
         lists: list[Sized] = [self.allan.variance, self.allan.counts]
         if self.fit is not None:
             lists += [self.fit.expected, self.fit.used, self.fit.edf]
@@ -120,7 +120,7 @@ class _Channel(_Part):
         return self
 
 
-class _NoiseFile(_Part):
+class _NoiseFile(_NoiseRecord):
     units: str
     summary: dict[str, Any]
     gyros: Annotated[list[_Channel], Field(min_length=3, max_length=3)]
@@ -144,18 +144,18 @@ def _summary(noise: NoiseEstimate) -> dict[str, dict[str, float | bool | None]]:
         ("velocity_output_mps", 1.0, noise.velocity_white),
         ("heading_output_urad", 1e-6, noise.heading_white),
     ]
-    return {name: _summarised(parameter, unit_si) for name, unit_si, parameter in rows}
+    return {name: _summary_entry(parameter, unit_si) for name, unit_si, parameter in rows}
 
 
-def _summarised(parameter: NoiseParameter, unit_si: float) -> dict[str, float | bool | None]:
-    """Value and sigma, or the limit of a value that is not significant or hidden by the resolution."""
+def _summary_entry(parameter: NoiseParameter, unit_si: float) -> dict[str, float | bool | None]:
+    """Value and sigma, or the upper limit if the value is not significant or hidden by the resolution."""
     if parameter.value is not None and parameter.sigma is not None:
-        return {"value": _short(parameter.value / unit_si), "sigma": _short(parameter.sigma / unit_si)}
-    below = None if parameter.limit is None else _short(parameter.limit / unit_si)
-    return {"below": below, "hidden_by_resolution": parameter.square is None}
+        return {"value": _rounded(parameter.value / unit_si), "sigma": _rounded(parameter.sigma / unit_si)}
+    limit = None if parameter.limit is None else _rounded(parameter.limit / unit_si)
+    return {"below": limit, "hidden_by_resolution": parameter.square is None}
 
 
-def _short(value: float) -> float:
+def _rounded(value: float) -> float:
     return float(f"{value:.4g}")
 
 
@@ -165,5 +165,5 @@ def _channel(data: _Channel) -> ChannelNoise:
     return ChannelNoise(AllanVariance(**allan), data.step, fit)
 
 
-def _arrays(data: _Part) -> dict[str, Any]:
+def _arrays(data: _NoiseRecord) -> dict[str, Any]:
     return {name: np.array(value) if isinstance(value, list) else value for name, value in data}

@@ -21,7 +21,7 @@ from gyrobench.bench.monitor.terminal_screen import screen
 from gyrobench.bench.monitor.website import Website
 from gyrobench.bench.report.units_report import units_section, write_units_report
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.runs.index.store import runs_named
+from gyrobench.bench.runs.index.store import find_run_folders
 from gyrobench.bench.runs.journal import facts_of, read_journal
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.bench.station.station import Station
@@ -163,7 +163,7 @@ def test_units_whose_adapters_exchange_their_names_between_dwells_are_not_mixed_
 
 def test_each_unit_is_a_run_for_commands_that_evaluate_runs(whole):
     folder, _ = whole
-    assert runs_named([str(folder.path)]) == [folder.unit(number).path for number in NUMBERS]
+    assert find_run_folders([str(folder.path)]) == [folder.unit(number).path for number in NUMBERS]
     with pytest.raises(RunFolderError, match="several units"):
         recompute_run(folder.path)
     assert not folder.bias_bins.exists()

@@ -5,7 +5,7 @@ import pytest
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.runs.index.run_index import RunIndex, runs_in_index
 from gyrobench.bench.runs.index.selection import Selection
-from gyrobench.bench.runs.index.store import open_store, runs_named
+from gyrobench.bench.runs.index.store import find_run_folders, open_store
 from tests.bench.runs.index.sample_runs import copy_run
 
 
@@ -19,18 +19,18 @@ def root(tmp_path):
 
 def test_runs_are_named_by_folder_root_and_pattern_each_once(root, monkeypatch):
     every = [root / "a", root / "b", root / "deep" / "c"]
-    assert runs_named([str(root)]) == every
-    assert runs_named([str(root / "b"), str(root)]) == [root / "b", root / "a", root / "deep" / "c"]
-    assert runs_named([str(root / "[ab]")]) == every[:2]
+    assert find_run_folders([str(root)]) == every
+    assert find_run_folders([str(root / "b"), str(root)]) == [root / "b", root / "a", root / "deep" / "c"]
+    assert find_run_folders([str(root / "[ab]")]) == every[:2]
     monkeypatch.chdir(root)
-    assert runs_named(["d*"]) == every[2:]
+    assert find_run_folders(["d*"]) == every[2:]
 
 
 def test_a_name_without_run_is_reported(root):
     (root / "empty").mkdir()
     for name in ("nothing", "no*", "empty"):
         with pytest.raises(RunFolderError, match="no run folder found"):
-            runs_named([str(root / name)])
+            find_run_folders([str(root / name)])
 
 
 def test_runs_are_chosen_from_an_index(sample, tmp_path):

@@ -12,7 +12,7 @@ from gyrobench.bench.report.run_report import write_report
 from gyrobench.bench.runs.tables.budget_table import (
     BudgetSummary,
     budget_rows,
-    with_found_latitude,
+    note_estimated_latitude,
     write_budget,
 )
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, write_coefficients
@@ -61,7 +61,7 @@ def test_the_statement_says_what_was_estimated_and_the_range_of_k():
 
 def test_a_latitude_that_the_data_show_to_be_off_is_not_called_declared():
     def text_of(*budgets):
-        found = with_found_latitude(budget_rows(budgets), declared_rad=0.33 / RAD_TO_ARCMIN)
+        found = note_estimated_latitude(budget_rows(budgets), declared_rad=0.33 / RAD_TO_ARCMIN)
         return budget_box(BudgetSummary.of(found)).text
 
     declared = BiasBudget("z", "z_up", VERTICAL, 1)

@@ -121,7 +121,7 @@ def test_a_container_of_many_megabytes_is_read():
     numbers = np.arange(400_000)
     frames = FrameBlock.from_columns(BEGIN_S + numbers * 0.001, numbers % 7, 8, np.zeros((400_000, 8)))
     content = written([frames])
-    objects = zlib.compress(can_log._unpacked(content, 144)[0], 1)
+    objects = zlib.compress(can_log._unpack_containers(content, 144)[0], 1)
     size = 32 + len(objects)
     container = struct.pack("<4sHHLLH6xL4x", b"LOBJ", 16, 1, size, 10, 2, 400_000 * 48) + objects
     read, is_whole = read_blf(content[:144] + container)

@@ -9,7 +9,7 @@ import pytest
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.runs.compensation_file import (
     CompensationFile,
-    _Name,
+    _NumberName,
     compensations_in_use,
     read_compensation,
     read_compensation_file,
@@ -51,7 +51,7 @@ def test_a_compensation_is_read_as_it_was_written(tmp_path):
     numbers |= {"polynomial_dph": random.normal(size=(3, 4)), "high_c": np.full(3, 60.0)}
     numbers["difference_high_k"] = np.full(3, 30.0)
     path = tmp_path / "compensation.yaml"
-    sigma = {name: 0.1 * np.abs(numbers[name]) for name in get_args(_Name)}
+    sigma = {name: 0.1 * np.abs(numbers[name]) for name in get_args(_NumberName)}
     write_compensation(path, Compensation(**numbers, sigma=sigma))
     read = read_compensation(path)
     for name, value in numbers.items():

@@ -15,10 +15,10 @@ from gyrobench.bench.runs.journal import Journal
 from gyrobench.bench.runs.seal import (
     KEY_VARIABLE,
     edited_tables,
-    keep_sealed,
     new_key,
     require_sealed_inputs,
     seal_run,
+    update_seal,
     verify_seals,
 )
 from gyrobench.drivers.frames import FrameBlock
@@ -197,34 +197,34 @@ def test_a_key_that_cant_be_used_leaves_the_seal_unsigned_or_is_an_error(folder,
 def test_a_run_is_kept_sealed_once_it_has_ended_and_old_runs_stay_as_they_are(folder):
     whole = folder.journal.read_bytes()
     folder.journal.write_bytes(b"".join(whole.splitlines(keepends=True)[:-1]))
-    keep_sealed(folder)
+    update_seal(folder)
     assert not (folder.path / "seals").exists()
     folder.journal.write_bytes(b'{"event": "run_ended", "ended": "finished"}\n')
-    keep_sealed(folder)
+    update_seal(folder)
     assert not (folder.path / "seals").exists()
     folder.journal.write_bytes(whole)
-    keep_sealed(folder)
+    update_seal(folder)
     assert verify_seals(folder.path).is_intact
 
 
 @pytest.mark.parametrize("changed", ["journal", "can"])
 def test_a_run_whose_measured_data_changed_is_not_sealed_again(folder, changed):
-    keep_sealed(folder)
+    update_seal(folder)
     path = folder.journal if changed == "journal" else next(folder.can.iterdir())
     change_byte(path, 40)
     with pytest.raises(RunFolderError, match=f"{path.name} changed since seal 1"):
-        keep_sealed(folder)
+        update_seal(folder)
     assert not verify_seals(folder.path).is_intact
 
 
 def test_an_edited_table_is_named_and_sealed_only_where_it_was_computed_again(folder):
-    keep_sealed(folder)
+    update_seal(folder)
     assert edited_tables(folder) == []
     folder.dwells.write_text(folder.dwells.read_text().replace("0.0200", "0.0500"))
     assert edited_tables(folder) == ["dwells.csv"]
-    keep_sealed(folder)
+    update_seal(folder)
     assert [finding.path for finding in verify_seals(folder.path).findings] == ["dwells.csv"]
-    keep_sealed(folder, are_tables_new=True)
+    update_seal(folder, are_tables_new=True)
     assert edited_tables(folder) == []
     assert not verify_seals(folder.path).findings
 
@@ -232,15 +232,15 @@ def test_an_edited_table_is_named_and_sealed_only_where_it_was_computed_again(fo
 def test_what_is_no_table_may_change_and_is_sealed(folder):
     """As the name of who prepares the report."""
     folder.provenance.write_text("{}")
-    keep_sealed(folder)
+    update_seal(folder)
     folder.provenance.write_text('{"prepared_by": "A. Smith"}')
     assert edited_tables(folder) == []
-    keep_sealed(folder)
+    update_seal(folder)
     assert not verify_seals(folder.path).findings
 
 
 def test_a_table_of_a_run_that_was_resumed_since_its_seal_is_not_edited(folder):
-    keep_sealed(folder)
+    update_seal(folder)
     with Journal(folder.journal, VirtualClock()) as journal:
         journal.record("run_resumed")
     folder.dwells.write_text("dwell\n")
@@ -248,13 +248,13 @@ def test_a_table_of_a_run_that_was_resumed_since_its_seal_is_not_edited(folder):
 
 
 def test_a_resumed_run_is_sealed_again_with_what_was_added(folder):
-    keep_sealed(folder)
+    update_seal(folder)
     log = CanLog(folder.can)
     log.write(FrameBlock.from_columns(9e8 + np.zeros(1), np.ones(1), 8, np.zeros((1, 8), np.uint8)))
     log.cut()
     with folder.journal.open("ab") as journal:
         journal.write(folder.journal.read_bytes().splitlines(keepends=True)[-1])
-    keep_sealed(folder)
+    update_seal(folder)
     assert verify_seals(folder.path).is_intact
 
 
@@ -289,7 +289,7 @@ def test_units_are_sealed_and_verified_with_their_run(folder, key):
     assert {"journal.jsonl", "units/1103/dwells.csv", "units/1103/seals/001.jsonl"} <= set(check.files)
     (unit.path / "figure.svg").write_text("x")
     assert verify_seals(folder.path).not_sealed == ["units/1103/figure.svg"]
-    keep_sealed(unit)
+    update_seal(unit)
     assert verify_seals(folder.path).not_sealed == []
     change_byte(unit.dwells, 100)
     (finding,) = verify_seals(folder.path).findings

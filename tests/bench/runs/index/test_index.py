@@ -35,7 +35,7 @@ def index_of(root):
 
 def test_a_run_stands_in_the_index_as_its_folder_shows_it(runs, sample):
     index = index_of(runs)
-    assert index.update() == IndexUpdate(read=3, gone=0, unchanged=0)
+    assert index.update() == IndexUpdate(read=3, removed=0, unchanged=0)
     newest = find_runs(index, Selection())[0]
     assert newest["path"] == "b"
     assert newest["started_utc"] == datetime(2026, 3, 4, 23)
@@ -55,13 +55,13 @@ def test_only_runs_whose_files_changed_are_read_again(runs, sample):
     index = index_of(runs)
     index.update()
     unchanged = index.update()
-    assert (unchanged, unchanged.text) == (IndexUpdate(read=0, gone=0, unchanged=3), "")
+    assert (unchanged, unchanged.text) == (IndexUpdate(read=0, removed=0, unchanged=3), "")
     write_verdict(copy_run(sample, runs / "d"), "explained", [("thermal_lag", 0.004)])
     with (runs / "a" / "journal.jsonl").open("a") as journal:
         journal.write(json.dumps({"time_s": 9000.0, "event": "run_resumed", "station": "quick"}) + "\n")
     shutil.rmtree(runs / "deep")
     changes = index.update()
-    assert changes == IndexUpdate(read=2, gone=1, unchanged=1)
+    assert changes == IndexUpdate(read=2, removed=1, unchanged=1)
     assert changes.text == "2 of 3 runs read, 1 run removed"
     found = {run["path"]: (run["ended"], run["verdict"]) for run in find_runs(index, Selection())}
     assert found == {"a": ("not ended", ""), "b": ("finished", ""), "d": ("finished", "explained")}
@@ -129,7 +129,7 @@ def test_an_object_store_is_indexed_like_a_folder(runs, tmp_path):
     try:
         index = RunIndex(open_store("memory://bucket/runs"), tmp_path / "memory.duckdb")
         assert index.update().read == 3
-        assert index.update() == IndexUpdate(read=0, gone=0, unchanged=3)
+        assert index.update() == IndexUpdate(read=0, removed=0, unchanged=3)
         assert [run["path"] for run in find_runs(index, Selection(batch="B8"))] == ["deep/c"]
     finally:
         memory.rm("/bucket", recursive=True)
@@ -196,10 +196,10 @@ def test_an_index_that_another_process_writes_is_not_rebuilt_under_it(runs, monk
     holder.kill()
     holder.wait()
     holder.close()
-    assert index.update() == IndexUpdate(read=0, gone=0, unchanged=3)
-    assert index.update(rebuild=True) == IndexUpdate(read=3, gone=0, unchanged=0)
+    assert index.update() == IndexUpdate(read=0, removed=0, unchanged=3)
+    assert index.update(rebuild=True) == IndexUpdate(read=3, removed=0, unchanged=0)
     index.path.with_name(f"{index.path.name}.wal").write_bytes(b"of another file" * 100)
-    assert index.update(rebuild=True) == IndexUpdate(read=3, gone=0, unchanged=0)
+    assert index.update(rebuild=True) == IndexUpdate(read=3, removed=0, unchanged=0)
 
 
 def test_one_query_is_answered_at_a_time(runs):

@@ -13,7 +13,7 @@ from gyrobench.bench.runs.tables.coefficient_table import (
     plateau_heads,
     plateau_notes,
     read_coefficients,
-    read_coefficients_apart,
+    read_coefficients_for_fit,
     write_coefficients,
 )
 
@@ -54,12 +54,12 @@ def test_what_all_plateaus_share_is_left_out_of_the_uncertainties_by_which_they_
     rows = [row(1, 20.0, "accelerometer_scale_factor"), row(2, 50.0, "accelerometer_scale_factor")]
     coefficients, budget = tmp_path / "coefficients.csv", tmp_path / "budget.csv"
     write_coefficients(coefficients, rows)
-    unchanged = read_coefficients_apart(coefficients, budget)
+    unchanged = read_coefficients_for_fit(coefficients, budget)
     assert repr(unchanged) == repr(read_coefficients(coefficients))  # NaN does not equal itself
     parts = {"gravity": 30.0, "latitude": 2.0, "velocity_random_walk": 0.3, "temperature_change": 0.4}
     contributions = [Contribution(name, math.nan, sigma) for name, sigma in parts.items()]
     known = SensorCoefficient("accelerometer", "scale_factor", "x", "ppm", 1e6, 0.01)
     write_budget(budget, coefficient_budget_rows(1, [(known, Budget(tuple(contributions)))]))
-    first, second = read_coefficients_apart(coefficients, budget)
+    first, second = read_coefficients_for_fit(coefficients, budget)
     assert first.sigma == pytest.approx(0.5)
     assert second.sigma == rows[1].sigma
