@@ -1,8 +1,8 @@
 """The raw CAN log with calendar times: as one BLF file, and decoded to navigation data.
 
-Attitude is given as a quaternion, since Euler angles are undefined where an axis is vertical, and as
-roll, pitch and yaw of the sequence ``C_nb = Rz(yaw) Rx(pitch) Ry(roll)``; body axes and East-North-Up, yaw
-positive about Up.
+Attitude is given as a quaternion, since Euler angles are undefined if an axis is vertical, and as roll, pitch
+and yaw of the sequence ``C_nb = Rz(yaw) Rx(pitch) Ry(roll)``; body axes and East-North-Up, yaw positive about
+Up.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ UTC_FIELD = pa.field("utc", pa.timestamp("us", tz="UTC"))
 _MICROSECONDS = 1e6
 
 
-def calendar_times(began: datetime, time_s: FloatArray) -> pa.Array:
-    """Calendar times of moments (n,) in seconds after ``began``."""
-    begin_us = round(began.timestamp() * _MICROSECONDS)
+def calendar_times(start: datetime, time_s: FloatArray) -> pa.Array:
+    """Calendar times of times (n,) in seconds after ``start``."""
+    begin_us = round(start.timestamp() * _MICROSECONDS)
     times_us = begin_us + np.rint(time_s * _MICROSECONDS).astype(np.int64)
     return pa.array(times_us, pa.int64()).cast(UTC_FIELD.type)
 
@@ -55,11 +55,11 @@ class TimedPart:
 
 
 class TimedLog:
-    """The parts of a run's log that hold frames, with calendar times; one is in memory at a time.
+    """The parts of a run's log that hold frames, with calendar times; only one part is in memory at a time.
 
     A part that was never closed, or was stamped by the CAN adapter's own clock, has times relative to its
-    first frame. It is placed by the finished dwell in it, whose marks are in ``finished`` by part; without
-    one at the end of the part before, which ``estimated`` lists.
+    first frame. Its times follow from the finished dwell in it, whose marks are in ``finished`` by part;
+    without one, the part is placed at the end of the previous part, and ``estimated`` lists it.
 
     Raises RunFolderError if log, journal or provenance can't be read.
     """
@@ -67,11 +67,11 @@ class TimedLog:
     def __init__(self, folder: RunFolder) -> None:
         self.finished = {marks.log_part: marks for marks in finished_marks(folder)}
         self.estimated: list[int] = []
-        self.began_s = started_utc(folder).timestamp()
+        self.start_s = started_utc(folder).timestamp()
         self._folder = folder.can
 
     def __iter__(self) -> Iterator[TimedPart]:
-        end_s = self.began_s
+        end_s = self.start_s
         for number, frames in read_can_log(self._folder):
             if not len(frames):
                 continue
@@ -82,11 +82,11 @@ class TimedLog:
             yield TimedPart(number, frames)
 
     def _shift_s(self, number: int, frames: FrameBlock, end_s: float) -> float:
-        """Offset from the times of a part to calendar times."""
+        """Offset, s, from the time stamps of a part to calendar times."""
         marks = self.finished.get(number)
         if marks is not None and marks.windows[0].first_frame < len(frames):
-            begin_s = self.began_s + marks.start_s
-            return float(begin_s - frames.timestamp_s[marks.windows[0].first_frame])
+            window_start_s = self.start_s + marks.start_s
+            return float(window_start_s - frames.timestamp_s[marks.windows[0].first_frame])
         self.estimated.append(number)
         return float(end_s - frames.timestamp_s[0])
 
@@ -102,7 +102,7 @@ def write_blf(path: Path, parts: Iterable[TimedPart]) -> None:
 
 _ATTITUDE = "C_nb, body to East-North-Up; C_nb = Rz(yaw) Rx(pitch) Ry(roll), yaw positive about Up"
 _EPOCH = datetime.fromtimestamp(0.0, UTC)
-_MEASURED = (
+_FLOAT_COLUMNS = (
     "time_s",
     "ins_time_s",
     *(f"velocity_{axis}_mps" for axis in ("east", "north", "up")),
@@ -112,9 +112,13 @@ _MEASURED = (
     *(f"board_{axis}_c" for axis in AXES),
     "case_c",
 )
-_WHOLE = ("part", "dwell", "segment", "mode")
+_INTEGER_COLUMNS = ("part", "dwell", "segment", "mode")
 _SCHEMA = pa.schema(
-    [UTC_FIELD, *(field_of(name) for name in _MEASURED), *(pa.field(name, pa.int64()) for name in _WHOLE)]
+    [
+        UTC_FIELD,
+        *(field_of(name) for name in _FLOAT_COLUMNS),
+        *(pa.field(name, pa.int64()) for name in _INTEGER_COLUMNS),
+    ]
 )
 
 
@@ -132,58 +136,58 @@ def export_navigation(
 def _batches(folder: RunFolder, setup: MeasurementSetup, dwell: int | None) -> Iterator[pa.Table]:
     log = TimedLog(folder)
     finished = log.finished
-    wanted = {number for number, marks in finished.items() if marks.dwell == dwell}
-    if dwell is not None and not wanted:
+    selected = {number for number, marks in finished.items() if marks.dwell == dwell}
+    if dwell is not None and not selected:
         numbers = sorted(marks.dwell for marks in finished.values())
-        known = f"finished are {numbers[0]} to {numbers[-1]}" if numbers else "none is finished"
-        raise RunFolderError(f"{folder.path}: has no finished dwell {dwell}; {known}")
+        available = f"finished are {numbers[0]} to {numbers[-1]}" if numbers else "none is finished"
+        raise RunFolderError(f"{folder.path}: has no finished dwell {dwell}; {available}")
     for part in log:
-        if dwell is None or part.number in wanted:
-            yield _table(part, setup, finished.get(part.number), log.began_s)
+        if dwell is None or part.number in selected:
+            yield _table(part, setup, finished.get(part.number), log.start_s)
 
 
-def _table(part: TimedPart, setup: MeasurementSetup, marks: DwellMarks | None, began_s: float) -> pa.Table:
-    """Table of one part; frames beyond those of its dwell belong to none."""
+def _table(part: TimedPart, setup: MeasurementSetup, marks: DwellMarks | None, start_s: float) -> pa.Table:
+    """Table of one part; frames after its dwell belong to no dwell."""
     data = setup.decode(part.frames.data_frames())
-    values = dict(zip(_MEASURED, _measured(data, began_s), strict=True))
+    values = dict(zip(_FLOAT_COLUMNS, _float_values(data, start_s), strict=True))
     columns = {name: pa.array(column, pa.float64(), from_pandas=True) for name, column in values.items()}
-    in_dwell = data.row < (marks.frame_count if marks else 0)
-    whole = {
+    is_in_dwell = data.row < (marks.frame_count if marks else 0)
+    integers = {
         "part": np.full(len(data.row), part.number),
-        "dwell": np.where(in_dwell, marks.dwell if marks else 0, 0),
+        "dwell": np.where(is_in_dwell, marks.dwell if marks else 0, 0),
         "segment": data.segment,
         "mode": data.mode.astype(np.int64),
     }
     utc = calendar_times(_EPOCH, data.timestamp_s)
-    return pa.table({UTC_FIELD.name: utc, **columns, **whole}).select(_SCHEMA.names)
+    return pa.table({UTC_FIELD.name: utc, **columns, **integers}).select(_SCHEMA.names)
 
 
-def _measured(data: NavigationData, began_s: float) -> list[FloatArray]:
+def _float_values(data: NavigationData, start_s: float) -> list[FloatArray]:
     quaternion = np.full((len(data.row), 4), np.nan)
-    known = np.isfinite(data.attitude).all(axis=(1, 2))
-    if known.any():
-        quaternion[known] = Rotation.from_matrix(data.attitude[known]).as_quat(canonical=True)[
+    is_known = np.isfinite(data.attitude).all(axis=(1, 2))
+    if is_known.any():
+        quaternion[is_known] = Rotation.from_matrix(data.attitude[is_known]).as_quat(canonical=True)[
             :, [3, 0, 1, 2]
         ]
     temperatures = data.temperatures
-    inside = np.column_stack([temperatures.optics_c, temperatures.electronics_c, temperatures.case_c])
+    temperatures_c = np.column_stack([temperatures.optics_c, temperatures.electronics_c, temperatures.case_c])
     return [
-        data.timestamp_s - began_s,
+        data.timestamp_s - start_s,
         data.ins_time_s,
         *data.velocity_enu_mps.T,
         *quaternion.T,
         *np.rad2deg(euler_rpy321(data.attitude)).T,
-        *_held(inside, temperatures.ins_time_s, data).T,
+        *_last_values(temperatures_c, temperatures.ins_time_s, data).T,
     ]
 
 
-def _held(values: FloatArray, time_s: FloatArray, data: NavigationData) -> FloatArray:
-    """Last of the values (m, k), sent at times (m,), at each epoch (n,); NaN before the first."""
-    held = np.full((len(data.row), values.shape[1]), np.nan)
+def _last_values(values: FloatArray, time_s: FloatArray, data: NavigationData) -> FloatArray:
+    """Latest of the values (m, k), sent at times (m,), at each epoch (n,); NaN before the first."""
+    latest = np.full((len(data.row), values.shape[1]), np.nan)
     restarts = np.concatenate([[0], np.cumsum(np.diff(time_s) < 0.0)])[: len(time_s)]
     for segment in np.unique(data.segment):
-        epochs, sent = data.segment == segment, restarts == segment
-        last = np.searchsorted(time_s[sent], data.ins_time_s[epochs], side="right") - 1
-        rows = np.flatnonzero(epochs)[last >= 0]
-        held[rows] = values[sent][last[last >= 0]]
-    return held
+        is_epoch, is_sent = data.segment == segment, restarts == segment
+        last = np.searchsorted(time_s[is_sent], data.ins_time_s[is_epoch], side="right") - 1
+        rows = np.flatnonzero(is_epoch)[last >= 0]
+        latest[rows] = values[is_sent][last[last >= 0]]
+    return latest

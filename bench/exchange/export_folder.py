@@ -1,4 +1,4 @@
-"""The folder of an export: columns with types and units, complete files, a record of where data came from."""
+"""The folder of an export: typed columns with units, complete files, and a record of the data's origin."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import facts_of, read_journal
 from gyrobench.bench.runs.provenance import read_provenance
 
-_TEXT = frozenset(
+_TEXT_COLUMNS = frozenset(
     {
         *(
             "unit",
@@ -48,11 +48,11 @@ _TEXT = frozenset(
         *("result", "quantity", "axis", "contribution", "type", "distribution", "input_unit", "note"),
     }
 )
-_WHOLE = frozenset(
+_INTEGER_COLUMNS = frozenset(
     {"dwell", "cycle", "stop", "plateau", "dwells", "turned_dwell", "count", "part", "step", "mode"}
 )
-#: By the end of the name, longer ends first.
-_UNITS = MappingProxyType(
+#: Unit by the end of a column's name, longer ends first.
+_UNIT_BY_SUFFIX = MappingProxyType(
     {
         "_dph_per_c_per_h": "deg/h per K/h",
         "_dph_per_k": "deg/h per K",
@@ -76,14 +76,14 @@ _UNITS = MappingProxyType(
 
 def unit_of(column: str) -> str:
     """Unit of a column; empty if it has none."""
-    return next((unit for end, unit in _UNITS.items() if column.endswith(end)), "")
+    return next((unit for end, unit in _UNIT_BY_SUFFIX.items() if column.endswith(end)), "")
 
 
 def type_of(column: str) -> pa.DataType:
     """Arrow type of a column."""
-    if column in _TEXT:
+    if column in _TEXT_COLUMNS:
         return pa.string()
-    return pa.int64() if column in _WHOLE else pa.float64()
+    return pa.int64() if column in _INTEGER_COLUMNS else pa.float64()
 
 
 def field_of(column: str) -> pa.Field:
@@ -114,13 +114,13 @@ def data_origin(folder: RunFolder) -> dict[str, Any]:
 
 
 #: Record beside the exported files.
-_ABOUT = "export.json"
-_MAX_ABOUT_BYTES = 10_000_000
+_RECORD_FILE = "export.json"
+_MAX_RECORD_BYTES = 10_000_000
 
 
 @dataclass
 class ExportFolder:
-    """The folder, made when the first file is written, and the record of its files.
+    """The folder, which is made when the first file is written, and the record of its files.
 
     ``origin`` is the source of the data, ``force`` allows existing files to be replaced, ``written`` lists
     the files in order.
@@ -137,15 +137,15 @@ class ExportFolder:
 
         Raises UnusablePathError if a file exists and ``force`` is off.
         """
-        there = [name for name in names if (self.folder / name).exists()]
-        if there and not self.force:
+        existing = [name for name in names if (self.folder / name).exists()]
+        if existing and not self.force:
             raise UnusablePathError(
-                f"{self.folder}: already contains {', '.join(there)}. Use --force or another --out"
+                f"{self.folder}: already contains {', '.join(existing)}. Use --force or another --out"
             )
 
     @contextlib.contextmanager
     def file(self, name: str, **about: Any) -> Iterator[Path]:
-        """Path to write to; the complete file then replaces the target. ``about`` goes into the record.
+        """Temporary path to write to; the complete file replaces the target. ``about`` goes into the record.
 
         Raises RunFolderError if it can't be written.
         """
@@ -192,7 +192,7 @@ class ExportFolder:
         """
         if not self.written:
             return
-        path = self.folder / _ABOUT
+        path = self.folder / _RECORD_FILE
         content = {"origin": self.origin, "files": self._earlier_entries(path) | self._about}
         write_whole(path, (json.dumps(content, indent=2, default=str) + "\n").encode())
         self.written.append(path)
@@ -201,7 +201,7 @@ class ExportFolder:
         if not path.exists():
             return {}
         try:
-            content = parse_json(read_limited(path, _MAX_ABOUT_BYTES, RunFolderError))
+            content = parse_json(read_limited(path, _MAX_RECORD_BYTES, RunFolderError))
             is_same_run = content["origin"]["run"] == self.origin["run"]
             return {name: about for name, about in content["files"].items() if is_same_run}
         except (ValueError, TypeError, LookupError, AttributeError):

@@ -1,6 +1,6 @@
-"""The import map: a YAML file that says what each column of a foreign log holds, and how it is averaged.
+"""The import map: a YAML file with the meaning of each column of a foreign log, and how it is averaged.
 
-With a section ``calibration`` the log can also be calibrated, which takes increments too.
+With a section ``calibration`` the log can also be used for a calibration, which accepts increments too.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ _SHIPPED_DBC = Path(ins.__file__).parent
 Column = Annotated[str, Field(min_length=1)] | Annotated[int, Field(ge=1)]
 #: Column of a quantity, and the scale and offset that convert it.
 ScaledColumn = tuple[Column, float, float]
-#: Up to what a dwell table can hold and no log reaches.
+#: The limit is within the range of a dwell table, and beyond the values of any log.
 Positive = Annotated[float, Field(gt=0.0, le=1e12)]
 Factor = Annotated[float, Field(ge=-1e12, le=1e12)]
 NotNegative = Annotated[float, Field(ge=0.0, le=1e12)]
-#: A spreadsheet that opens the table must not take it for a formula.
+#: A spreadsheet that opens the table must not interpret it as a formula.
 Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^=+@\t\r\n-]")]
 
 
-def _plain(key: str, alone: Any, model: type[StrictModel]) -> BeforeValidator:
-    """Take a plain text or number, of the type ``alone``, for the value of one key."""
+def _from_plain_value(key: str, plain_type: Any, model: type[StrictModel]) -> BeforeValidator:
+    """Validator that accepts a plain text or number, of type ``plain_type``, as the value of one key."""
     return BeforeValidator(
         lambda data: {key: data} if isinstance(data, str | int) else data,
-        json_schema_input_type=alone | model,
+        json_schema_input_type=plain_type | model,
     )
 
 
@@ -45,8 +45,8 @@ def _require_one(model: Any, *names: str) -> None:
     given = [name for name in names if getattr(model, name) is not None]
     if len(given) != 1:
         quoted = ", ".join(f"'{name}'" for name in names)
-        found = " and ".join(f"'{name}'" for name in given) or "none of them"
-        raise ValueError(f"give exactly one of {quoted}; there is {found}")
+        given_text = " and ".join(f"'{name}'" for name in given) or "none of them"
+        raise ValueError(f"give exactly one of {quoted}; there is {given_text}")
 
 
 class TextFormat(StrictModel):
@@ -75,10 +75,10 @@ class RecordFormat(StrictModel):
     header_bytes: int = Field(default=0, ge=0, description="bytes before the first record")
 
     @model_validator(mode="after")
-    def _names_differ(self) -> Self:
-        twice = sorted({name for name in self.fields if self.fields.count(name) > 1})
-        if twice:
-            raise ValueError(f"fields are named twice: {', '.join(twice)}")
+    def _check_names(self) -> Self:
+        duplicates = sorted({name for name in self.fields if self.fields.count(name) > 1})
+        if duplicates:
+            raise ValueError(f"fields are named twice: {', '.join(duplicates)}")
         return self
 
 
@@ -93,7 +93,7 @@ class SignalFormat(StrictModel):
     )
 
     @model_validator(mode="after")
-    def _frames_are_decoded(self) -> Self:
+    def _check_dbc(self) -> Self:
         if (self.format == "blf" and self.dbc is None) or (self.dbc and self.format not in ("blf", "mf4")):
             raise ValueError("'dbc' decodes CAN frames: give it for blf, not for other formats than mf4")
         return self
@@ -132,11 +132,11 @@ class SignedColumn(StrictModel):
     scale: Factor = Field(default=1.0, description="factor on the column")
 
 
-#: A column alone counts with the axis.
-AxisColumn = Annotated[SignedColumn, _plain("column", Column, SignedColumn)]
+#: A plain column has the sign of the axis.
+AxisColumn = Annotated[SignedColumn, _from_plain_value("column", Column, SignedColumn)]
 
 
-#: Ends of the units of a rate; others are increments.
+#: Suffixes of units of rate; other units are those of increments.
 _PER_TIME = ("/s", "/h", "dps")
 
 
@@ -148,7 +148,7 @@ class AxisColumns(StrictModel):
     z: AxisColumn = Field(description="column of the z sensor, with its sign")
 
     def by_quantity(self, names: Sequence[str], unit: float = 1.0) -> dict[str, ScaledColumn]:
-        """Column, scale and offset of each sensor by name; ``unit``: what the scale is multiplied by."""
+        """Column, scale and offset of each sensor by name; ``unit``: factor on the scales."""
         axes = zip(names, (self.x, self.y, self.z), strict=True)
         return {name: (axis.column, axis.sign * axis.scale * unit, 0.0) for name, axis in axes}
 
@@ -179,7 +179,7 @@ class GyroColumns(AxisColumns):
     )
 
 
-#: A column alone is converted as its section says.
+#: A plain column is converted as its section states.
 Temperature = Annotated[Column | TemperatureColumn, Field()]
 
 
@@ -223,12 +223,12 @@ class TemperatureColumns(StrictModel):
         return self
 
     def by_quantity(self) -> dict[str, ScaledColumn]:
-        """Column, scale and offset by the name of what it holds: ``gyro_x_c``, ``chamber_c``, ..."""
+        """Column, scale and offset by quantity: ``gyro_x_c``, ``chamber_c``, ..."""
         columns = {f"{name}_c": getattr(self, name) for name in ("chamber_set", "chamber", "case")}
         for axis in AXES:
-            for what, common in (("gyro", self.gyros), ("board", self.boards)):
-                own = getattr(self, f"{what}_{axis}")
-                columns[f"{what}_{axis}_c"] = own if own is not None else common
+            for sensor, common in (("gyro", self.gyros), ("board", self.boards)):
+                single = getattr(self, f"{sensor}_{axis}")
+                columns[f"{sensor}_{axis}_c"] = single if single is not None else common
         return {name: self._converted(column) for name, column in columns.items() if column is not None}
 
     def _converted(self, source: Column | TemperatureColumn) -> ScaledColumn:
@@ -343,7 +343,7 @@ class CalibrationLog(Location):
 
 
 class Averages(NamedTuple):
-    """How the samples of a log become dwells."""
+    """Settings by which the samples of a log are averaged to dwells."""
 
     temperatures: TemperatureColumns
     position: PositionRule
@@ -369,10 +369,10 @@ class LogMap(StrictModel):
         default=None, description="which columns are temperatures; required without 'calibration'"
     )
     status: StatusRule | None = Field(default=None, description="which samples are valid")
-    position: Annotated[PositionRule, _plain("constant", PositionName, PositionRule)] | None = Field(
-        default=None, description="position of the unit; required without 'calibration'"
+    position: Annotated[PositionRule, _from_plain_value("constant", PositionName, PositionRule)] | None = (
+        Field(default=None, description="position of the unit; required without 'calibration'")
     )
-    cycle: Annotated[CycleRule, _plain("constant", int, CycleRule)] = Field(
+    cycle: Annotated[CycleRule, _from_plain_value("constant", int, CycleRule)] = Field(
         default=CycleRule(constant=1), description="cycle of each window; a cycle can be held out"
     )
     earth_rate: EarthRate | None = Field(
@@ -396,7 +396,7 @@ class LogMap(StrictModel):
 
     @property
     def averages(self) -> Averages:
-        """What an import requires and a calibration ignores; DocumentError where it is missing."""
+        """Settings that an import requires and a calibration ignores; DocumentError if one is missing."""
         required = self.temperatures, self.position, self.window_s
         missing = [name for name, each in zip(Averages._fields, required, strict=True) if each is None]
         if missing:
@@ -407,7 +407,7 @@ class LogMap(StrictModel):
 
     @property
     def calibrated(self) -> CalibrationLog:
-        """What a calibration requires; DocumentError where it is missing."""
+        """Settings that a calibration requires; DocumentError if they are missing."""
         if self.calibration is None:
             raise DocumentError(
                 "the import map has no section 'calibration' with the accelerometers and the latitude. Add it"
@@ -415,7 +415,7 @@ class LogMap(StrictModel):
         return self.calibration
 
     @model_validator(mode="after")
-    def _fits_together(self) -> Self:
+    def _check_consistency(self) -> Self:
         _require_one(self, "text", "records", "signals")
         if self.calibration is None:
             try:
@@ -428,7 +428,7 @@ class LogMap(StrictModel):
 
 
 def load_log_map(path: Path, for_calibration: bool = False) -> LogMap:
-    """Read an import map; also one that only calibrates, or only imports.
+    """Read an import map, which must have the settings for a calibration or for an import.
 
     Raises DocumentError, which lists everything that is wrong with it, each with its place.
     """
@@ -440,10 +440,10 @@ def load_log_map(path: Path, for_calibration: bool = False) -> LogMap:
     if log_map.signals is None or log_map.signals.dbc is None:
         return log_map
     name = log_map.signals.dbc
-    found = next((folder / name for folder in (path.parent, _SHIPPED_DBC) if (folder / name).is_file()), None)
-    if found is None:
+    dbc = next((folder / name for folder in (path.parent, _SHIPPED_DBC) if (folder / name).is_file()), None)
+    if dbc is None:
         raise DocumentError(
             f"{path}: DBC file {name!r}: neither beside the import map nor shipped. Copy it there, or "
             "correct its name."
         )
-    return log_map.model_copy(update={"signals": log_map.signals.model_copy(update={"dbc": str(found)})})
+    return log_map.model_copy(update={"signals": log_map.signals.model_copy(update={"dbc": str(dbc)})})

@@ -30,24 +30,24 @@ from gyrobench.bench.navigation.error_model import Site
 _ANGLES = {"rad": 1.0, "deg": np.pi / 180.0, "arcsec": np.pi / 648000.0}
 _VELOCITIES = {"m/s2": 1.0, "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY, "m/s": 1.0, "mm/s": 1e-3}
 _PREFIXES = {"m": 1e-3, "u": 1e-6}
-_INCREMENTS = ("m/s", "mm/s")
-#: Samples over which the usual interval is measured, and on each side of a gap; a gap's step differs from the
-#: usual interval by at least this part.
-_LAG, _NEAR, _MIN_STEP_ERROR = 100, 16, 0.3
-#: Share of samples with the time stamp of the one before, above which stamps are coarser than samples.
-_COARSE = 0.3
-#: An axis is saturated where this many samples in a row, over this time, s, have its extreme value, while of
-#: the others at most this share repeats the one before.
-_SATURATED, _SATURATED_S, _MAX_REPEATED = 12, 0.1, 0.3
+_VELOCITY_INCREMENTS = ("m/s", "mm/s")
+#: Samples over which the usual interval is measured, samples on each side over which a jump of the time is
+#: measured, and smallest deviation of a gap's step from the usual interval, relative.
+_INTERVAL_SAMPLES, _JUMP_SAMPLES, _MIN_STEP_ERROR = 100, 16, 0.3
+#: Share of samples with the time stamp of the previous sample, above which stamps are coarser than samples.
+_MAX_EQUAL_STAMPS = 0.3
+#: An axis is saturated if at least this number of samples in a row, over at least this time, s, have its
+#: extreme value, while at most this share of the other samples repeat the previous one.
+_MIN_SATURATED, _MIN_SATURATED_S, _MAX_REPEATED = 12, 0.1, 0.3
 
 
 @dataclass(frozen=True, eq=False)
 class LogIncrements:
     """Increments of one log."""
 
-    recordings: list[IncrementRecording]  #: Its parts without a missing sample.
-    samples: int  #: How many it holds.
-    #: Relative standard uncertainty of the time between samples by the scatter of their time stamps.
+    recordings: list[IncrementRecording]  #: Parts of the log without a missing sample.
+    samples: int  #: Number of samples in the log.
+    #: Relative standard uncertainty of the time between samples, from the scatter of the time stamps.
     interval_error: float
 
     @property
@@ -57,33 +57,33 @@ class LogIncrements:
 
 
 def read_increments(path: Path, log_map: LogMap) -> LogIncrements:
-    """Read a log, cut where samples are missing; pieces that rest for less than a minute are left out.
+    """Read a log, divided at missing samples; parts that rest for less than a minute are left out.
 
-    Rates and specific forces count as means since the sample before. Raises DocumentError if the log can't be
-    read, or does not fit the map. Raises MeasurementError if no piece is long enough.
+    Rates and specific forces are taken as means since the previous sample. Raises DocumentError if the log
+    can't be read, or does not fit the map. Raises MeasurementError if no part is long enough.
     """
     section = log_map.calibrated
     angle_unit, angles_are_increments = _angle_unit(log_map.gyro.unit)
     quantities = log_map.gyro.by_quantity(RATES, angle_unit)
     quantities |= section.accelerometers.by_quantity(FORCES, _VELOCITIES[section.accelerometers.unit])
-    velocities_are_increments = section.accelerometers.unit in _INCREMENTS
+    velocities_are_increments = section.accelerometers.unit in _VELOCITY_INCREMENTS
     reader = SampleReader(path, log_map, quantities, angles_are_increments or velocities_are_increments)
     samples = reader.whole()
-    kept = samples["time_s"] >= samples["time_s"][:1] + log_map.skip_s
-    samples = {name: values[kept] for name, values in samples.items()}
+    is_kept = samples["time_s"] >= samples["time_s"][:1] + log_map.skip_s
+    samples = {name: values[is_kept] for name, values in samples.items()}
     time_s = samples["time_s"]
     full_scale = np.inf if log_map.gyro.full_scale is None else log_map.gyro.full_scale * angle_unit
     for name, (column, _, _) in quantities.items():
-        at = _saturated(time_s, samples[name], full_scale if name in RATES else np.inf)
-        if at is not None:
+        index = _saturation_index(time_s, samples[name], full_scale if name in RATES else np.inf)
+        if index is not None:
             raise MeasurementError(
-                f"{path}: column {column!r} stays at the end of its range from {time_s[at]:.2f} s after the "
-                "first sample: the sensor or its number format is saturated. Record slower rotations, or cut "
-                "the log there"
+                f"{path}: column {column!r} stays at the end of its range from {time_s[index]:.2f} s after "
+                "the first sample: the sensor or its number format is saturated. Record slower rotations, or "
+                "cut the log there"
             )
     angle, velocity = (np.column_stack([samples[name] for name in names]) for names in (RATES, FORCES))
-    recordings, errors, found = [], [0.0], _pieces(time_s, np.hstack([angle, velocity]))
-    for part in found:
+    recordings, errors, parts = [], [0.0], _complete_parts(time_s, np.hstack([angle, velocity]))
+    for part in parts:
         if time_s[part[-1]] - time_s[part[0]] < MIN_REST_TOTAL_S:
             continue
         first_s, interval_s, error = _even_times(time_s[part])
@@ -97,13 +97,14 @@ def read_increments(path: Path, log_map: LogMap) -> LogIncrements:
             )
         )
     if not recordings:
-        raise MeasurementError(f"{path}: {_without_pieces(time_s, found)}")
-    # A part that hardly rests shows nothing; of a log that nowhere rests for long the estimator states it.
-    resting = [each for each in recordings if _rests(each)] if len(recordings) > 1 else recordings
+        raise MeasurementError(f"{path}: {_no_part_reason(time_s, parts)}")
+    # A part with too few rests contributes nothing; if no part has enough, the estimator reports it.
+    resting = [each for each in recordings if _has_rests(each)] if len(recordings) > 1 else recordings
     return LogIncrements(resting or recordings, len(time_s), max(errors))
 
 
-def _rests(recording: IncrementRecording) -> bool:
+def _has_rests(recording: IncrementRecording) -> bool:
+    """Whether a recording has rests that are long enough."""
     try:
         return bool(recording.rests)
     except MeasurementError:
@@ -111,7 +112,7 @@ def _rests(recording: IncrementRecording) -> bool:
 
 
 def read_logs(paths: Sequence[Path], log_map: LogMap) -> list[LogIncrements]:
-    """Read several logs; those without a frame of the sensors, as parts of a run, hold no sample.
+    """Read several logs; parts of a run's log without a frame of the sensors yield no sample.
 
     Raises as :func:`read_increments`, also if no log has such a frame.
     """
@@ -127,27 +128,27 @@ def read_logs(paths: Sequence[Path], log_map: LogMap) -> list[LogIncrements]:
 
 
 def _even_times(time_s: FloatArray) -> tuple[float, float, float]:
-    """First time and interval of equal steps through time stamps, and the interval's standard uncertainty, s.
+    """First time and interval of equal steps fitted to time stamps, and the interval's standard uncertainty.
 
-    Each time stamp counts: the first and the last one alone may be late.
+    All in s. All time stamps are used, since a single one may be late.
     """
-    number = np.arange(len(time_s)) - 0.5 * (len(time_s) - 1)
-    squares = float(number @ number)
-    interval_s, middle_s = float(number @ time_s) / squares, float(time_s.mean())
-    left_s = time_s - middle_s - interval_s * number
-    scatter_s = np.sqrt(float(left_s @ left_s) / max(len(time_s) - 2, 1))
-    return middle_s + interval_s * float(number[0]), interval_s, float(scatter_s / np.sqrt(squares))
+    index = np.arange(len(time_s)) - 0.5 * (len(time_s) - 1)
+    squares = float(index @ index)
+    interval_s, middle_s = float(index @ time_s) / squares, float(time_s.mean())
+    residual_s = time_s - middle_s - interval_s * index
+    scatter_s = np.sqrt(float(residual_s @ residual_s) / max(len(time_s) - 2, 1))
+    return middle_s + interval_s * float(index[0]), interval_s, float(scatter_s / np.sqrt(squares))
 
 
-def _without_pieces(time_s: FloatArray, found: Sequence[IntArray]) -> str:
-    """Why a log has no part that is long enough."""
-    if len(time_s) > 1 and np.mean(np.diff(time_s) == 0.0) > _COARSE:
+def _no_part_reason(time_s: FloatArray, parts: Sequence[IntArray]) -> str:
+    """Reason why a log has no part that is long enough."""
+    if len(time_s) > 1 and np.mean(np.diff(time_s) == 0.0) > _MAX_EQUAL_STAMPS:
         return (
             "its time stamps are coarser than its samples. State the rate of the samples in the map in place "
             "of the column of times: time: {sample_rate_hz: ...}"
         )
     length_s = float(time_s[-1] - time_s[0]) if len(time_s) else 0.0
-    gaps = f"; missing samples cut it into {len(found)} parts" if len(found) > 1 else ""
+    gaps = f"; missing samples cut it into {len(parts)} parts" if len(parts) > 1 else ""
     return (
         f"{length_s:.4g} s of samples{gaps}; at least {MIN_REST_TOTAL_S:g} s without a missing sample are "
         "needed. Check the log and 'time' in its map"
@@ -155,56 +156,60 @@ def _without_pieces(time_s: FloatArray, found: Sequence[IntArray]) -> str:
 
 
 def _angle_unit(unit: str) -> tuple[float, bool]:
-    """A unit of rate or angle in rad/s or rad, and whether it is one of increments."""
+    """Size of a unit of rate or angle in rad/s or rad, and whether it is a unit of increments."""
     base, _, per = ({"dps": "deg/s", "mdps": "mdeg/s"}.get(unit, unit)).partition("/")
     size = _ANGLES[base] if base in _ANGLES else _PREFIXES[base[0]] * _ANGLES[base[1:]]
     return size / (3600.0 if per == "h" else 1.0), not per
 
 
-def _pieces(time_s: FloatArray, values: FloatArray) -> list[IntArray]:
-    """Samples of each part of a log without a missing one; repeated rows are left out.
+def _complete_parts(time_s: FloatArray, values: FloatArray) -> list[IntArray]:
+    """Indices of the samples of each part of a log without a missing sample; repeated rows are left out.
 
-    Gaps are jumps of the time against the sample's number, which jitter of the time stamps averages out of.
+    Gaps are jumps of the time as a function of the sample's index, averaged to suppress jitter of the stamps.
     """
-    lag = min(_LAG, len(time_s) - 1)
+    lag = min(_INTERVAL_SAMPLES, len(time_s) - 1)
     if lag < 1:
         return []
-    usual = float(np.median(time_s[lag:] - time_s[:-lag])) / lag
-    is_repeated = (np.diff(time_s) < 0.5 * usual) & (values[1:] == values[:-1]).all(axis=1)
+    usual_s = float(np.median(time_s[lag:] - time_s[:-lag])) / lag
+    is_repeated = (np.diff(time_s) < 0.5 * usual_s) & (values[1:] == values[:-1]).all(axis=1)
     kept = np.flatnonzero(np.concatenate([[True], ~is_repeated]))
-    at, count = np.arange(1, len(kept)), len(kept)
-    total = np.concatenate([[0.0], np.cumsum(time_s[kept] - usual * np.arange(count))])
-    first, last = np.maximum(at - _NEAR, 0), np.minimum(at + _NEAR, count)
-    jump = (total[last] - total[at]) / (last - at) - (total[at] - total[first]) / (at - first)
-    is_gap = (np.abs(jump) > 0.5 * usual) & (np.abs(np.diff(time_s[kept]) - usual) > _MIN_STEP_ERROR * usual)
+    index, count = np.arange(1, len(kept)), len(kept)
+    deviation_s = np.concatenate([[0.0], np.cumsum(time_s[kept] - usual_s * np.arange(count))])
+    first, last = np.maximum(index - _JUMP_SAMPLES, 0), np.minimum(index + _JUMP_SAMPLES, count)
+    jump_s = (deviation_s[last] - deviation_s[index]) / (last - index) - (
+        deviation_s[index] - deviation_s[first]
+    ) / (index - first)
+    is_gap = (np.abs(jump_s) > 0.5 * usual_s) & (
+        np.abs(np.diff(time_s[kept]) - usual_s) > _MIN_STEP_ERROR * usual_s
+    )
     valid: BoolArray = np.asarray(np.isfinite(values[kept]).all(axis=1))
-    joined = valid[1:] & valid[:-1] & ~is_gap
-    return [kept[begin : end + 1] for begin, end in true_spans(joined)]
+    is_joined = valid[1:] & valid[:-1] & ~is_gap
+    return [kept[begin : end + 1] for begin, end in true_spans(is_joined)]
 
 
-def _saturated(time_s: FloatArray, values: FloatArray, limit: float) -> int | None:
-    """First of the samples at which an axis (n,) is saturated; None if it never is.
+def _saturation_index(time_s: FloatArray, values: FloatArray, limit: float) -> int | None:
+    """Index of the first saturated sample of an axis (n,); None if there is none.
 
-    It reaches the ``limit``, or stays exactly at its largest or smallest value, which a sensor whose noise
-    changes its output from sample to sample does not.
+    A saturated axis reaches the ``limit``, or stays exactly at its largest or smallest value, unlike a sensor
+    whose noise changes its output from sample to sample.
     """
-    if (beyond := np.flatnonzero(np.abs(values) >= limit * (1.0 - 1e-6))).size:
-        return int(beyond[0])
+    if (at_limit := np.flatnonzero(np.abs(values) >= limit * (1.0 - 1e-6))).size:
+        return int(at_limit[0])
     for extreme in (np.nanmax(values), np.nanmin(values)) if np.isfinite(values).any() else ():
-        is_at = values == extreme
-        free = ~is_at[1:] & ~is_at[:-1]
-        if not free.any() or np.mean(values[1:][free] == values[:-1][free]) > _MAX_REPEATED:
+        is_extreme = values == extreme
+        is_free = ~is_extreme[1:] & ~is_extreme[:-1]
+        if not is_free.any() or np.mean(values[1:][is_free] == values[:-1][is_free]) > _MAX_REPEATED:
             continue
-        for begin, end in true_spans(is_at):
-            if end - begin >= _SATURATED and time_s[end - 1] - time_s[begin] >= _SATURATED_S:
+        for begin, end in true_spans(is_extreme):
+            if end - begin >= _MIN_SATURATED and time_s[end - 1] - time_s[begin] >= _MIN_SATURATED_S:
                 return int(begin)
     return None
 
 
 def calibration_settings(log_map: LogMap, interval_error: float = 0.0) -> tuple[Site, CalibrationOptions]:
-    """Place of a calibration, and what its map says of the table and of the uncertainties.
+    """Site and options of a calibration, from the import map.
 
-    ``interval_error``: relative standard uncertainty of the time between samples by their time stamps.
+    ``interval_error``: relative standard uncertainty of the time between samples, from their time stamps.
     """
     section = log_map.calibrated
     turns, noise = section.whole_turns_arcsec, section.noise
@@ -217,7 +222,7 @@ def calibration_settings(log_map: LogMap, interval_error: float = 0.0) -> tuple[
     whole_turns = None if turns is None else turns * _ANGLES["arcsec"]
     time_error = float(np.hypot(1e-6 * section.clock_sigma_ppm, interval_error))
     _, angles_are_increments = _angle_unit(log_map.gyro.unit)
-    velocities_are_increments = section.accelerometers.unit in _INCREMENTS
+    velocities_are_increments = section.accelerometers.unit in _VELOCITY_INCREMENTS
     return section.site, CalibrationOptions(
         whole_turns=whole_turns,
         gravity=section.gravity_mps2,

@@ -1,4 +1,4 @@
-"""Logs as text or binary records, read in batches; mistakes are reported with line and column."""
+"""Logs as text or binary records, read in batches; errors are reported with line and column."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 _SEPARATORS = {"comma": ",", "semicolon": ";", "tab": "\t", "whitespace": " "}
 _BLOCK_BYTES = 1 << 22
-_GZIP = b"\x1f\x8b"
+_GZIP_SIGNATURE = b"\x1f\x8b"
 _NOT_MEASURED = (
     "",
     "nan",
@@ -43,14 +43,14 @@ _NOT_MEASURED = (
     "none",
 )
 _NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?|[-+]?(inf|infinity)", re.IGNORECASE)
-_MARK = b"\xef\xbb\xbf"
+_BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
-#: Values of some samples by column: float64, or text.
+#: Values of a batch of samples by column: float64, or text.
 Batch = dict[Column, NDArray[Any]]
 
 
 class TextLog:
-    """A text log; its columns without a header are ``column 1``, ...
+    """A text log; without a header, its columns are ``column 1``, ...
 
     ``truncated`` states whether the last line was cut off and left out, once all batches are read.
 
@@ -64,7 +64,7 @@ class TextLog:
         try:
             head = self._head()
         except _READ_ERRORS as error:
-            raise DocumentError(f"{path}: can't be read: {_why(error)}") from error
+            raise DocumentError(f"{path}: can't be read: {_error_text(error)}") from error
         if any("\0" in line for line in head):
             raise DocumentError(f"{path}: is not text. For binary records give 'records' in the import map")
         if len(head) < (2 if layout.header else 1):
@@ -74,9 +74,9 @@ class TextLog:
         self.columns = cells if layout.header else [f"column {index + 1}" for index in range(len(cells))]
 
     def batches(self, numbers: Sequence[Column], texts: Sequence[Column]) -> Iterator[Batch]:
-        """Read columns batch by batch; what was not measured is NaN.
+        """Read columns batch by batch; missing values are NaN.
 
-        ``numbers``, ``texts``: which to read as float64, and which as text. Raises DocumentError if the
+        ``numbers``, ``texts``: columns to read as float64, and as text. Raises DocumentError if the
         file lacks a column, or cells can't be read; the message lists them.
         """
         import pyarrow as pa
@@ -90,13 +90,13 @@ class TextLog:
         names = [str(index) for index in range(len(self.columns))]
         types = {names[indices[column]]: pa.float64() for column in numbers}
         types |= {names[indices[column]]: pa.string() for column in texts}
-        short: list[int] = []
+        short_rows: list[int] = []
 
         def skip(row: Any) -> str:
-            short.append(row.actual_columns)
+            short_rows.append(row.actual_columns)
             return "skip"
 
-        with _opened(self._path) as stream:
+        with _open_decompressed(self._path) as stream:
             source = _SampleLines(stream, self._layout, self._separator)
             try:
                 reader = self._reader(source, names, types, skip)
@@ -106,14 +106,14 @@ class TextLog:
                         for column, index in indices.items()
                     }
             except _READ_ERRORS as error:
-                raise DocumentError(f"{self._path}: can't be read: {_why(error)}") from error
+                raise DocumentError(f"{self._path}: can't be read: {_error_text(error)}") from error
             except pa.ArrowInvalid as error:
-                raise self._mistakes(indices, numbers, str(error)) from error
-        if len(short) > 1 or (short and short[0] > len(self.columns)):
-            raise self._mistakes(indices, numbers, "lines with another number of cells")
-        self.truncated = bool(short)
+                raise self._cell_errors(indices, numbers, str(error)) from error
+        if len(short_rows) > 1 or (short_rows and short_rows[0] > len(self.columns)):
+            raise self._cell_errors(indices, numbers, "lines with another number of cells")
+        self.truncated = bool(short_rows)
         if self.truncated and not self._last_line_is_short():
-            raise self._mistakes(indices, numbers, "a line with another number of cells")
+            raise self._cell_errors(indices, numbers, "a line with another number of cells")
 
     def _reader(
         self, source: _SampleLines, names: list[str], types: dict[str, DataType], skip: Callable[[Any], str]
@@ -138,10 +138,10 @@ class TextLog:
 
     def _head(self) -> list[str]:
         """First lines that are header or samples."""
-        with _opened(self._path) as stream:
+        with _open_decompressed(self._path) as stream:
             lines = (line.decode("utf-8-sig", "replace").rstrip("\r\n") for line in stream)
-            wanted = (line for line in itertools.islice(lines, self._layout.skip_lines, None))
-            return list(itertools.islice((line for line in wanted if self._is_sample(line)), 20))
+            remaining = (line for line in itertools.islice(lines, self._layout.skip_lines, None))
+            return list(itertools.islice((line for line in remaining if self._is_sample(line)), 20))
 
     def _is_sample(self, line: str) -> bool:
         comment = self._layout.comment
@@ -164,9 +164,9 @@ class TextLog:
             f"{', '.join(self.columns)}. Correct the import map"
         )
 
-    def _numbered_lines(self) -> Iterator[tuple[int, list[str]]]:
+    def _numbered_samples(self) -> Iterator[tuple[int, list[str]]]:
         """Cells of each sample, with the number of its line from 1."""
-        with _opened(self._path) as stream:
+        with _open_decompressed(self._path) as stream:
             seen_header = not self._layout.header
             for number, raw in enumerate(stream, 1):
                 line = raw.decode("utf-8-sig", "replace").rstrip("\r\n")
@@ -178,20 +178,22 @@ class TextLog:
 
     def _last_line_is_short(self) -> bool:
         cells: list[str] = []
-        for _, cells in self._numbered_lines():  # noqa: B007
+        for _, cells in self._numbered_samples():  # noqa: B007
             pass
         return len(cells) < len(self.columns)
 
-    def _mistakes(self, indices: dict[Column, int], numbers: Sequence[Column], why: str) -> DocumentError:
-        """Find what the fast reader stumbled over, line by line."""
+    def _cell_errors(
+        self, indices: dict[Column, int], numbers: Sequence[Column], reason: str
+    ) -> DocumentError:
+        """Error that lists wrong cells, found line by line; ``reason``: message if none is found."""
         problems: dict[str, str] = {}
-        more: Counter[str] = Counter()
+        repeats: Counter[str] = Counter()
 
         def add(kind: str, line: int, text: str) -> None:
-            more[kind] += kind in problems
+            repeats[kind] += kind in problems
             problems.setdefault(kind, f"{self._path}:{line}: {text}")
 
-        for line, cells in self._numbered_lines():
+        for line, cells in self._numbered_samples():
             if len(cells) != len(self.columns):
                 add("", line, f"{len(cells)} cells instead of {len(self.columns)}")
                 continue
@@ -199,43 +201,43 @@ class TextLog:
                 name, cell = self.columns[indices[column]], cells[indices[column]]
                 if not _is_number(cell, self._layout.decimal):
                     add(name, line, f"column {name}: expected a number; found '{cell[:60]}'")
-        found = [
-            f"{text} (and in {more[kind]} more lines)" if more[kind] else text
+        messages = [
+            f"{text} (and in {repeats[kind]} more lines)" if repeats[kind] else text
             for kind, text in problems.items()
         ]
-        return DocumentError("\n".join(found) or f"{self._path}: can't be read: {why}")
+        return DocumentError("\n".join(messages) or f"{self._path}: can't be read: {reason}")
 
 
-def _opened(path: Path) -> IO[bytes]:
-    """A file, decompressed if it is packed by gzip."""
+def _open_decompressed(path: Path) -> IO[bytes]:
+    """Open a file, decompressed if it is compressed by gzip."""
     with path.open("rb") as stream:
-        is_packed = stream.read(2) == _GZIP
-    return cast("IO[bytes]", gzip.open(path)) if is_packed else path.open("rb")
+        is_compressed = stream.read(2) == _GZIP_SIGNATURE
+    return cast("IO[bytes]", gzip.open(path)) if is_compressed else path.open("rb")
 
 
-#: What reading a file raises, packed or not.
+#: Errors of reading a file, compressed or not.
 _READ_ERRORS = (OSError, EOFError, zlib.error)
 
 
-def _why(error: Exception) -> str:
+def _error_text(error: Exception) -> str:
     return (error.strerror if isinstance(error, OSError) else None) or str(error)
 
 
 def _size_bytes(path: Path) -> int:
     """Size of the decompressed file."""
     size = 0
-    with _opened(path) as stream:
+    with _open_decompressed(path) as stream:
         while block := stream.read(_BLOCK_BYTES):
             size += len(block)
     return size
 
 
 class _SampleLines(io.RawIOBase):
-    """The lines of a log that are samples, as bytes; runs of blanks become one tab where they separate."""
+    """Lines of samples of a text log, as bytes; blanks that separate cells are replaced by one tab."""
 
     def __init__(self, stream: IO[bytes], layout: TextFormat, separator: str) -> None:
         self._stream = stream
-        self._collapse = separator == " "
+        self._has_blank_separators = separator == " "
         comment = layout.comment
         self._comment = (
             re.compile(rb"^[ \t]*" + re.escape(comment.encode()) + rb"[^\n]*\n?", re.MULTILINE)
@@ -245,29 +247,29 @@ class _SampleLines(io.RawIOBase):
         for _ in range(layout.skip_lines):
             stream.readline()
         if layout.header:
-            while not self._cleaned(stream.readline()).strip():
+            while not self._clean(stream.readline()).strip():
                 pass
 
     def readable(self) -> bool:
-        """Say that it can be read."""
+        """Whether it can be read: always."""
         return True
 
     def read(self, size: int = -1) -> bytes:
-        """Give about ``size`` bytes, always whole lines; none at the end of the file."""
+        """Read about ``size`` bytes, always whole lines; empty at the end of the file."""
         while True:
             block = self._stream.read(_BLOCK_BYTES if size < 0 else size) + self._stream.readline()
-            cleaned = self._cleaned(block)
+            cleaned = self._clean(block)
             if cleaned or not block:
                 return cleaned
 
-    def _cleaned(self, block: bytes) -> bytes:
-        block = block.removeprefix(_MARK)
+    def _clean(self, block: bytes) -> bytes:
+        block = block.removeprefix(_BYTE_ORDER_MARK)
         if self._comment:
             block = self._comment.sub(b"", block)
-        # The reader prints a traceback where it can't decode a line that it hands to us.
+        # pyarrow prints a traceback if it can't decode a line that it passes to the row handler.
         if not block.isascii():
             block = block.decode(errors="replace").encode()
-        if self._collapse:
+        if self._has_blank_separators:
             block = re.sub(rb"[ \t]+", b"\t", re.sub(rb"(?m)^[ \t]+|[ \t]+(?=\r?$)", b"", block))
         return block
 
@@ -299,35 +301,39 @@ class RecordLog:
         self._path = path
         self._layout = layout
         self.columns = list(layout.fields)
-        self._type = np.dtype(layout.type)
-        self._bytes = self._type.itemsize * len(self.columns)
+        self._dtype = np.dtype(layout.type)
+        self._record_bytes = self._dtype.itemsize * len(self.columns)
         try:
             size = _size_bytes(path) - layout.header_bytes
         except _READ_ERRORS as error:
-            raise DocumentError(f"{path}: can't be read: {_why(error)}") from error
-        if size < self._bytes:
-            raise DocumentError(f"{path}: holds no record of {self._bytes} bytes. Was the logger running?")
-        self.truncated = size % self._bytes > 0
+            raise DocumentError(f"{path}: can't be read: {_error_text(error)}") from error
+        if size < self._record_bytes:
+            raise DocumentError(
+                f"{path}: holds no record of {self._record_bytes} bytes. Was the logger running?"
+            )
+        self.truncated = size % self._record_bytes > 0
 
     def batches(self, numbers: Sequence[Column], texts: Sequence[Column]) -> Iterator[Batch]:
-        """Read columns batch by batch: ``numbers`` as float64, ``texts`` as text.
+        """Read columns batch by batch, ``numbers`` as float64 and ``texts`` as text.
 
         Raises DocumentError if there is no such column, or the file can't be read.
         """
         indices = {column: self._index(column) for column in (*numbers, *texts)}
         try:
-            with _opened(self._path) as stream:
+            with _open_decompressed(self._path) as stream:
                 stream.seek(self._layout.header_bytes)
-                while data := stream.read(_BATCH_RECORDS * self._bytes):
-                    whole = len(data) // self._bytes
-                    count = whole * len(self.columns)
-                    records = np.frombuffer(data, self._type, count).reshape(whole, -1).astype(float)
+                while data := stream.read(_BATCH_RECORDS * self._record_bytes):
+                    record_count = len(data) // self._record_bytes
+                    value_count = record_count * len(self.columns)
+                    records = (
+                        np.frombuffer(data, self._dtype, value_count).reshape(record_count, -1).astype(float)
+                    )
                     yield {column: records[:, indices[column]] for column in numbers} | {
                         column: np.array([f"{value:g}" for value in records[:, indices[column]]])
                         for column in texts
                     }
         except _READ_ERRORS as error:
-            raise DocumentError(f"{self._path}: can't be read: {_why(error)}") from error
+            raise DocumentError(f"{self._path}: can't be read: {_error_text(error)}") from error
 
     def _index(self, column: Column) -> int:
         if isinstance(column, int) and column <= len(self.columns):

@@ -1,4 +1,4 @@
-"""From logs and their import map to a dwell table, with a record of what was left out and why."""
+"""Import of logs into a dwell table by an import map, with a record of what was left out and why."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from gyrobench.bench.exchange.window_checks import (
     earth_rate_dph,
     nearest_position,
     noise_of_means,
-    reasons_against,
+    rejection_reasons,
     temperature_resolution_c,
     temperature_warnings,
 )
@@ -35,9 +35,9 @@ from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 @dataclass(frozen=True, eq=False)
 class LogImport:
-    """A dwell table made from logs: rows, numbers of windows left out by reason, warnings, and the origin.
+    """A dwell table made from logs: rows, numbers of windows left out by reason, warnings, and origin.
 
-    The origin is for the record: logs with their hashes, import map, samples.
+    ``origin`` is written to the record: logs with their hashes, import map, samples.
     """
 
     rows: list[DwellRow]
@@ -62,7 +62,7 @@ class LogImport:
 
 
 def import_logs(logs: Sequence[Path], mapping: str) -> LogImport:
-    """Average logs to a dwell table.
+    """Average the windows of logs to the rows of a dwell table.
 
     ``logs``: in the order of time. ``mapping``: import map: file or shipped name. Raises DocumentError if the
     import map is wrong, or does not match a log, or a log can't be read. Raises MeasurementError if no window
@@ -70,28 +70,28 @@ def import_logs(logs: Sequence[Path], mapping: str) -> LogImport:
     """
     map_path = find_document("imports", mapping)
     log_map = load_log_map(map_path)
-    read = [_read_log(path, log_map) for path in logs]
-    left_out = Counter(reason for log in read for reason in log.reasons if reason)
-    if missing := sum(log.missing for log in read):
+    read_logs = [_read_log(path, log_map) for path in logs]
+    left_out = Counter(reason for log in read_logs for reason in log.reasons if reason)
+    if missing := sum(log.missing for log in read_logs):
         left_out["no sample at all"] = missing
-    windows = [window for log in read for window in log.valid_windows]
+    windows = [window for log in read_logs for window in log.valid_windows]
     if not windows:
         reasons = "; ".join(f"{count}: {reason}" for reason, count in left_out.items())
         raise MeasurementError(
             f"{', '.join(map(str, logs))}: no window of {log_map.averages.window_s:g} s is valid. "
             f"{reasons or 'The log is shorter than skip_s and one window'}. Correct the log or the import map"
         )
-    with _named(logs):
-        noise_dph = noise_of_means([log.valid_windows for log in read])
-    rows = _dwell_rows(read, noise_dph, log_map)
-    warnings = [*_log_warnings(read), *_map_warnings(log_map, rows)]
-    with _named(logs):
+    with _prefix_errors(logs):
+        noise_dph = noise_of_means([log.valid_windows for log in read_logs])
+    rows = _dwell_rows(read_logs, noise_dph, log_map)
+    warnings = [*_log_warnings(read_logs), *_map_warnings(log_map, rows)]
+    with _prefix_errors(logs):
         warnings += temperature_warnings(rows, windows, log_map)
-    return LogImport(rows, dict(left_out), warnings, _origin(read, windows, map_path, log_map))
+    return LogImport(rows, dict(left_out), warnings, _origin(read_logs, windows, map_path, log_map))
 
 
 def write_import(out: Path, imported: LogImport) -> Path:
-    """Write the dwell table, and beside it a record ``NAME.import.json``; returns the record's path.
+    """Write the dwell table and a record ``NAME.import.json`` beside it; returns the path of the record.
 
     Raises RunFolderError if a file can't be written.
     """
@@ -103,8 +103,8 @@ def write_import(out: Path, imported: LogImport) -> Path:
 
 
 @contextmanager
-def _named(logs: Sequence[Path]) -> Iterator[None]:
-    """Name the logs in errors."""
+def _prefix_errors(logs: Sequence[Path]) -> Iterator[None]:
+    """Prefix measurement errors with the names of the logs."""
     try:
         yield
     except MeasurementError as error:
@@ -126,20 +126,20 @@ def _log_warnings(logs: Sequence[_ReadLog]) -> list[str]:
     return warnings
 
 
-#: Smallest rate of the Earth that a wrong sign is looked for in, deg/h, and how near to it that is, relative.
-_MIN_EARTH_DPH, _SAME_EARTH = 2.0, 0.1
+#: Smallest rate of the Earth for which signs are tested, deg/h, and relative tolerance of the test.
+_MIN_EARTH_DPH, _EARTH_TOLERANCE = 2.0, 0.1
 
 
-def _reversed_earth(rows: Sequence[DwellRow], latitude_deg: float) -> Iterator[str]:
-    """Axes whose biases differ as the Earth's rotation subtracted with the wrong sign leaves them."""
-    left_dph = 2.0 * float(earth_rate_enu(math.radians(latitude_deg))[2]) * RADPS_TO_DPH
+def _reversed_earth_warnings(rows: Sequence[DwellRow], latitude_deg: float) -> Iterator[str]:
+    """Warnings about axes whose biases look as if the Earth's rotation was subtracted with the wrong sign."""
+    expected_dph = 2.0 * float(earth_rate_enu(math.radians(latitude_deg))[2]) * RADPS_TO_DPH
     for index, axis in enumerate(AXES):
         up, down = (
             [row.bias_dph[index] for row in rows if row.position == f"{axis}_{way}"] for way in ("up", "down")
         )
-        if up and down and abs(left_dph) > _MIN_EARTH_DPH:
+        if up and down and abs(expected_dph) > _MIN_EARTH_DPH:
             half_dph = 0.5 * float(np.mean(down) - np.mean(up))
-            if abs(half_dph - left_dph) < _SAME_EARTH * abs(left_dph):
+            if abs(half_dph - expected_dph) < _EARTH_TOLERANCE * abs(expected_dph):
                 yield (
                     f"the bias of the {axis} gyro differs by {2.0 * abs(half_dph):.1f} deg/h with its axis up"
                     " and down: four times the vertical part of the Earth's rotation, as with wrong signs of "
@@ -147,18 +147,18 @@ def _reversed_earth(rows: Sequence[DwellRow], latitude_deg: float) -> Iterator[s
                 )
 
 
-def _missing_earth(rows: Sequence[DwellRow], latitude_deg: float) -> Iterator[str]:
-    """Axes whose biases are what subtracting the Earth's rotation leaves where the rates lack it."""
+def _missing_earth_warnings(rows: Sequence[DwellRow], latitude_deg: float) -> Iterator[str]:
+    """Warnings about axes whose rates seem to lack the Earth's rotation that was subtracted from them."""
     earth_dph = float(earth_rate_enu(math.radians(latitude_deg))[2]) * RADPS_TO_DPH
     for index, axis in enumerate(AXES):
-        ways = (
+        biases_by_way = (
             [sign * row.bias_dph[index] for row in rows if row.position == f"{axis}_{way}"]
             for way, sign in (("up", 1.0), ("down", -1.0))
         )
-        means = [float(np.mean(biases)) for biases in ways if biases]
+        means = [float(np.mean(biases)) for biases in biases_by_way if biases]
         if means and abs(earth_dph) > 0.5 * _MIN_EARTH_DPH:
             along_up_dph = float(np.mean(means))
-            if abs(along_up_dph + earth_dph) < _SAME_EARTH * abs(earth_dph):
+            if abs(along_up_dph + earth_dph) < _EARTH_TOLERANCE * abs(earth_dph):
                 yield (
                     f"the {axis} gyro, where it is vertical, seems to lack the Earth's rotation: subtracting "
                     f"it leaves {along_up_dph:.1f} deg/h along Up. Check 'unit' and 'scale' of the gyro; "
@@ -175,8 +175,8 @@ def _map_warnings(log_map: LogMap, rows: Sequence[DwellRow]) -> list[str]:
                 "Give 'earth_rate' in the import map"
             )
     else:
-        warnings += _reversed_earth(rows, log_map.earth_rate.latitude_deg)
-        warnings += _missing_earth(rows, log_map.earth_rate.latitude_deg)
+        warnings += _reversed_earth_warnings(rows, log_map.earth_rate.latitude_deg)
+        warnings += _missing_earth_warnings(rows, log_map.earth_rate.latitude_deg)
         if log_map.earth_rate.azimuth_deg is None:
             _, north, _ = earth_rate_enu(math.radians(log_map.earth_rate.latitude_deg))
             horizontal_dph = north * RADPS_TO_DPH
@@ -218,9 +218,9 @@ def _origin(
 
 
 def cycle_numbers(temperatures_c: Sequence[float], min_turn_c: float) -> list[int]:
-    """Number the legs of the temperature between its turning points in time, from 1.
+    """Number, from 1, of the leg of the temperature between turning points at each time.
 
-    The temperature turned at its extreme once it came back by ``min_turn_c``.
+    An extreme is a turning point if the temperature comes back from it by ``min_turn_c``.
     """
     turns: list[int] = []
     direction = 0
@@ -245,7 +245,7 @@ def cycle_numbers(temperatures_c: Sequence[float], min_turn_c: float) -> list[in
 class _ReadLog:
     """Windows of one log, with the reason why each is left out, empty for a valid window.
 
-    ``missing`` counts the windows without any sample between the first and the last.
+    ``missing``: number of windows without any sample between the first and the last.
     """
 
     path: Path
@@ -261,7 +261,7 @@ class _ReadLog:
 
 
 def _read_log(path: Path, log_map: LogMap) -> _ReadLog:
-    """Cut one log into windows and judge them.
+    """Divide one log into windows and check them.
 
     Raises DocumentError if the import map does not match the log, or it can't be read. Raises
     MeasurementError if time goes back.
@@ -269,7 +269,7 @@ def _read_log(path: Path, log_map: LogMap) -> _ReadLog:
     reader = SampleReader(path, log_map)
     windows = list(cut_windows(reader.batches(), log_map.averages.window_s, log_map.skip_s))
     expected = round((windows[-1].end_s - windows[0].start_s) / log_map.averages.window_s) if windows else 0
-    reasons = reasons_against(windows, log_map) if windows else []
+    reasons = rejection_reasons(windows, log_map) if windows else []
     return _ReadLog(path, reader, windows, reasons, expected - len(windows))
 
 
@@ -282,24 +282,24 @@ def _dwell_rows(logs: Sequence[_ReadLog], sigma_dph: FloatArray, log_map: LogMap
     """
     windows = [window for log in logs for window in log.valid_windows]
     offsets = _offsets_s(logs, log_map)
-    origins = [index for index, log in enumerate(logs) for _ in log.valid_windows]
-    cycles = _cycles(windows, origins, offsets, log_map)
+    log_indices = [index for index, log in enumerate(logs) for _ in log.valid_windows]
+    cycles = _cycles(windows, log_indices, offsets, log_map)
     azimuth_deg = log_map.earth_rate.azimuth_deg if log_map.earth_rate else None
     rows = []
-    for index, (window, log, cycle) in enumerate(zip(windows, origins, cycles, strict=True), 1):
-        since_start_s = window.start_s + (0.0 if log_map.each_log_is_a_run else offsets[log])
+    for index, (window, log_index, cycle) in enumerate(zip(windows, log_indices, cycles, strict=True), 1):
+        since_start_s = window.start_s + (0.0 if log_map.each_log_is_a_run else offsets[log_index])
         position = _position(window, log_map)
         earth = earth_rate_dph(position, log_map.earth_rate) if log_map.earth_rate else np.zeros(3)
         gyro_c, slope = _gyro_temperatures(window, log_map)
         rows.append(
             DwellRow(
                 unit=log_map.unit,
-                run=str(1 + log) if log_map.each_log_is_a_run else log_map.run,
+                run=str(1 + log_index) if log_map.each_log_is_a_run else log_map.run,
                 dwell=index,
                 cycle=cycle,
                 position=position,
-                start_s=window.start_s + offsets[log],
-                end_s=window.end_s + offsets[log],
+                start_s=window.start_s + offsets[log_index],
+                end_s=window.end_s + offsets[log_index],
                 since_power_on_s=log_map.since_power_on_s + since_start_s,
                 gyro_c=gyro_c,
                 gyro_rate_c_per_h=slope,
@@ -318,7 +318,7 @@ def _dwell_rows(logs: Sequence[_ReadLog], sigma_dph: FloatArray, log_map: LogMap
 def _offsets_s(logs: Sequence[_ReadLog], log_map: LogMap) -> list[float]:
     """Time of each log's first sample on the table's clock.
 
-    Logs of one power-on share a clock; those of several are laid one behind the other. Raises
+    Logs of one power-on share a clock; logs of several power-ons follow one another without a gap. Raises
     MeasurementError if logs of one power-on overlap or do not follow one another.
     """
     offsets: list[float] = []
@@ -340,7 +340,7 @@ def _offsets_s(logs: Sequence[_ReadLog], log_map: LogMap) -> list[float]:
 
 
 def _cycles(
-    windows: Sequence[Window], origins: Sequence[int], offsets: Sequence[float], log_map: LogMap
+    windows: Sequence[Window], log_indices: Sequence[int], offsets: Sequence[float], log_map: LogMap
 ) -> list[int]:
     rule = log_map.cycle
     if rule.constant is not None:
@@ -348,11 +348,14 @@ def _cycles(
     if rule.column is not None:
         return [round(window.means["cycle"]) for window in windows]
     if rule.each_log:
-        return [1 + log for log in origins]
+        return [1 + log_index for log_index in log_indices]
     if rule.block_s is not None:
-        begins = [window.start_s + offsets[log] for window, log in zip(windows, origins, strict=True)]
-        # Sums of window lengths may end a hair before the border of a block.
-        blocks = [int((begin - begins[0]) / rule.block_s + 1e-9) for begin in begins]
+        starts_s = [
+            window.start_s + offsets[log_index]
+            for window, log_index in zip(windows, log_indices, strict=True)
+        ]
+        # Rounding may put a sum of window lengths slightly before the border of a block.
+        blocks = [int((start_s - starts_s[0]) / rule.block_s + 1e-9) for start_s in starts_s]
         return [1 + (block % rule.alternate if rule.alternate else block) for block in blocks]
     temperatures = [float(np.mean(_gyro_temperatures(window, log_map)[0])) for window in windows]
     return cycle_numbers(temperatures, rule.turning_point_c or 0.0)
@@ -375,6 +378,6 @@ def _gyro_temperatures(window: Window, log_map: LogMap) -> tuple[Triple, Triple]
     return _means(window, "gyro"), (x, y, z)
 
 
-def _means(window: Window, what: str) -> Triple:
-    x, y, z = (window.means[f"{what}_{axis}_c"] for axis in AXES)
+def _means(window: Window, sensor: str) -> Triple:
+    x, y, z = (window.means[f"{sensor}_{axis}_c"] for axis in AXES)
     return x, y, z

@@ -25,11 +25,11 @@ from gyrobench.bench.exchange.can_export import TimedPart
 from gyrobench.drivers.frames import ERROR_FRAME, EXTENDED_ID, MAX_LENGTH, REMOTE_FRAME, FrameBlock
 
 _BUS = Source(name="CAN", path="CAN", comment="", source_type=SOURCE_BUS, bus_type=BUS_TYPE_CAN)
-#: Transposed and deflated: what changes little from frame to frame takes little space.
+#: Transposed and deflated, which compresses slowly changing signals well.
 _COMPRESSION: Final = 2
 
 
-#: Structure that the standard gives each kind of frames, by their flags.
+#: Structure in the standard of each kind of frames, by their flags.
 _STRUCTURES = {0: "CAN_DataFrame", REMOTE_FRAME: "CAN_RemoteFrame", ERROR_FRAME: "CAN_ErrorFrame"}
 
 
@@ -48,7 +48,7 @@ def write_mf4(path: Path, parts: Iterable[TimedPart], dbc: Path, origin: Mapping
 
 
 class _Mf4Log:
-    """The growing file; its samples are in a temporary file in ``folder`` until it is saved.
+    """A file that is being written; its samples are in a temporary file in ``folder`` until it is saved.
 
     ``begin_s`` is the time of the first frame in seconds since 1970 UTC.
     """
@@ -64,10 +64,10 @@ class _Mf4Log:
     def add(self, frames: FrameBlock) -> None:
         """Add frames."""
         for kind, structure in _STRUCTURES.items():
-            some = frames.take(frames.flags == kind)
-            if not len(some):
+            selected = frames.take(frames.flags == kind)
+            if not len(selected):
                 continue
-            time_s, samples = some.timestamp_s - self._begin_s, _samples(structure, some)
+            time_s, samples = selected.timestamp_s - self._begin_s, _samples(structure, selected)
             if kind in self._groups:
                 self._file.extend(self._groups[kind], [(time_s, None), (samples, None)])
                 continue
@@ -76,7 +76,7 @@ class _Mf4Log:
             self._file.append(Signal(samples, time_s, name=structure, source=_BUS, attachment=attachment))
 
     def save(self, path: Path) -> None:
-        """Write the file, by a stream: of a path the library would change the suffix."""
+        """Write the file by a stream, since the library changes the suffix of a path."""
         with path.open("wb+") as stream:
             self._file.save(stream, overwrite=True, compression=_COMPRESSION)
 
@@ -86,7 +86,7 @@ class _Mf4Log:
 
 
 def _samples(structure: str, frames: FrameBlock) -> NDArray[np.void]:
-    """Records as the standard lays them out; the bus is counted from 1, and all frames were received."""
+    """Records in the layout of the standard; buses are numbered from 1, and all frames are received ones."""
     values: dict[str, ArrayLike] = {
         "ID": frames.arbitration_id & ~np.uint32(EXTENDED_ID),
         "BusChannel": 1,

@@ -1,7 +1,7 @@
-"""Writes the selected data of a run: tables, telemetry, navigation, CAN frames, compensation.
+"""Export of selected data of a run: tables, telemetry, navigation, CAN frames, compensation.
 
-The compensation is the bias model of a closed run for the maker of the INS: a table over temperature, and all
-terms.
+The compensation is the bias model of a closed run for the manufacturer of the INS: a table over temperature,
+and all terms.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Format(StrEnum):
 _CAN_FORMATS = (Format.BLF, Format.MF4)
 _TABLE_FORMATS = (Format.PARQUET, Format.CSV)
 #: Navigation of a whole run is large and rarely needed.
-_DEFAULT_KINDS = tuple(what for what in DataKind if what is not DataKind.NAVIGATION)
+_DEFAULT_KINDS = tuple(kind for kind in DataKind if kind is not DataKind.NAVIGATION)
 _DEFAULT_FORMATS = (Format.PARQUET, Format.BLF)
 
 
@@ -91,7 +91,7 @@ class ExportSelection:
     dwell: int | None = None  #: Navigation of this dwell alone.
 
     def __post_init__(self) -> None:
-        unfit = [str(what) for what in self.what if not self.suffixes(what)]
+        unfit = [str(kind) for kind in self.what if not self.suffixes(kind)]
         if unfit:
             raise DocumentError(
                 f"--format {','.join(self.formats)} does not fit {listed(unfit)}: CAN frames are written "
@@ -100,18 +100,18 @@ class ExportSelection:
         if self.dwell is not None and DataKind.NAVIGATION not in self.what:
             raise DocumentError("--dwell selects a dwell of the navigation data; add --what navigation")
 
-    def suffixes(self, what: DataKind) -> list[str]:
-        """Suffixes of the files of a kind."""
-        can_be = _CAN_FORMATS if what is DataKind.CAN else _TABLE_FORMATS
-        return [f".{each}" for each in self.formats or _DEFAULT_FORMATS if each in can_be]
+    def suffixes(self, kind: DataKind) -> list[str]:
+        """Suffixes of the files of this kind."""
+        supported = _CAN_FORMATS if kind is DataKind.CAN else _TABLE_FORMATS
+        return [f".{each}" for each in self.formats or _DEFAULT_FORMATS if each in supported]
 
     def kinds(self) -> list[DataKind]:
-        """Kinds to be written."""
-        return [what for what in self.what or _DEFAULT_KINDS if self.suffixes(what)]
+        """Kinds that are written."""
+        return [kind for kind in self.what or _DEFAULT_KINDS if self.suffixes(kind)]
 
 
 def _export_csv(path: Path, name: str, destination: ExportFolder) -> None:
-    """Write a CSV table of the run as Parquet, or as it is.
+    """Write a CSV table of the run as Parquet, or copy it.
 
     Raises DocumentError if the table can't be read. Raises RunFolderError if the file can't be written.
     """
@@ -148,24 +148,24 @@ def _read_table(path: Path) -> pa.Table:
 _SCHEMA = pa.schema([UTC_FIELD, *(field_of(name) for name in TELEMETRY_COLUMNS)])
 
 
-def _export_telemetry(folder: RunFolder, began: datetime, name: str, destination: ExportFolder) -> None:
-    """Write all readings; gaps are marked by a row without values.
+def _export_telemetry(folder: RunFolder, start: datetime, name: str, destination: ExportFolder) -> None:
+    """Write all readings; a row without values marks a gap.
 
     Raises RunFolderError if telemetry can't be read, or the file can't be written.
     """
     readings = read_telemetry(folder.telemetry)
-    columns = {column: _values(column, values) for column, values in readings.items()}
-    table = pa.table({UTC_FIELD.name: calendar_times(began, readings["time_s"]), **columns})
+    columns = {column: _with_nulls(column, values) for column, values in readings.items()}
+    table = pa.table({UTC_FIELD.name: calendar_times(start, readings["time_s"]), **columns})
     destination.table(name, _SCHEMA, iter([table]), source=folder.telemetry.name)
 
 
-def _values(column: str, values: np.ndarray) -> pa.Array:
-    """Values with null for unknown."""
-    known = pa.array(values, pa.float64(), from_pandas=True)
-    return known.cast(type_of(column))
+def _with_nulls(column: str, values: np.ndarray) -> pa.Array:
+    """Values in the type of their column, with null for NaN."""
+    with_nulls = pa.array(values, pa.float64(), from_pandas=True)
+    return with_nulls.cast(type_of(column))
 
 
-_TABLES = MappingProxyType(
+_TABLE_NAMES = MappingProxyType(
     {
         DataKind.DWELLS: ("dwells",),
         DataKind.BINS: ("bias_bins",),
@@ -181,7 +181,7 @@ class Exported:
     """Files written, and data missing in the run."""
 
     files: list[Path]  #: In order.
-    missing: dict[DataKind, str]  #: Selected data that the run lacks, and why.
+    missing: dict[DataKind, str]  #: Selected data that the run lacks, with the reason.
 
 
 def export_run(folder: RunFolder, selection: ExportSelection, out: Path, force: bool = False) -> Exported:
@@ -192,25 +192,25 @@ def export_run(folder: RunFolder, selection: ExportSelection, out: Path, force: 
     Raises RunFolderError if files exist, can't be read or written, or the run holds none of the selected
     data.
     """
-    missing = {what: why for what in selection.kinds() if (why := _why_missing(folder, what))}
-    kinds = [what for what in selection.kinds() if what not in missing]
+    missing = {kind: reason for kind in selection.kinds() if (reason := _missing_reason(folder, kind))}
+    kinds = [kind for kind in selection.kinds() if kind not in missing]
     if not kinds:
         raise RunFolderError(
-            f"{folder.path}: " + "; ".join(f"{what}: {why}" for what, why in missing.items())
+            f"{folder.path}: " + "; ".join(f"{kind}: {reason}" for kind, reason in missing.items())
         )
     if DataKind.CAN in kinds and Format.MF4 in selection.formats:
         require("asammdf")  # before the first file is written
     destination = ExportFolder(out, data_origin(folder), force)
-    destination.refuse_existing([name for what in kinds for name in _files(what, selection)])
-    for what in kinds:
-        _write(folder, what, selection, destination)
+    destination.refuse_existing([name for kind in kinds for name in _files(kind, selection)])
+    for kind in kinds:
+        _write(folder, kind, selection, destination)
     destination.finish()
     return Exported(destination.written, missing)
 
 
-def _why_missing(folder: RunFolder, what: DataKind) -> str:
-    """Why the run lacks a kind of data; empty if it does not."""
-    match what:
+def _missing_reason(folder: RunFolder, kind: DataKind) -> str:
+    """Reason why the run lacks a kind of data; empty if it has it."""
+    match kind:
         case DataKind.VERIFICATION:
             return "" if folder.calibration_check.exists() else "the run made no calibration check"
         case DataKind.TELEMETRY:
@@ -225,28 +225,28 @@ def _why_missing(folder: RunFolder, what: DataKind) -> str:
                 )
             is_closed = holds_search(folder.closure)
             return "" if is_closed else f"no search for effects yet; run `gyrobench close {folder.path}`"
-    names = [f"{table}.csv" for table in _TABLES[what]]
+    names = [f"{table}.csv" for table in _TABLE_NAMES[kind]]
     missing = [name for name in names if not (folder.path / name).exists()]
     return _TABLE_MISSING.format(missing[0], folder.path) if missing else ""
 
 
-def _files(what: DataKind, selection: ExportSelection) -> list[str]:
+def _files(kind: DataKind, selection: ExportSelection) -> list[str]:
     """Names of the files of a kind."""
-    suffixes = selection.suffixes(what)
-    if what is DataKind.COMPENSATION:
+    suffixes = selection.suffixes(kind)
+    if kind is DataKind.COMPENSATION:
         return compensation_files(suffixes)
-    names = _TABLES.get(what, (str(what),))
-    if what is DataKind.NAVIGATION and selection.dwell is not None:
-        names = (f"{what}_dwell_{selection.dwell}",)
+    names = _TABLE_NAMES.get(kind, (str(kind),))
+    if kind is DataKind.NAVIGATION and selection.dwell is not None:
+        names = (f"{kind}_dwell_{selection.dwell}",)
     return [name + suffix for name in names for suffix in suffixes]
 
 
-def _write(folder: RunFolder, what: DataKind, selection: ExportSelection, destination: ExportFolder) -> None:
-    if what is DataKind.COMPENSATION:
-        _write_compensation(folder, selection.suffixes(what), destination)
+def _write(folder: RunFolder, kind: DataKind, selection: ExportSelection, destination: ExportFolder) -> None:
+    if kind is DataKind.COMPENSATION:
+        _write_compensation(folder, selection.suffixes(kind), destination)
         return
-    for name in _files(what, selection):
-        match what:
+    for name in _files(kind, selection):
+        match kind:
             case DataKind.TELEMETRY:
                 _export_telemetry(folder, started_utc(folder), name, destination)
             case DataKind.NAVIGATION:
@@ -279,10 +279,10 @@ def _write_compensation(folder: RunFolder, suffixes: list[str], destination: Exp
     export_compensation(closure, suffixes, destination)
 
 
-_TABLE, _TERMS, _FILE = "compensation_table", "compensation_terms", "compensation.yaml"
-#: Spacing of the table, and decimals of its biases: far below what any gyro keeps.
+_TABLE_FILE, _TERMS_FILE, _COMPENSATION_FILE = "compensation_table", "compensation_terms", "compensation.yaml"
+#: Temperature step of the table, and decimals of its biases, far below the stability of any gyro.
 _STEP_C, _DECIMALS = 1.0, 8
-_MEANING = MappingProxyType(
+_MEANINGS = MappingProxyType(
     {
         "polynomial_dph": "times T^degree, T in degC held between low_c and high_c",
         "rate_dph_per_c_per_h": "times dT/dt, held within rate_limit_c_per_h",
@@ -298,14 +298,17 @@ _MEANING = MappingProxyType(
 
 
 def compensation_files(suffixes: Sequence[str]) -> list[str]:
-    """Names of all files, with these endings of tables."""
-    return [*(name + suffix for name in (_TABLE, _TERMS) for suffix in suffixes), _FILE]
+    """Names of all files of a compensation; ``suffixes``: those of the tables."""
+    return [
+        *(name + suffix for name in (_TABLE_FILE, _TERMS_FILE) for suffix in suffixes),
+        _COMPENSATION_FILE,
+    ]
 
 
 def export_compensation(closure: Closure, suffixes: Sequence[str], destination: ExportFolder) -> None:
     """Write table, terms and the file that `gyrobench run --compensation` takes.
 
-    ``suffixes``: endings of the tables, ".csv" or ".parquet" or both. Raises RunFolderError if a file can't
+    ``suffixes``: those of the tables, ".csv" or ".parquet" or both. Raises RunFolderError if a file can't
     be written.
     """
     declared, model = declared_model(closure), model_with_effects(closure)
@@ -321,14 +324,14 @@ def export_compensation(closure: Closure, suffixes: Sequence[str], destination: 
     table = _table(declared.compensation, numbers)
     terms = pa.Table.from_pylist(list(_terms(numbers)), _TERMS_SCHEMA)
     for suffix in suffixes:
-        destination.table(_TABLE + suffix, table.schema, iter([table]), **about)
-        destination.table(_TERMS + suffix, _TERMS_SCHEMA, iter([terms]), **about)
-    with destination.file(_FILE, **about) as path:
+        destination.table(_TABLE_FILE + suffix, table.schema, iter([table]), **about)
+        destination.table(_TERMS_FILE + suffix, _TERMS_SCHEMA, iter([terms]), **about)
+    with destination.file(_COMPENSATION_FILE, **about) as path:
         write_compensation(path, numbers, closure.campaign.reported_unit)
 
 
 def _table(declared: Compensation, model: Compensation) -> pa.Table:
-    """Part of the bias that goes by temperature alone, of both models; null where it was not fitted."""
+    """Part of the bias that depends only on temperature, for both models; null outside the fitted range."""
     low_c = math.ceil(float(declared.low_c.min()) / _STEP_C) * _STEP_C
     high_c = float(declared.high_c.max())
     temperature_c = np.arange(low_c, high_c + 1e-9, _STEP_C)
@@ -363,27 +366,27 @@ _TERMS_SCHEMA = pa.schema(
 
 
 def _terms(compensation: Compensation) -> Iterator[dict[str, Any]]:
-    """One row a number; those that are zero for all gyros are left out."""
-    effect = {name: term for term, name in TERMS.items()}
+    """One row for each number, without numbers that are zero for all gyros."""
+    term_by_name = {name: term for term, name in TERMS.items()}
     for name in PARAMETER_NAMES:
         values = getattr(compensation, name)
         if not values.any() and name not in ("low_c", "high_c"):
             continue
         sigmas = compensation.sigma.get(name, np.full_like(values, np.nan))
-        for axis, row, of_row in zip(AXES, values, sigmas, strict=True):
+        for axis, row, row_sigmas in zip(AXES, values, sigmas, strict=True):
             for index, (value, sigma) in enumerate(
-                zip(np.atleast_1d(row), np.atleast_1d(of_row), strict=True)
+                zip(np.atleast_1d(row), np.atleast_1d(row_sigmas), strict=True)
             ):
                 is_polynomial = name == "polynomial_dph"
-                along = f"degree {index}" if is_polynomial else AXES[index] if row.ndim else ""
-                per = f" per degC^{index}" if is_polynomial and index else ""
+                index_label = f"degree {index}" if is_polynomial else AXES[index] if row.ndim else ""
+                unit_suffix = f" per degC^{index}" if is_polynomial and index else ""
                 yield {
                     "gyro": axis,
                     "number": name,
-                    "index": along,
+                    "index": index_label,
                     "value": float(f"{value:.9g}"),
                     "sigma": None if math.isnan(sigma) else float(f"{sigma:.3g}"),
-                    "unit": unit_of(name) + per,
-                    "term": "declared" if is_polynomial else effect.get(name, ""),
-                    "meaning": _MEANING.get(name, ""),
+                    "unit": unit_of(name) + unit_suffix,
+                    "term": "declared" if is_polynomial else term_by_name.get(name, ""),
+                    "meaning": _MEANINGS.get(name, ""),
                 }

@@ -1,7 +1,7 @@
-"""Logs whose signals have names and times of their own: Parquet, BLF and MF4, ArduPilot and PX4.
+"""Logs of named signals, each with its times: Parquet, BLF and MF4, ArduPilot and PX4.
 
-A log is read at the times of the first column that is asked for; of the others the last value counts, or the
-value that is logged with it where both belong to one sample.
+A log is read at the times of the first requested column; other columns have their last value at that time, or
+the value logged with it if both belong to one sample.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ from gyrobench.bench.runs.can_log import read_blf
 from gyrobench.drivers.frames import EXTENDED_ID, MAX_LENGTH, FrameBlock, concatenate
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
 
-#: In place of a column: the times of the samples, s.
+#: Pseudo-column with the times of the samples, s.
 _TIME_COLUMN = "time_s"
 _S_PER_US = 1e-6
-#: Name that the standard of ASAM gives data frames of a CAN bus.
-_FRAMES = "CAN_DataFrame"
+#: Name of data frames of a CAN bus in the ASAM standard.
+_DATA_FRAMES = "CAN_DataFrame"
 _MAX_STANDARD_ID = 0x7FF
 _MAX_BYTES = 4_000_000_000
 
-#: Columns are of one sample if at least this share of their values can be paired.
+#: Columns belong to one sample if at least this share of their values can be paired.
 _MIN_PAIRED = 0.9
 
 
 @dataclass(frozen=True, eq=False)
 class _Stamps:
-    """When the values of a signal were logged."""
+    """Times and order in which the values of a signal were logged."""
 
     time_s: FloatArray
-    #: Place of each value in the log; ``time_s`` where the log does not keep the order of its messages.
+    #: Index of each value in the log; ``time_s`` if the log does not keep the order of its messages.
     order: FloatArray | IntArray
 
 
@@ -51,15 +51,15 @@ Group = tuple[_Stamps, Mapping[str, NDArray[Any]]]
 
 
 class NoFramesError(DocumentError):
-    """A CAN log has no frame of a message that the DBC file knows, as while the unit does not send it."""
+    """A CAN log has no frame of a message of the DBC file, as while the unit does not send it."""
 
 
 class SignalLog:
     """A log of named signals; ``columns`` lists them, and ``truncated`` states whether its end was left out.
 
-    ``one_sample`` are columns whose values belong together, though messages of their own hold them.
-    ``complete``: a sample that lacks one of them has NaN for it, as an increment does not count twice;
-    else the last value counts.
+    ``one_sample`` are columns whose values belong to one sample although they are in separate messages.
+    ``complete``: whether a sample without a value of one of them has NaN for it, as for increments, which
+    must not be repeated; otherwise it has the last value.
 
     Raises DocumentError if the file can't be read or has no signal, and MissingPackageError if the package
     that reads it is not installed.
@@ -107,24 +107,24 @@ class SignalLog:
                 batch[column] = base.time_s
                 continue
             stamps, values = self._signal(column)
-            places = np.searchsorted(stamps.time_s, base.time_s, side="right") - 1
+            indices = np.searchsorted(stamps.time_s, base.time_s, side="right") - 1
             if column in self._one_sample:
-                places = self._paired(base, stamps, places)
+                indices = self._paired(base, stamps, indices)
             if column in texts:
-                batch[column] = np.where(places >= 0, values.astype(str)[places], "")
+                batch[column] = np.where(indices >= 0, values.astype(str)[indices], "")
             else:
-                batch[column] = np.where(places >= 0, self._numbers(column, values)[places], np.nan)
+                batch[column] = np.where(indices >= 0, self._as_numbers(column, values)[indices], np.nan)
         yield batch
 
-    def _paired(self, base: _Stamps, stamps: _Stamps, last: IntArray) -> IntArray:
-        """Which values are of the samples of ``base``; -1 for none, ``last`` where they can't be paired."""
-        pairs = _pairs(base, stamps)
+    def _paired(self, base: _Stamps, stamps: _Stamps, latest: IntArray) -> IntArray:
+        """Indices of the values for the samples of ``base``, -1 for none; ``latest`` if not paired."""
+        pairs = _pair_messages(base, stamps)
         is_paired = pairs >= 0
         if is_paired.sum() < _MIN_PAIRED * max(len(base.order), len(stamps.order)):
-            return last
-        return pairs if self._complete else np.where(is_paired, pairs, last)
+            return latest
+        return pairs if self._complete else np.where(is_paired, pairs, latest)
 
-    def _numbers(self, column: Column, values: NDArray[Any]) -> FloatArray:
+    def _as_numbers(self, column: Column, values: NDArray[Any]) -> FloatArray:
         try:
             return np.asarray(values.astype(np.float64))
         except (TypeError, ValueError) as error:
@@ -152,28 +152,28 @@ class SignalLog:
         return self._signals[str(name)]
 
 
-def _pairs(base: _Stamps, other: _Stamps) -> IntArray:
-    """Values of another message for each one of ``base``; -1 where there is none before the next sample.
+def _pair_messages(base: _Stamps, other: _Stamps) -> IntArray:
+    """Index of the value of another message for each of ``base``; -1 if there is none before the next one.
 
-    It follows or precedes it in the log, whichever takes less time for most samples.
+    The other message follows or precedes in the log, whichever has the smaller median delay.
     """
     count = len(other.order)
     if np.array_equal(base.order, other.order):
         return np.arange(count)
-    at = np.searchsorted(other.order, base.order, side="left")
-    found, delays_s = [], []
-    for places, is_own in (
-        (at, np.append(at[1:] > at[:-1], True) & (at < count)),
-        (at - 1, np.append(True, at[1:] > at[:-1]) & (at > 0)),
+    following = np.searchsorted(other.order, base.order, side="left")
+    pairs, delays_s = [], []
+    for indices, is_unique in (
+        (following, np.append(following[1:] > following[:-1], True) & (following < count)),
+        (following - 1, np.append(True, following[1:] > following[:-1]) & (following > 0)),
     ):
-        delay_s = np.abs(other.time_s[np.clip(places, 0, count - 1)] - base.time_s)
-        found.append(np.where(is_own, places, -1))
-        delays_s.append(float(np.median(delay_s[is_own])) if is_own.any() else np.inf)
-    return found[int(delays_s[1] < delays_s[0])]
+        delay_s = np.abs(other.time_s[np.clip(indices, 0, count - 1)] - base.time_s)
+        pairs.append(np.where(is_unique, indices, -1))
+        delays_s.append(float(np.median(delay_s[is_unique])) if is_unique.any() else np.inf)
+    return pairs[int(delays_s[1] < delays_s[0])]
 
 
 def _parquet(path: Path) -> Iterable[Group]:
-    """Columns of a file, or of all parts in a folder, by rows."""
+    """Columns of a file, or of all parts in a folder; the time of a value is its row."""
     from pyarrow import parquet
 
     table = parquet.read_table(path)
@@ -194,9 +194,9 @@ def _can_signals(read_frames: Callable[[Path], FrameBlock], dbc: Path, path: Pat
 
 
 def _mf4_frames(path: Path) -> FrameBlock:
-    """Data frames of all groups, as of several buses, in the order of time; those of FD are left out."""
+    """Data frames of all groups, such as several buses, in the order of time, without CAN FD frames."""
     with require("asammdf").MDF(path) as log:
-        blocks = [_mf4_block(log.get(group=group, index=index)) for group, index in log.whereis(_FRAMES)]
+        blocks = [_mf4_block(log.get(group=group, index=index)) for group, index in log.whereis(_DATA_FRAMES)]
     return concatenate(blocks).in_order()
 
 
@@ -224,15 +224,15 @@ def _mf4_channels(path: Path) -> Iterable[Group]:
 def _ardupilot(path: Path) -> Iterable[Group]:
     """Messages of a DataFlash log, as MESSAGE.FIELD."""
     reader = require("pymavlink.DFReader").DFReader_binary(str(path))
-    found: dict[str, list[dict[str, Any]]] = {}
+    messages: dict[str, list[dict[str, Any]]] = {}
     while (message := reader.recv_msg()) is not None:
         fields = message.to_dict()
         if "TimeUS" in fields:
             kind, instance = message.get_type(), fields.get("I", fields.get("Instance", 0))
-            found.setdefault(kind if not instance else f"{kind}[{instance}]", []).append(fields)
+            messages.setdefault(kind if not instance else f"{kind}[{instance}]", []).append(fields)
     reader.close()
     groups: list[Group] = []
-    for kind, rows in found.items():
+    for kind, rows in messages.items():
         columns = {f"{kind}.{name}": np.array([row[name] for row in rows]) for name in rows[0]}
         groups.append((_stamps_us(columns[f"{kind}.TimeUS"]), columns))
     return groups

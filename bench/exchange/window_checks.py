@@ -1,4 +1,4 @@
-"""Which windows are valid, how noisy their means are, and whether the temperatures support a bias curve."""
+"""Checks of windows, noise of their means, and whether the temperatures support a bias curve."""
 
 from __future__ import annotations
 
@@ -24,18 +24,19 @@ def nearest_position(force: FloatArray) -> tuple[str, float]:
 
     The force is in body axes and any unit: it points up.
     """
-    size = float(np.linalg.norm(force))
-    if not size > 0.0:
+    magnitude = float(np.linalg.norm(force))
+    if not magnitude > 0.0:
         return "z_up", math.nan
     cosines = {
-        name: position.up_sign * float(force[position.up_axis]) / size for name, position in POSITIONS.items()
+        name: position.up_sign * float(force[position.up_axis]) / magnitude
+        for name, position in POSITIONS.items()
     }
     name = max(cosines, key=cosines.__getitem__)
     return name, math.degrees(math.acos(min(1.0, cosines[name])))
 
 
 def earth_rate_dph(position: str, rule: EarthRate) -> FloatArray:
-    """Earth rate that the gyros sense, deg/h, body axes, shape (3,).
+    """Earth rate sensed by the gyros, deg/h, body axes, shape (3,).
 
     Without an azimuth only the vertical axis has a value; the others are 0.
     """
@@ -46,23 +47,24 @@ def earth_rate_dph(position: str, rule: EarthRate) -> FloatArray:
     return np.asarray(attitude.C_nb(math.radians(rule.azimuth_deg or 0.0)).T @ rate)
 
 
-#: Part of a window that must have been recorded, and of its samples that must be valid.
-_MIN_PART = 0.9
-#: Samples in a row at the largest rate of a log that are no chance, with noise over several steps.
-_SATURATED_RUN = 3
-_NOISY_STEPS = 3.0
-#: Share of a window in which a rate may be constant.
-_STUCK_PART = 0.5
-#: A temperature of finer resolution is stuck if it is constant this long, in windows and seconds.
-_LIVELY_RESOLUTION_C, _STUCK_WINDOWS, _STUCK_S = 0.05, 3, 300.0
-#: Coarser steps of a temperature give a warning; fewer steps in its swing are rejected.
+#: Smallest share of a window that must be recorded, and of its samples that must be valid.
+_MIN_SHARE = 0.9
+#: A rate is clipped if at least this number of samples in a row have its largest value, and its noise
+#: exceeds this number of resolution steps.
+_MIN_SATURATED_SAMPLES = 3
+_MIN_NOISE_STEPS = 3.0
+#: Largest share of a window in which a rate may be constant.
+_MAX_STUCK_SHARE = 0.5
+#: A temperature with a finer resolution than this is stuck if it is constant this long, in windows and s.
+_FINE_RESOLUTION_C, _STUCK_WINDOWS, _STUCK_S = 0.05, 3, 300.0
+#: Coarser steps of a temperature cause a warning; a swing of fewer steps is rejected.
 _COARSE_RESOLUTION_C, _MIN_STEPS = 0.25, 8
 
 _GYRO_TEMPERATURES = tuple(f"gyro_{axis}_c" for axis in AXES)
 
 
 def _sample_interval_s(windows: Sequence[Window]) -> float:
-    """Time from one sample to the next, as most windows have it."""
+    """Sample interval: median over the windows; 0 if unknown."""
     intervals = [
         each.covered_s / (each.samples + each.dropped - 1)
         for each in windows
@@ -71,29 +73,29 @@ def _sample_interval_s(windows: Sequence[Window]) -> float:
     return float(np.median(intervals)) if intervals else 0.0
 
 
-def _max_gap_s_of(windows: Sequence[Window], log_map: LogMap) -> float:
+def _max_gap_s(windows: Sequence[Window], log_map: LogMap) -> float:
     """Longest time between samples of a valid window."""
     if log_map.max_gap_s is not None:
         return log_map.max_gap_s
     return max(5.0 * _sample_interval_s(windows), 0.01 * log_map.averages.window_s)
 
 
-def reasons_against(windows: Sequence[Window], log_map: LogMap) -> list[str]:
-    """Why each window of a log is left out; empty for a valid window."""
-    interval_s, gap_s = _sample_interval_s(windows), _max_gap_s_of(windows, log_map)
+def rejection_reasons(windows: Sequence[Window], log_map: LogMap) -> list[str]:
+    """Reason why each window of a log is left out; empty for a valid window."""
+    interval_s, gap_s = _sample_interval_s(windows), _max_gap_s(windows, log_map)
     saturation = _saturation_dph(windows, log_map)
     stuck = _stuck_temperature(windows, log_map)
     return [
-        _reason_of_samples(each, log_map, interval_s, gap_s)
-        or _reason_of_rates(each, saturation)
-        or _reason_of_temperatures(each, log_map, is_stuck)
-        or _reason_of_place(each, log_map)
+        _sample_problem(each, log_map, interval_s, gap_s)
+        or _rate_problem(each, saturation)
+        or _temperature_problem(each, log_map, is_stuck)
+        or _position_problem(each, log_map)
         for each, is_stuck in zip(windows, stuck, strict=True)
     ]
 
 
 def temperature_resolution_c(windows: Sequence[Window], name: str) -> float:
-    """Smallest step of a temperature; infinite where it never changes."""
+    """Smallest step of a temperature; infinite if it never changes."""
     return min((each.steps[name] for each in windows if name in each.steps), default=np.inf)
 
 
@@ -136,31 +138,31 @@ def temperature_warnings(rows: Sequence[DwellRow], windows: Sequence[Window], lo
     return warnings
 
 
-def _reason_of_samples(window: Window, log_map: LogMap, interval_s: float, gap_s: float) -> str:
+def _sample_problem(window: Window, log_map: LogMap, interval_s: float, gap_s: float) -> str:
     total = window.samples + window.dropped
     if total < MIN_WINDOW_SAMPLES:
         return f"fewer than {MIN_WINDOW_SAMPLES} samples (are 'window_s' and the unit of time right?)"
-    if window.covered_s + interval_s < _MIN_PART * log_map.averages.window_s:
+    if window.covered_s + interval_s < _MIN_SHARE * log_map.averages.window_s:
         return "not recorded to the end"
     if window.max_step_s > gap_s:
         return f"over a gap of more than {gap_s:.3g} s"
-    if window.samples < max(_MIN_PART * total, MIN_WINDOW_SAMPLES):
+    if window.samples < max(_MIN_SHARE * total, MIN_WINDOW_SAMPLES):
         return "too many samples without a valid rate"
     return ""
 
 
-def _reason_of_rates(window: Window, saturation: FloatArray) -> str:
-    for axis, stayed, extreme, limit in zip(
+def _rate_problem(window: Window, saturation: FloatArray) -> str:
+    for axis, unchanged, extreme, limit in zip(
         AXES, window.max_samples_unchanged, window.extreme_dph, saturation, strict=True
     ):
-        if stayed > _STUCK_PART * window.samples:
+        if unchanged > _MAX_STUCK_SHARE * window.samples:
             return f"rate of gyro {axis} stuck"
         if extreme >= limit:
             return f"rate of gyro {axis} saturated"
     return ""
 
 
-def _reason_of_temperatures(window: Window, log_map: LogMap, is_stuck: bool) -> str:
+def _temperature_problem(window: Window, log_map: LogMap, is_stuck: bool) -> str:
     if log_map.averages.temperatures.constant_c is not None:
         return ""
     if any(np.isnan(window.slopes_per_h[name]) for name in _GYRO_TEMPERATURES):
@@ -168,7 +170,7 @@ def _reason_of_temperatures(window: Window, log_map: LogMap, is_stuck: bool) -> 
     return "temperature stuck" if is_stuck else ""
 
 
-def _reason_of_place(window: Window, log_map: LogMap) -> str:
+def _position_problem(window: Window, log_map: LogMap) -> str:
     for name in ("position", "cycle"):
         if name in window.means:
             if np.isnan(window.means[name]):
@@ -187,67 +189,67 @@ def _saturation_dph(windows: Sequence[Window], log_map: LogMap) -> FloatArray:
     declared = full_scale_dph(log_map) * (1.0 - 1e-6)
     extremes = np.array([each.extreme_dph for each in windows])
     highest = extremes.max(axis=0)
-    runs = np.array([each.max_samples_at_extreme for each in windows])
-    clipped = ((extremes == highest) & (runs >= _SATURATED_RUN)).any(axis=0)
+    runs_at_extreme = np.array([each.max_samples_at_extreme for each in windows])
+    is_clipped = ((extremes == highest) & (runs_at_extreme >= _MIN_SATURATED_SAMPLES)).any(axis=0)
     scatters = np.array([each.scatter_dph for each in windows])
-    known = np.isfinite(scatters).all(axis=1)
-    scatter = np.median(scatters[known], axis=0) if known.any() else np.zeros(3)
+    is_known = np.isfinite(scatters).all(axis=1)
+    scatter = np.median(scatters[is_known], axis=0) if is_known.any() else np.zeros(3)
     step = np.min([each.rate_step_dph for each in windows], axis=0)
-    # A quiet gyro of coarse steps keeps its largest rate for long without being clipped.
-    clipped &= np.isfinite(step) & (scatter > _NOISY_STEPS * step)
-    return np.where(clipped, np.minimum(highest, declared), declared)
+    # A gyro with little noise and coarse steps keeps its largest rate for long without being clipped.
+    is_clipped &= np.isfinite(step) & (scatter > _MIN_NOISE_STEPS * step)
+    return np.where(is_clipped, np.minimum(highest, declared), declared)
 
 
 def _stuck_temperature(windows: Sequence[Window], log_map: LogMap) -> list[bool]:
     """Whether each window belongs to a long series of constant temperature, which should have noise."""
-    stuck = [False] * len(windows)
+    is_stuck = [False] * len(windows)
     for name in _GYRO_TEMPERATURES:
-        if temperature_resolution_c(windows, name) > _LIVELY_RESOLUTION_C:
+        if temperature_resolution_c(windows, name) > _FINE_RESOLUTION_C:
             continue
-        same = [
+        values = [
             (each.means[name] if each.spans[name] == 0.0 else (index,)) for index, each in enumerate(windows)
         ]
         begin = 0
-        for value, group in itertools.groupby(same):
+        for value, group in itertools.groupby(values):
             count = len(list(group))
-            long = count >= _STUCK_WINDOWS and count * log_map.averages.window_s >= _STUCK_S
-            if long and not isinstance(value, tuple):
-                stuck[begin : begin + count] = [True] * count
+            is_long = count >= _STUCK_WINDOWS and count * log_map.averages.window_s >= _STUCK_S
+            if is_long and not isinstance(value, tuple):
+                is_stuck[begin : begin + count] = [True] * count
             begin += count
-    return stuck
+    return is_stuck
 
 
 #: Median of the square of a standard normal value.
-_MEDIAN_OF_SQUARE = 0.45494
+_MEDIAN_SQUARE = 0.45494
 #: Mean square of a standard normal value within three standard deviations.
-_MEAN_WITHIN = 0.97334
-#: Mean square of a second difference of means by noise white in the rate, over the variance of a mean.
-_OF_WHITE_RATE = 6.0
-#: The same by noise white in the angle, over the variance of the angle at one end.
-_OF_WHITE_ANGLE = 20.0
-#: Second differences that an averaging time needs, and above which more do not count.
+_TRUNCATED_MEAN_SQUARE = 0.97334
+#: Mean square of a second difference of means, relative to the variance of a mean, for white rate noise.
+_WHITE_RATE_FACTOR = 6.0
+#: The same, relative to the variance of the angle at one end, for white angle noise.
+_WHITE_ANGLE_FACTOR = 20.0
+#: Smallest number of second differences of an averaging time, and largest number that counts as weight.
 _MIN_DIFFERENCES, _MAX_DIFFERENCES = 8, 2000
-#: Excess over the noise that is drift, times the root of the number of differences.
-_TOLERANCE = 6.0
+#: Relative excess over the noise that counts as drift, times the root of the number of differences.
+_DRIFT_TOLERANCE = 6.0
 
 
 def noise_of_means(logs: Sequence[Sequence[Window]]) -> FloatArray:
-    """Standard uncertainty of a window's mean by its noise, deg/h, shape (3,), from the valid ones by log.
+    """Standard uncertainty of a window's mean rate due to noise, deg/h, shape (3,).
 
-    Second differences of neighbouring means hold no constant and no slope. Their mean square over
-    averaging time, from parts of windows to whole ones, is split into what is white in the angle
-    (a ring laser's dither, quantisation), white in the rate (angle random walk) and independent of
-    the averaging time (bias instability), as one does with an Allan variance. Averaging times that
-    exceed these terms contain drift and are ignored. Outliers, as a knock in one window, are left out. The
+    Second differences of consecutive means are free of constants and slopes. Their mean square over
+    averaging time, from parts of windows to whole ones, is divided into terms that are white
+    in the angle (a ring laser's dither, quantisation), white in the rate (angle random walk) and independent
+    of the averaging time (bias instability), as for an Allan variance. Averaging times that exceed these
+    terms contain drift and are ignored. Outliers, such as a knock in one window, are left out. The
     uncertainty of a mean is at least that of the resolution of the rate.
 
-    ``logs``: valid windows, log by log. Raises MeasurementError if a gyro's rate never changes, or there are
+    ``logs``: valid windows of each log. Raises MeasurementError if a gyro's rate never changes, or there are
     too few windows.
     """
     windows = [window for log in logs for window in log]
     differences = {
-        part: each
-        for part, each in (*_within(windows), (1.0, _between(logs)))
+        time: each
+        for time, each in (*_differences_within(windows), (1.0, _differences_between(logs)))
         if len(each) >= _MIN_DIFFERENCES
     }
     if not differences:
@@ -255,11 +257,11 @@ def noise_of_means(logs: Sequence[Sequence[Window]]) -> FloatArray:
             f"{len(windows)} valid windows of {windows[0].samples} samples are too few for a noise estimate. "
             "Use more or longer windows"
         )
-    squares = np.array([_mean_square(each) for each in differences.values()]) / _OF_WHITE_RATE
-    parts = np.array(list(differences))
+    squares = np.array([_mean_square(each) for each in differences.values()]) / _WHITE_RATE_FACTOR
+    times = np.array(list(differences))
     counts = np.minimum([len(each) for each in differences.values()], _MAX_DIFFERENCES)
-    # A rate whose differences are mostly zero changes by its resolution alone.
-    noise = [_without_drift(parts, square, counts) if (square > 0.0).all() else 0.0 for square in squares.T]
+    # A rate whose differences are mostly zero changes only by its resolution.
+    noise = [_mean_variance(times, square, counts) if (square > 0.0).all() else 0.0 for square in squares.T]
     sigma = np.sqrt(np.maximum(noise, _resolution_variance(windows)))
     if not (sigma > 0.0).all():
         raise MeasurementError(
@@ -268,25 +270,25 @@ def noise_of_means(logs: Sequence[Sequence[Window]]) -> FloatArray:
     return np.asarray(sigma)
 
 
-def _without_drift(parts: FloatArray, squares: FloatArray, counts: NDArray[np.intp]) -> float:
-    """Variance of a whole window's mean.
+def _mean_variance(times: FloatArray, squares: FloatArray, counts: NDArray[np.intp]) -> float:
+    """Variance of the mean of a whole window, without drift.
 
-    ``parts`` (n,) are rising averaging times in windows, ``squares`` the sizes of the second differences
-    there as variances of white noise, ``counts`` the numbers of differences, which are their weights.
+    ``times`` (n,) are ascending averaging times in windows, ``squares`` the mean squares of the second
+    differences as variances of white noise, ``counts`` the numbers of differences, used as weights.
     """
     weights = np.sqrt(counts) / squares
-    # A drift that bends leaves second differences as the square of the time, so squares as its fourth power.
-    powers = (-2.0, -1.0, 0.0, 4.0) if len(parts) > 3 else (-2.0, -1.0, 0.0)
-    design = parts[:, np.newaxis] ** powers
+    # Second differences of a curved drift grow as the square of the time, their squares as its fourth power.
+    powers = (-2.0, -1.0, 0.0, 4.0) if len(times) > 3 else (-2.0, -1.0, 0.0)
+    design = times[:, np.newaxis] ** powers
     terms, _ = nnls(design * weights[:, np.newaxis], squares * weights)
-    if len(parts) > 2 and squares[-1] > design[-1] @ terms * (1.0 + _TOLERANCE / np.sqrt(counts[-1])):
-        return _without_drift(parts[:-1], squares[:-1], counts[:-1])
+    if len(times) > 2 and squares[-1] > design[-1] @ terms * (1.0 + _DRIFT_TOLERANCE / np.sqrt(counts[-1])):
+        return _mean_variance(times[:-1], squares[:-1], counts[:-1])
     angle, rate, instability = terms[:3]
-    return float(2.0 * _OF_WHITE_RATE / _OF_WHITE_ANGLE * angle + rate + instability)
+    return float(2.0 * _WHITE_RATE_FACTOR / _WHITE_ANGLE_FACTOR * angle + rate + instability)
 
 
-def _within(windows: Sequence[Window]) -> Iterator[tuple[float, FloatArray]]:
-    """Second differences of the means of parts of a window, for each size of part."""
+def _differences_within(windows: Sequence[Window]) -> Iterator[tuple[float, FloatArray]]:
+    """Averaging time in windows, and second differences of means over it, for each part of a window."""
     finest = min(len(each.blocks_dph) for each in windows)
     for count in BLOCKS:
         if count <= finest:
@@ -294,8 +296,8 @@ def _within(windows: Sequence[Window]) -> Iterator[tuple[float, FloatArray]]:
             yield 1.0 / count, np.diff(means, n=2, axis=1).reshape(-1, 3)
 
 
-def _between(logs: Sequence[Sequence[Window]]) -> FloatArray:
-    """Second differences of the means of three windows that follow one another."""
+def _differences_between(logs: Sequence[Sequence[Window]]) -> FloatArray:
+    """Second differences of the means of three consecutive windows."""
     triples = [
         first.rate_dph - 2.0 * middle.rate_dph + last.rate_dph
         for log in logs
@@ -308,8 +310,10 @@ def _between(logs: Sequence[Sequence[Window]]) -> FloatArray:
 def _mean_square(differences: FloatArray) -> FloatArray:
     """Mean square by column without outliers beyond three standard deviations."""
     squares = differences**2
-    limit = 9.0 * np.median(squares, axis=0) / _MEDIAN_OF_SQUARE
-    return np.asarray(np.nanmean(np.where(squares <= limit, squares, np.nan), axis=0) / _MEAN_WITHIN)
+    limit = 9.0 * np.median(squares, axis=0) / _MEDIAN_SQUARE
+    return np.asarray(
+        np.nanmean(np.where(squares <= limit, squares, np.nan), axis=0) / _TRUNCATED_MEAN_SQUARE
+    )
 
 
 def _resolution_variance(windows: Sequence[Window]) -> FloatArray:
@@ -317,5 +321,5 @@ def _resolution_variance(windows: Sequence[Window]) -> FloatArray:
     step = np.where(np.isfinite(step), step, 0.0)
     scatter = np.median([each.scatter_dph for each in windows], axis=0)
     samples = float(np.median([each.samples for each in windows]))
-    # Steps average out where noise takes the rate over several of them.
+    # Steps average out if the noise exceeds them.
     return np.asarray(step**2 / 12.0 / np.where(scatter >= 0.5 * step, samples, 1.0))
