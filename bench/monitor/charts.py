@@ -1,4 +1,4 @@
-"""Charts of the page, as numbers that a template draws.
+"""Charts of the page, as data for a template.
 
 A chart has axes with ticks, and curves as SVG paths. It has no size: positions of ticks are percentages of
 the plot, and curves are drawn in a square of :data:`_SIDE` units that the browser stretches to the plot, so
@@ -30,7 +30,7 @@ from gyrobench.bench.report.number_format import BiasScale, true_minus
 _SIDE = 1000
 HOUR_S, MINUTE_S = 3600.0, 60.0
 
-_USUAL_STEPS = (1.0, 2.0, 5.0, 10.0)
+_TICK_STEPS = (1.0, 2.0, 5.0, 10.0)
 _TIME_STEPS_S = tuple(
     [MINUTE_S * step for step in (1, 2, 5, 10, 20, 30)] + [HOUR_S * step for step in (1, 2, 3, 6, 12)]
 )
@@ -40,7 +40,7 @@ _MARGIN = 0.06
 
 @dataclass(frozen=True)
 class Tick:
-    """A mark on an axis: its position in percent from the left or from the top, and its label."""
+    """A tick of an axis: its position in percent from the left or from the top, and its label."""
 
     percent: float
     text: str
@@ -48,9 +48,9 @@ class Tick:
 
 @dataclass(frozen=True)
 class Axis:
-    """One axis: quantity and unit, ends in the unit of the values, marks.
+    """One axis: title with unit, limits in the unit of the values, and ticks.
 
-    An upright axis grows upwards, against the percentages.
+    The values of an upright axis increase upwards, its percentages downwards.
     """
 
     title: str
@@ -67,19 +67,19 @@ class Axis:
 
 @dataclass(frozen=True)
 class CurvePath:
-    """A line or an area: CSS classes, data of an SVG path in the square, and label in the legend.
+    """A line or an area: CSS classes, data of an SVG path, and label in the legend.
 
     The path is empty for a curve without values, the label for a curve without a legend.
     """
 
-    look: str
+    css_class: str
     path: str
     label: str
 
 
 @dataclass(frozen=True)
 class Chart:
-    """A chart: title for screen readers, axes, curves in the order of drawing, position of a mark at now."""
+    """A chart: title for screen readers, axes, curves in drawing order, and position of the present time."""
 
     title: str
     x: Axis
@@ -93,18 +93,18 @@ def value_axis(title: str, values: Iterable[float], min_span: float) -> Axis:
 
     It spans at least ``min_span``, so that noise alone does not fill the plot.
     """
-    known = [value for value in values if math.isfinite(value)] or [0.0]
-    middle, span = (min(known) + max(known)) / 2.0, max(max(known) - min(known), min_span)
+    finite = [value for value in values if math.isfinite(value)] or [0.0]
+    middle, span = (min(finite) + max(finite)) / 2.0, max(max(finite) - min(finite), min_span)
     low, high = middle - (0.5 + _MARGIN) * span, middle + (0.5 + _MARGIN) * span
     exponent = 10.0 ** math.floor(math.log10((high - low) / _MAX_TICKS))
-    step = next(exponent * usual for usual in _USUAL_STEPS if (high - low) / (exponent * usual) <= _MAX_TICKS)
+    step = next(exponent * tick for tick in _TICK_STEPS if (high - low) / (exponent * tick) <= _MAX_TICKS)
     decimals = max(0, -math.floor(math.log10(step) + 1e-9))
     axis = Axis(title, low, high, (), is_upright=True)
     return _with_ticks(axis, step, lambda value: true_minus(f"{value:z.{decimals}f}"))
 
 
 def _temperature_axis(temperatures_c: Iterable[float]) -> Axis:
-    """Make a level axis that covers the finite temperatures, as :func:`value_axis`."""
+    """Make a horizontal axis that covers the finite temperatures, as :func:`value_axis`."""
     axis = replace(value_axis("Gyro temperature, °C", temperatures_c, _MIN_SPAN_C), is_upright=False)
     return replace(axis, ticks=tuple(Tick(100.0 - tick.percent, tick.text) for tick in axis.ticks))
 
@@ -112,7 +112,7 @@ def _temperature_axis(temperatures_c: Iterable[float]) -> Axis:
 def time_axis(title: str, high_s: float, unit_s: float) -> Axis:
     """Make an axis of time from zero with ticks at round minutes or hours.
 
-    They are labelled in ``unit_s``, parts of hours as h:mm.
+    Labels are in ``unit_s``, or h:mm for ticks at fractions of hours.
     """
     high_s = max(high_s, MINUTE_S)
     fitting = (step for step in _TIME_STEPS_S if high_s / step <= _MAX_TICKS)
@@ -122,31 +122,33 @@ def time_axis(title: str, high_s: float, unit_s: float) -> Axis:
     return _with_ticks(axis, step_s, hours_minutes if is_clock else lambda time_s: f"{time_s / unit_s:.3g}")
 
 
-def line(x: Axis, y: Axis, x_values: Sequence[float], y_values: Sequence[float]) -> str:
-    """Path of a line through points, broken at unknown values."""
-    pieces = []
-    is_down = False
+def line_path(x: Axis, y: Axis, x_values: Sequence[float], y_values: Sequence[float]) -> str:
+    """SVG path of a line through points, broken at unknown values."""
+    commands = []
+    is_pen_down = False
     for x_value, y_value in zip(x_values, y_values, strict=True):
         if not (math.isfinite(x_value) and math.isfinite(y_value)):
-            is_down = False
+            is_pen_down = False
             continue
-        place = _place(x, y, x_value, y_value)
-        # A line of no length draws an isolated point as a dot.
-        pieces.append(f"L{place}" if is_down else f"M{place}h0")
-        is_down = True
-    return "".join(pieces)
+        point = _coordinates(x, y, x_value, y_value)
+        # A line of zero length draws an isolated point as a dot.
+        commands.append(f"L{point}" if is_pen_down else f"M{point}h0")
+        is_pen_down = True
+    return "".join(commands)
 
 
-def band(x: Axis, y: Axis, x_values: Sequence[float], low: Sequence[float], high: Sequence[float]) -> str:
-    """Path around the area between two lines of finite values."""
+def band_path(
+    x: Axis, y: Axis, x_values: Sequence[float], low: Sequence[float], high: Sequence[float]
+) -> str:
+    """SVG path around the area between two lines of finite values."""
     if not x_values:
         return ""
-    there = [_place(x, y, *point) for point in zip(x_values, high, strict=True)]
-    back = [_place(x, y, *point) for point in zip(x_values, low, strict=True)]
-    return f"M{'L'.join(there + back[::-1])}Z"
+    upper = [_coordinates(x, y, *point) for point in zip(x_values, high, strict=True)]
+    lower = [_coordinates(x, y, *point) for point in zip(x_values, low, strict=True)]
+    return f"M{'L'.join(upper + lower[::-1])}Z"
 
 
-def _place(x: Axis, y: Axis, x_value: float, y_value: float) -> str:
+def _coordinates(x: Axis, y: Axis, x_value: float, y_value: float) -> str:
     per_percent = _SIDE / 100.0
     return f"{x.percent(x_value) * per_percent:.1f} {y.percent(y_value) * per_percent:.1f}"
 
@@ -161,8 +163,8 @@ _ARCSEC_PER_DEG = 3600.0
 _MIN_SPAN_MMPS = 2.0
 _MIN_SPAN_ARCSEC = 2.0
 _MIN_SPAN_BIAS = 1e-4
-#: The later part of the estimates sets the scale: the first ones are very uncertain.
-_SETTLED = 0.5
+#: Estimates after this share set the scale, since the first ones are very uncertain.
+_SETTLED_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -227,11 +229,13 @@ def _temperature_chart(gyro: str, bins: Sequence[LiveBin], scale: BiasScale) -> 
     for each in bins:
         point = (each.low_c + each.high_c) / 2.0, scale.factor * each.bias_dph
         points.setdefault(each.position, []).append(point)
-    everything = [point for of_position in points.values() for point in of_position]
-    x = _temperature_axis(point[0] for point in everything)
-    y = value_axis(f"Bias, {scale.unit}", [point[1] for point in everything], _MIN_SPAN_BIAS)
+    all_points = [point for position_points in points.values() for point in position_points]
+    x = _temperature_axis(point[0] for point in all_points)
+    y = value_axis(f"Bias, {scale.unit}", [point[1] for point in all_points], _MIN_SPAN_BIAS)
     curves = tuple(
-        CurvePath(f"position {position}", line(x, y, *zip(*sorted(points[position]), strict=True)), label)
+        CurvePath(
+            f"position {position}", line_path(x, y, *zip(*sorted(points[position]), strict=True)), label
+        )
         for position, label in ((each, position_label(each)) for each in POSITIONS)
         if position in points
     )
@@ -243,32 +247,32 @@ def _velocity_chart(number: int, window: WindowTrace, x: Axis, y: Axis) -> Chart
     east = [_MM_PER_M * value for value in window.velocity_east_mps]
     north = [_MM_PER_M * value for value in window.velocity_north_mps]
     curves = (
-        CurvePath("east", line(x, y, window.time_s, east), "East"),
-        CurvePath("north", line(x, y, window.time_s, north), "North"),
+        CurvePath("east", line_path(x, y, window.time_s, east), "East"),
+        CurvePath("north", line_path(x, y, window.time_s, north), "North"),
     )
     return Chart(f"Velocity in window {number}", x, y, curves)
 
 
 def _heading_chart(number: int, window: WindowTrace, x: Axis, y: Axis) -> Chart:
     heading = [_ARCSEC_PER_DEG * value for value in window.heading_change_deg]
-    curves = (CurvePath("heading", line(x, y, window.time_s, heading), "positive from North to West"),)
+    curves = (CurvePath("heading", line_path(x, y, window.time_s, heading), "positive from North to West"),)
     return Chart(f"Heading in window {number}", x, y, curves)
 
 
 def _bias_chart(index: int, gyro: str, estimates: tuple[LiveBias, ...], scale: BiasScale) -> BiasChart:
-    known = [each for each in estimates if math.isfinite(each.bias_dph[index] + each.sigma_dph[index])]
+    finite = [each for each in estimates if math.isfinite(each.bias_dph[index] + each.sigma_dph[index])]
     first_s = estimates[0].time_s
-    times_s = [each.time_s - first_s for each in known]
-    bias = [scale.factor * each.bias_dph[index] for each in known]
-    sigma = [scale.factor * each.sigma_dph[index] for each in known]
+    times_s = [each.time_s - first_s for each in finite]
+    bias = [scale.factor * each.bias_dph[index] for each in finite]
+    sigma = [scale.factor * each.sigma_dph[index] for each in finite]
     low = [value - width for value, width in zip(bias, sigma, strict=True)]
     high = [value + width for value, width in zip(bias, sigma, strict=True)]
-    settled = int(_SETTLED * len(known))
+    first_settled = int(_SETTLED_SHARE * len(finite))
     x = time_axis("Since the first estimate, min", max([0.0, *times_s]), MINUTE_S)
-    y = value_axis(f"Bias, {scale.unit}", (*low[settled:], *high[settled:]), _MIN_SPAN_BIAS)
+    y = value_axis(f"Bias, {scale.unit}", (*low[first_settled:], *high[first_settled:]), _MIN_SPAN_BIAS)
     curves = (
-        CurvePath(f"sigma gyro-{gyro}", band(x, y, times_s, low, high), "± 1 sigma"),
-        CurvePath(f"gyro-{gyro}", line(x, y, times_s, bias), "bias"),
+        CurvePath(f"sigma gyro-{gyro}", band_path(x, y, times_s, low, high), "± 1 sigma"),
+        CurvePath(f"gyro-{gyro}", line_path(x, y, times_s, bias), "bias"),
     )
     newest = estimates[-1]
     text = true_minus(scale.with_sigma(newest.bias_dph[index], newest.sigma_dph[index]))
@@ -277,15 +281,18 @@ def _bias_chart(index: int, gyro: str, estimates: tuple[LiveBias, ...], scale: B
 
 
 _MIN_SPAN_C = 10.0
-_SHORT_S = 2.0 * HOUR_S
-_MEASURED = (
+_MAX_MINUTE_AXIS_S = 2.0 * HOUR_S
+_MEASURED_CURVES = (
     ("chamber_set_c", "set-point", "chamber set"),
     ("chamber_c", "chamber", "chamber air"),
     ("gyro_x_c", "gyro-x", "X gyro"),
     ("gyro_y_c", "gyro-y", "Y gyro"),
     ("gyro_z_c", "gyro-z", "Z gyro"),
 )
-_PLANNED = (("chamber_c", "chamber planned", "chamber, plan"), ("gyro_c", "gyro planned", "gyros, plan"))
+_PLANNED_CURVES = (
+    ("chamber_c", "chamber planned", "chamber, plan"),
+    ("gyro_c", "gyro planned", "gyros, plan"),
+)
 
 
 @dataclass(frozen=True)
@@ -299,7 +306,7 @@ class PositionBar:
 
 @dataclass(frozen=True)
 class ProfileChart:
-    """The chart, and the bars of each position."""
+    """The chart of the temperatures, and the bars of each position."""
 
     chart: Chart
     lanes: dict[str, list[PositionBar]]
@@ -312,39 +319,41 @@ def profile_chart(snapshot: RunSnapshot) -> ProfileChart | None:
         return None
     planned_ends_s = [time_s + snapshot.behind_s for time_s in planned.time_s[-1:]]
     ends_s = [snapshot.now_s, *measured.time_s[-1:], *planned_ends_s]
-    unit_s, unit = (HOUR_S, "h") if max(ends_s) > _SHORT_S else (MINUTE_S, "min")
+    unit_s, unit = (HOUR_S, "h") if max(ends_s) > _MAX_MINUTE_AXIS_S else (MINUTE_S, "min")
     x = time_axis(f"Time since the start, {unit}", max(ends_s), unit_s)
     y = value_axis("Temperature, °C", _temperatures(planned, measured), _MIN_SPAN_C)
     curves = [
-        CurvePath(look, _planned_path(x, y, planned.time_s, getattr(planned, name), snapshot), label)
-        for name, look, label in _PLANNED
+        CurvePath(css_class, _planned_path(x, y, planned.time_s, getattr(planned, name), snapshot), label)
+        for name, css_class, label in _PLANNED_CURVES
     ]
     curves += [
-        CurvePath(look, line(x, y, measured.time_s, getattr(measured, name)), label)
-        for name, look, label in _MEASURED
+        CurvePath(css_class, line_path(x, y, measured.time_s, getattr(measured, name)), label)
+        for name, css_class, label in _MEASURED_CURVES
     ]
     chart = Chart("Temperatures, planned and measured", x, y, tuple(curves), x.percent(snapshot.now_s))
     return ProfileChart(chart, _lanes(x, snapshot))
 
 
 def _temperatures(planned: PlannedProfile, measured: MeasuredProfile) -> list[float]:
-    series = [getattr(planned, name) for name, _, _ in _PLANNED]
-    series += [getattr(measured, name) for name, _, _ in _MEASURED]
+    series = [getattr(planned, name) for name, _, _ in _PLANNED_CURVES]
+    series += [getattr(measured, name) for name, _, _ in _MEASURED_CURVES]
     return [value for values in series for value in values]
 
 
 def _planned_path(
     x: Axis, y: Axis, time_s: Sequence[float], values: Sequence[float], snapshot: RunSnapshot
 ) -> str:
-    """Past of a plan as planned, and its future from now on."""
+    """Path of a planned curve: the past as planned, the future shifted by the delay."""
     if not time_s:
         return ""
     plan_now_s = snapshot.plan_now_s
     pairs = list(zip(time_s, values, strict=True))
     present = (plan_now_s, float(np.interp(plan_now_s, time_s, values)))
     past = [*(pair for pair in pairs if pair[0] < plan_now_s), present]
-    future = [(at_s + snapshot.behind_s, value) for at_s, value in (present, *pairs) if at_s >= plan_now_s]
-    return "".join(line(x, y, *zip(*part, strict=True)) for part in (past, future))
+    future = [
+        (plan_s + snapshot.behind_s, value) for plan_s, value in (present, *pairs) if plan_s >= plan_now_s
+    ]
+    return "".join(line_path(x, y, *zip(*part, strict=True)) for part in (past, future))
 
 
 def _lanes(x: Axis, snapshot: RunSnapshot) -> dict[str, list[PositionBar]]:

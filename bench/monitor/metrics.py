@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 
-#: Of every metric: name, meaning, and labels beside ``run`` (the name of the run folder).
+#: Meaning of each metric by name, and its labels in addition to ``run``, the name of the run folder.
 METRICS: dict[str, tuple[str, tuple[str, ...]]] = {
     "gyrobench_run_info": ("Always 1; the labels describe the run.", ("procedure", "station", "unit")),
     "gyrobench_run_state": ("1 for the present state of the run, 0 for the others.", ("state",)),
@@ -54,7 +54,7 @@ METRICS: dict[str, tuple[str, tuple[str, ...]]] = {
 
 
 class _Sample(NamedTuple):
-    """One value of a metric, with the values of its labels beside ``run``."""
+    """One value of a metric, with the values of its labels except ``run``."""
 
     metric: str
     value: float
@@ -82,13 +82,13 @@ def metrics_text(runs: Iterable[tuple[Path, RunSnapshot, float]]) -> bytes:
 
 
 class _Families:
-    """Metrics that were collected already, as a collector of prometheus_client."""
+    """Collector of prometheus_client for metrics that are already collected."""
 
     def __init__(self, families: Iterable[prometheus_client.core.Metric]) -> None:
         self._families = list(families)
 
     def collect(self) -> list[prometheus_client.core.Metric]:
-        """All of them."""
+        """All metrics."""
         return self._families
 
 
@@ -103,9 +103,9 @@ def _samples(folder: Path, snapshot: RunSnapshot, age_s: float) -> Iterator[_Sam
     yield _Sample("gyrobench_dwells_planned", snapshot.dwell_count)
     for alarm in snapshot.alarms:
         yield _Sample("gyrobench_alarm", 1.0, (alarm.name,))
-    yield from _readings(snapshot)
+    yield from _bench_samples(snapshot)
     for unit in snapshot.units or (_single_unit(snapshot),):
-        yield from _of_unit(unit)
+        yield from _unit_samples(unit)
         run = RunFolder(folder).unit(unit.number) if snapshot.units else RunFolder(folder)
         if verdict := verdict_in(run.path):
             yield _Sample("gyrobench_verdict", 1.0, (verdict, unit.number))
@@ -118,7 +118,7 @@ def _samples(folder: Path, snapshot: RunSnapshot, age_s: float) -> Iterator[_Sam
             yield _Sample("gyrobench_live_bias_sigma_degrees_per_hour", sigma_dph, labels)
 
 
-def _readings(snapshot: RunSnapshot) -> Iterator[_Sample]:
+def _bench_samples(snapshot: RunSnapshot) -> Iterator[_Sample]:
     bench = snapshot.bench
     if bench is None:
         return
@@ -138,7 +138,7 @@ def _readings(snapshot: RunSnapshot) -> Iterator[_Sample]:
 
 
 def _single_unit(snapshot: RunSnapshot) -> UnitStatus:
-    """The unit of a run with one."""
+    """Status of the unit of a run with a single unit."""
     bench = snapshot.bench
     last = snapshot.dwells[-1] if snapshot.dwells else None
     return UnitStatus(
@@ -155,7 +155,7 @@ def _single_unit(snapshot: RunSnapshot) -> UnitStatus:
     )
 
 
-def _of_unit(unit: UnitStatus) -> Iterator[_Sample]:
+def _unit_samples(unit: UnitStatus) -> Iterator[_Sample]:
     yield _Sample("gyrobench_dwells_measured", unit.dwells, (unit.number,))
     yield _Sample("gyrobench_dwells_flagged", unit.flagged, (unit.number,))
     yield _Sample("gyrobench_reply_age_seconds", unit.ins_age_s, ("ins", unit.number))

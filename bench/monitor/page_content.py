@@ -1,4 +1,4 @@
-"""Content of the pages as text: headline, tables, rows of the list of runs, age of the snapshot."""
+"""Content of the pages as text: headline, tables, list of runs, and age of the snapshot."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from gyrobench.bench.monitor.snapshot import (
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.number_format import BiasScale, group_by_temperature, true_minus
 
-#: A run writes every two seconds; a busy run takes longer.
+#: Age from which a run is silent; it writes every two seconds, or less often under load.
 _SILENT_AFTER_S = 20.0
 
 
 @dataclass(frozen=True)
 class Freshness:
-    """Age of a snapshot, 0 if unknown; whether the run has ended; a warning if it is silent."""
+    """Age of a snapshot, 0 if unknown; whether the run has ended; and a warning if it is silent."""
 
     age_s: float
     is_over: bool
@@ -37,16 +37,16 @@ class Freshness:
 
 
 def freshness_of(state: RunState, updated_utc: str, now: datetime) -> Freshness:
-    """Age of a snapshot from its state and time, empty if unknown, and the host's calendar."""
+    """Freshness of a snapshot from its state, its time, empty if unknown, and the host's calendar time."""
     age_s = _age_s(updated_utc, now)
     if state.is_over or age_s < _SILENT_AFTER_S:
         return Freshness(age_s, state.is_over, "")
-    why = "The run's process exists but writes no snapshot. Check whether it is stuck or the disk is full."
-    return Freshness(age_s, False, f"No update for {age_text(age_s)}. {why}")
+    cause = "The run's process exists but writes no snapshot. Check whether it is stuck or the disk is full."
+    return Freshness(age_s, False, f"No update for {age_text(age_s)}. {cause}")
 
 
 def age_text(age_s: float) -> str:
-    """Write an age: "40 s", "12 min", "5 h", "3 days"."""
+    """Age as text: "40 s", "12 min", "5 h", "3 days"."""
     if age_s < 120.0:
         return f"{age_s:.0f} s"
     if age_s < 7200.0:
@@ -59,7 +59,7 @@ def _age_s(updated_utc: str, now: datetime) -> float:
     return max(0.0, (now - updated).total_seconds()) if updated else 0.0
 
 
-#: Sign beside each state, recognisable from a distance and without colours.
+#: Symbol of each state, recognisable from a distance and without colours.
 STATE_SYMBOLS = {
     RunState.STARTING: "▷",
     RunState.RUNNING: "▶",
@@ -73,46 +73,46 @@ STATE_SYMBOLS = {
 _PROGRESSING = {RunState.STARTING, RunState.RUNNING}
 #: States that need attention.
 _ATTENTION_STATES = {RunState.HOLDING, RunState.PAUSED, RunState.WAITING, RunState.STOPPED}
-_MIN_SHOWN_DELAY_S = 300.0
+_MIN_DELAY_S = 300.0
 
 
 @dataclass(frozen=True)
 class Tile:
-    """A large value with its name and a line below."""
+    """A large value with its name, and a line of detail below it."""
 
     name: str
     value: str
-    below: str
+    detail: str
 
 
 @dataclass(frozen=True)
 class Headline:
     """The top of the page.
 
-    ``look`` is a CSS class: "good", "notable" or "bad". ``end`` is None if unknown, as while the run waits;
-    ``share_done`` is of the planned duration.
+    ``css_class`` is a CSS class: "good", "notable" or "bad". ``end``: expected end, None if unknown, for
+    example while the run waits; ``share_done`` is of the planned duration.
     """
 
-    sign: str
+    symbol: str
     state: str
     reason: str
-    look: str
+    css_class: str
     tiles: tuple[Tile, ...]
     end: datetime | None
     share_done: float
-    next_step: str  #: Command with which an operator continues; empty where there is none.
+    next_step: str  #: Commands with which the operator can continue; empty if there are none.
 
 
 def headline(snapshot: RunSnapshot, verdict: str = "") -> Headline:
-    """Headline of a run; ``verdict`` is that on its unit, if it was judged."""
+    """Headline of a run; ``verdict``: on its unit, empty if it was not judged."""
     state = snapshot.state
-    look = "bad" if snapshot.alarms and not state.is_over else _state_class(state, verdict)
+    css_class = "bad" if snapshot.alarms and not state.is_over else _state_class(state, verdict)
     share = 1.0 - snapshot.left_s / snapshot.planned_s if snapshot.planned_s > 0.0 else 0.0
     return Headline(
-        sign=_sign(state, verdict),
+        symbol=_symbol(state, verdict),
         state=_state_text(state, verdict),
         reason=snapshot.reason,
-        look=look,
+        css_class=css_class,
         tiles=(_time_tile(snapshot), _temperature_tile(snapshot.bench), _dwell_tile(snapshot)),
         end=_expected_end(snapshot) if state in _PROGRESSING else None,
         share_done=min(max(share, 0.0), 1.0),
@@ -142,11 +142,11 @@ def _state_text(state: RunState, verdict: str) -> str:
     return f"{state.value}, unit {verdict}" if state is RunState.FINISHED and verdict else state.value
 
 
-def _sign(state: RunState, verdict: str) -> str:
+def _symbol(state: RunState, verdict: str) -> str:
     return STATE_SYMBOLS[RunState.FAILED if _state_class(state, verdict) == "bad" else state]
 
 
-def _celsius(temperature_c: float, decimals: int = 1) -> str:
+def _temperature_text(temperature_c: float, decimals: int = 1) -> str:
     """Format a temperature with its unit; "unknown" for NaN."""
     if math.isnan(temperature_c):
         return "unknown"
@@ -166,19 +166,19 @@ def _time_tile(snapshot: RunSnapshot) -> Tile:
     planned = f"{hours_minutes(snapshot.planned_s)} h planned"
     if snapshot.state.is_over:
         return Tile("Took", f"{hours_minutes(snapshot.now_s)} h", planned)
-    behind = (
-        f", {hours_minutes(snapshot.behind_s)} h behind" if snapshot.behind_s >= _MIN_SHOWN_DELAY_S else ""
-    )
-    return Tile("Time left", f"{hours_minutes(snapshot.left_s)} h", f"of {planned}{behind}")
+    delay = f", {hours_minutes(snapshot.behind_s)} h behind" if snapshot.behind_s >= _MIN_DELAY_S else ""
+    return Tile("Time left", f"{hours_minutes(snapshot.left_s)} h", f"of {planned}{delay}")
 
 
 def _temperature_tile(bench: BenchReadings | None) -> Tile:
     if bench is None:
         return Tile("Chamber", "unknown", "")
     gyro_c = mean_known(bench.gyro_c)
-    gyros = "INS silent" if math.isnan(gyro_c) else f"gyros {_celsius(gyro_c)}"
-    target = "no set point" if math.isnan(bench.chamber_set_c) else f"set {_celsius(bench.chamber_set_c)}"
-    return Tile("Chamber", _celsius(bench.chamber_c), f"{target}, {gyros}")
+    gyros = "INS silent" if math.isnan(gyro_c) else f"gyros {_temperature_text(gyro_c)}"
+    target = (
+        "no set point" if math.isnan(bench.chamber_set_c) else f"set {_temperature_text(bench.chamber_set_c)}"
+    )
+    return Tile("Chamber", _temperature_text(bench.chamber_c), f"{target}, {gyros}")
 
 
 def _dwell_tile(snapshot: RunSnapshot) -> Tile:
@@ -187,13 +187,13 @@ def _dwell_tile(snapshot: RunSnapshot) -> Tile:
     if snapshot.dwell is None or snapshot.state.is_over:
         return Tile("Dwells", f"{snapshot.finished_dwells} of {snapshot.dwell_count}", measured)
     dwell = snapshot.dwell
-    where = f"{position_label(dwell.position)}, cycle {dwell.cycle}"
-    return Tile("Dwell", f"{dwell.number} of {dwell.count}", f"{where}; {measured}")
+    place = f"{position_label(dwell.position)}, cycle {dwell.cycle}"
+    return Tile("Dwell", f"{dwell.number} of {dwell.count}", f"{place}; {measured}")
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A bias and its standard uncertainty, from ``count`` dwells; empty text for an empty bin."""
+    """A bias and its standard uncertainty, from ``count`` dwells; empty texts for an empty bin."""
 
     bias: str = ""
     sigma: str = ""
@@ -211,8 +211,8 @@ class BinTable:
 
 
 @dataclass(frozen=True)
-class ShownDwell:
-    """A dwell as text, with a cell for each gyro; flagged dwells are in no bin."""
+class DwellTableRow:
+    """A row of the table of dwells, with a cell for each gyro; flagged dwells are in no bin."""
 
     number: int
     cycle: int
@@ -223,42 +223,44 @@ class ShownDwell:
 
 
 @dataclass(frozen=True)
-class ShownDwells:
-    """Dwells, the newest first, and the unit of their biases."""
+class DwellTable:
+    """Table of the dwells, the newest first, and the unit of their biases."""
 
     unit: str
-    rows: tuple[ShownDwell, ...]
+    rows: tuple[DwellTableRow, ...]
 
 
 def bin_tables(bins: Iterable[LiveBin]) -> list[BinTable]:
-    """Bins by gyro, the warmest first; none while all are empty."""
-    known = list(bins)
-    filled = [each for each in known if each.count]
+    """Tables of the bins of each gyro, the warmest first; empty while all bins are empty."""
+    all_bins = list(bins)
+    filled = [each for each in all_bins if each.count]
     if not filled:
         return []
     scale = BiasScale.of([each.bias_dph for each in filled], [each.sigma_dph for each in filled])
-    return [_bin_table(gyro, [each for each in known if each.gyro == gyro], scale) for gyro in AXES]
+    return [_bin_table(gyro, [each for each in all_bins if each.gyro == gyro], scale) for gyro in AXES]
 
 
-def shown_dwells(dwells: Sequence[SnapshotDwell]) -> ShownDwells:
-    """Dwells, the newest first."""
+def dwell_table(dwells: Sequence[SnapshotDwell]) -> DwellTable:
+    """Table of dwells, the newest first."""
     biases = [value for dwell in dwells for value in dwell.bias_dph]
     scale = BiasScale.of(biases, [value for dwell in dwells for value in dwell.sigma_dph])
-    return ShownDwells(scale.unit, tuple(_shown_dwell(dwell, scale) for dwell in reversed(dwells)))
+    return DwellTable(scale.unit, tuple(_dwell_table_row(dwell, scale) for dwell in reversed(dwells)))
 
 
 def reading_rows(bench: BenchReadings) -> list[tuple[str, str, str]]:
     """Present readings: quantity, value, and age of the instrument's last reply."""
-    chamber, table, ins = (_age(age_s) for age_s in (bench.chamber_age_s, bench.table_age_s, bench.ins_age_s))
+    chamber, table, ins = (
+        _reply_age_text(age_s) for age_s in (bench.chamber_age_s, bench.table_age_s, bench.ins_age_s)
+    )
     return [
-        ("chamber air", _celsius(bench.chamber_c, 2), chamber),
-        ("chamber set", _set_point(bench.chamber_set_c), chamber),
-        ("gyro optics x, y, z", _triple(bench.gyro_c), ins),
-        ("electronics x, y, z", _triple(bench.electronics_c), ins),
-        ("INS case", _celsius(bench.case_c, 2), ins),
+        ("chamber air", _temperature_text(bench.chamber_c, 2), chamber),
+        ("chamber set", _set_point_text(bench.chamber_set_c), chamber),
+        ("gyro optics x, y, z", _triple_text(bench.gyro_c), ins),
+        ("electronics x, y, z", _triple_text(bench.electronics_c), ins),
+        ("INS case", _temperature_text(bench.case_c, 2), ins),
         ("INS mode", bench.ins_mode, ins),
-        ("table outer axis", _axis(bench.outer_deg, bench.outer_rate_dps), table),
-        ("table inner axis", _axis(bench.inner_deg, bench.inner_rate_dps), table),
+        ("table outer axis", _axis_text(bench.outer_deg, bench.outer_rate_dps), table),
+        ("table inner axis", _axis_text(bench.inner_deg, bench.inner_rate_dps), table),
     ]
 
 
@@ -266,7 +268,7 @@ def _bin_table(gyro: str, bins: list[LiveBin], scale: BiasScale) -> BinTable:
     used = {each.position for each in bins}
     positions = [position for position in POSITIONS if position in used]
     ranges = group_by_temperature(bins, lambda each: (each.low_c, each.high_c), lambda each: each.count > 0)
-    filled = [number for number, (_, _, members) in enumerate(ranges) if members]
+    filled = [index for index, (_, _, members) in enumerate(ranges) if members]
     shown = ranges[filled[0] : filled[-1] + 1] if filled else []
     return BinTable(
         gyro=gyro_label(gyro),
@@ -297,10 +299,10 @@ def _cell(bias_dph: float, sigma_dph: float, scale: BiasScale, count: int = 1) -
     return Cell(true_minus(scale.text(bias_dph)), scale.text(sigma_dph), count)
 
 
-def _shown_dwell(dwell: SnapshotDwell, scale: BiasScale) -> ShownDwell:
+def _dwell_table_row(dwell: SnapshotDwell, scale: BiasScale) -> DwellTableRow:
     pairs = zip(dwell.bias_dph, dwell.sigma_dph, strict=True)
     gyro_c = mean_known(dwell.gyro_c)
-    return ShownDwell(
+    return DwellTableRow(
         number=dwell.number,
         cycle=dwell.cycle,
         position=position_label(dwell.position),
@@ -310,36 +312,36 @@ def _shown_dwell(dwell: SnapshotDwell, scale: BiasScale) -> ShownDwell:
     )
 
 
-def _set_point(temperature_c: float) -> str:
-    return "not controlled" if math.isnan(temperature_c) else _celsius(temperature_c, 2)
+def _set_point_text(temperature_c: float) -> str:
+    return "not controlled" if math.isnan(temperature_c) else _temperature_text(temperature_c, 2)
 
 
-def _triple(values_c: Iterable[float]) -> str:
+def _triple_text(values_c: Iterable[float]) -> str:
     values = list(values_c)
     if all(math.isnan(value) for value in values):
         return "unknown"
     return true_minus(", ".join("–" if math.isnan(value) else f"{value:z.2f}" for value in values)) + " °C"
 
 
-def _axis(angle_deg: float, rate_dps: float) -> str:
+def _axis_text(angle_deg: float, rate_dps: float) -> str:
     if math.isnan(angle_deg):
         return "unknown"
     rate = "" if math.isnan(rate_dps) else f", {rate_dps:z.2f} deg/s"
     return true_minus(f"{angle_deg:z.3f}°{rate}")
 
 
-def _age(age_s: float) -> str:
+def _reply_age_text(age_s: float) -> str:
     return "never" if math.isnan(age_s) else f"{age_s:.1f} s"
 
 
 @dataclass(frozen=True)
 class ListRow:
-    """One run in the list: name and address, state with sign and CSS class, further facts in a line."""
+    """One run in the list: name and address, state with symbol and CSS class, other facts in one line."""
 
     name: str
     address: str
-    look: str
-    sign: str
+    css_class: str
+    symbol: str
     state: str
     reason: str
     facts: str
@@ -351,11 +353,11 @@ def list_row(run: RunSummary, freshness: Freshness) -> ListRow:
     return ListRow(
         name=run.name,
         address=_address_of(run.name),
-        look="bad" if is_silent or run.alarms else _state_class(run.state, run.verdict),
-        sign="▲" if is_silent else _sign(run.state, run.verdict),
+        css_class="bad" if is_silent or run.alarms else _state_class(run.state, run.verdict),
+        symbol="▲" if is_silent else _symbol(run.state, run.verdict),
         state="silent" if is_silent else _state_text(run.state, run.verdict),
         reason=freshness.warning or run.reason,
-        facts=", ".join(_facts(run)),
+        facts=", ".join(_run_facts(run)),
     )
 
 
@@ -369,7 +371,7 @@ def _address_of(name: str) -> str:
     return f"runs/{quote(name, safe='')}/"
 
 
-def _facts(run: RunSummary) -> Iterable[str]:
+def _run_facts(run: RunSummary) -> Iterable[str]:
     if run.alarms:
         yield f"▲ {counted(run.alarms, 'alarm').upper()}"
     if run.procedure:

@@ -1,4 +1,4 @@
-"""The runs of a folder, and the snapshot of each from what its run folder holds."""
+"""The runs of a folder, and the snapshot of each from the files of its run folder."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ from gyrobench.drivers.ins.readout import InsMode
 
 
 def snapshot_of(path: Path) -> RunSnapshot:
-    """The snapshot of a run in progress or ended, also of one recorded by an older gyrobench.
+    """Snapshot of a run that is in progress or has ended, also of one of an older version of gyrobench.
 
     Raises RunFolderError if there is no run at that path.
     """
@@ -60,7 +60,7 @@ def snapshot_of(path: Path) -> RunSnapshot:
     if snapshot.state.is_over or holder_of(folder.path) is not None:
         return snapshot
     records = snapshot_from_records(folder)
-    # A process that was killed may have recorded more than its last snapshot has.
+    # A process that was killed may have recorded more than its last snapshot shows.
     if not snapshot.units and records.finished_dwells >= snapshot.finished_dwells:
         return replace(records, alarms=snapshot.alarms)
     return replace(
@@ -69,9 +69,9 @@ def snapshot_of(path: Path) -> RunSnapshot:
 
 
 def snapshot_of_unit(run: RunSnapshot, folder: RunFolder) -> RunSnapshot:
-    """The snapshot of a run with the dwells and bins of one of its units in place of those of the first.
+    """Snapshot of a run with the dwells and bins of one of its units in place of those of the first unit.
 
-    Without what the snapshot has of the first alone: dwell in progress, attitude, course of the gyros.
+    Omits values that the snapshot has only of the first unit: dwell in progress, attitude, gyro temperatures.
     Raises RunFolderError if the unit's dwell table can't be read.
     """
     number = folder.path.name
@@ -102,8 +102,8 @@ def snapshot_of_unit(run: RunSnapshot, folder: RunFolder) -> RunSnapshot:
     )
 
 
-def _end_of(folder: RunFolder, facts: RunFacts) -> tuple[RunState, str]:
-    """State of a run without a snapshot, and the reason of its end."""
+def _state_by_records(folder: RunFolder, facts: RunFacts) -> tuple[RunState, str]:
+    """State of a run without a snapshot, and the reason of its end, if it has ended."""
     if holder_of(folder.path) is not None:
         return RunState.RUNNING, ""
     if facts.ended in (RunState.FINISHED, RunState.STOPPED, RunState.FAILED):
@@ -119,9 +119,9 @@ def snapshot_from_records(folder: RunFolder) -> RunSnapshot:
     content = read_run(folder)
     journal = list(_intact_entries(folder.journal))
     station, plan = _station_and_plan(folder)
-    state, reason = _end_of(folder, content.facts)
+    state, reason = _state_by_records(folder, content.facts)
     rows, now_s = content.dwells, content.facts.last_s
-    bench = _bench_at_end(content.telemetry, now_s)
+    bench = _last_readings(content.telemetry, now_s)
     return RunSnapshot(
         name=content.name,
         folder=str(folder.path),
@@ -156,7 +156,7 @@ def _station_and_plan(folder: RunFolder) -> tuple[Station | None, Plan | None]:
 
 
 def _intact_entries(journal: Path) -> Iterator[Entry]:
-    """Entries up to the first damaged one."""
+    """Entries of a journal up to the first damaged one."""
     with suppress(RunFolderError):
         yield from read_journal(journal)
 
@@ -164,10 +164,14 @@ def _intact_entries(journal: Path) -> Iterator[Entry]:
 def _left_s(plan: Plan, journal: Sequence[Entry]) -> float:
     """Planned time remaining; the whole duration if the journal does not match the plan."""
     try:
-        done = resume_state_of(journal, plan)
+        resume_state = resume_state_of(journal, plan)
     except RunFolderError:
         return plan.duration_s
-    return 0.0 if done.is_over(plan) else plan.duration_s - plan.steps[done.resume_index(plan)].start_s
+    return (
+        0.0
+        if resume_state.is_over(plan)
+        else plan.duration_s - plan.steps[resume_state.resume_index(plan)].start_s
+    )
 
 
 def _updated_utc(folder: RunFolder) -> str:
@@ -175,7 +179,7 @@ def _updated_utc(folder: RunFolder) -> str:
     return datetime.fromtimestamp(changed_s, UTC).isoformat(timespec="seconds")
 
 
-def _bench_at_end(telemetry: Mapping[str, FloatArray], now_s: float) -> BenchReadings | None:
+def _last_readings(telemetry: Mapping[str, FloatArray], now_s: float) -> BenchReadings | None:
     """The last reading, with its age."""
     if not telemetry or not len(telemetry["time_s"]):
         return None
@@ -199,8 +203,8 @@ def _bench_at_end(telemetry: Mapping[str, FloatArray], now_s: float) -> BenchRea
 
 
 def _mode(code: float) -> str:
-    known = {float(mode): mode.name.lower() for mode in InsMode}
-    return known.get(code, "unknown")
+    name_by_code = {float(mode): mode.name.lower() for mode in InsMode}
+    return name_by_code.get(code, "unknown")
 
 
 def _attitude(
@@ -238,8 +242,8 @@ def _message_of(entry: Mapping[str, Any]) -> str:
     return ""
 
 
-#: Self-contained pages in a run folder, and their titles.
-_RECORDS = {
+#: Titles of self-contained pages in a run folder, by path.
+_PAGES = {
     "report.html": "Report",
     "investigation.html": "Investigation",
     "closure/closure.html": "Search for effects",
@@ -256,7 +260,7 @@ class RunSummary:
     name: str
     procedure: str
     units: Sequence[str]
-    #: state, reason: State, and why it holds, stopped or failed.
+    #: state, reason: State, and the reason why the run holds, stopped or failed.
     state: RunState
     reason: str
     #: started_utc, updated_utc: ISO 8601.
@@ -267,13 +271,13 @@ class RunSummary:
     dwell_count: int = 0
     left_s: float = 0.0  #: Planned time remaining.
     alarms: int = 0  #: Active alarms; 0 after the end.
-    verdict: str = ""  #: On the unit; empty before the run was evaluated, and where nothing is judged.
+    verdict: str = ""  #: On the unit; empty before the run is evaluated, and if nothing is judged.
 
 
 def is_run(folder: Path) -> bool:
     """Whether this is a run folder."""
-    found = RunFolder(folder)
-    return found.live.is_file() or found.journal.is_file()
+    run = RunFolder(folder)
+    return run.live.is_file() or run.journal.is_file()
 
 
 def runs_in(folder: Path) -> list[Path]:
@@ -285,18 +289,22 @@ def runs_in(folder: Path) -> list[Path]:
         inside = [path for path in folder.iterdir() if path.is_dir() and not path.is_symlink()]
     except OSError as error:
         raise RunFolderError(f"{folder}: can't be read: {error.strerror}") from error
-    return sorted(filter(is_run, inside), key=_order, reverse=True)
+    return sorted(filter(is_run, inside), key=_sort_key, reverse=True)
 
 
 def summarise(folder: Path) -> RunSummary:
-    """Summarise a run from its snapshot or its journal alone. Raises RunFolderError if it can't be read."""
-    found = RunFolder(folder)
-    summary = _of_snapshot(folder.name, snapshot_of(folder)) if found.live.is_file() else _of_journal(found)
+    """Summarise a run from its snapshot, or else its journal. Raises RunFolderError if it can't be read."""
+    run = RunFolder(folder)
+    summary = (
+        _summary_of_snapshot(folder.name, snapshot_of(folder))
+        if run.live.is_file()
+        else _summary_of_journal(run)
+    )
     return replace(summary, verdict=verdict_in(folder) if summary.state.is_over else "")
 
 
 def verdict_in(folder: Path) -> str:
-    """Verdict on the unit of a run; empty before it was evaluated, and where nothing is judged."""
+    """Verdict on the unit of a run; empty before the run is evaluated, and if nothing is judged."""
     path = RunFolder(folder).acceptance
     try:
         verdict = read_acceptance(path).verdict if path.exists() else "not judged"
@@ -307,13 +315,13 @@ def verdict_in(folder: Path) -> str:
 
 def signature_of(folder: Path) -> Hashable:
     """A value that changes with every change of the run."""
-    found = RunFolder(folder)
-    return holder_of(folder), *map(_changed_ns, (found.live, found.journal, found.dwells, found.acceptance))
+    run = RunFolder(folder)
+    return holder_of(folder), *map(_changed_ns, (run.live, run.journal, run.dwells, run.acceptance))
 
 
-def records_of(folder: Path) -> dict[str, str]:
-    """Pages in a run folder, and their titles."""
-    return {name: title for name, title in _RECORDS.items() if _is_inside(folder / name, folder)}
+def pages_of(folder: Path) -> dict[str, str]:
+    """Titles of the pages in a run folder, by path."""
+    return {name: title for name, title in _PAGES.items() if _is_inside(folder / name, folder)}
 
 
 def _is_inside(path: Path, folder: Path) -> bool:
@@ -321,10 +329,10 @@ def _is_inside(path: Path, folder: Path) -> bool:
     return path.is_file() and path.resolve().is_relative_to(folder.resolve())
 
 
-def _order(folder: Path) -> tuple[bool, int, str]:
-    """In progress or not, and the start, at which the copy of the procedure is written."""
-    found = RunFolder(folder)
-    began_ns = _changed_ns(found.procedure) or _changed_ns(found.journal)
+def _sort_key(folder: Path) -> tuple[bool, int, str]:
+    """Whether the run is in progress, and its start, which is when the procedure was copied."""
+    run = RunFolder(folder)
+    began_ns = _changed_ns(run.procedure) or _changed_ns(run.journal)
     return holder_of(folder) is not None, began_ns, folder.name
 
 
@@ -335,15 +343,15 @@ def _changed_ns(path: Path) -> int:
         return 0
 
 
-def _known(unit: str) -> list[str]:
+def _unit_list(unit: str) -> list[str]:
     return [unit] if unit else []
 
 
-def _of_snapshot(name: str, snapshot: RunSnapshot) -> RunSummary:
+def _summary_of_snapshot(name: str, snapshot: RunSnapshot) -> RunSummary:
     return RunSummary(
         name=name,
         procedure=snapshot.procedure,
-        units=[unit.number for unit in snapshot.units] or _known(snapshot.unit),
+        units=[unit.number for unit in snapshot.units] or _unit_list(snapshot.unit),
         state=snapshot.state,
         reason=snapshot.reason,
         started_utc=snapshot.started_utc,
@@ -355,13 +363,13 @@ def _of_snapshot(name: str, snapshot: RunSnapshot) -> RunSummary:
     )
 
 
-def _of_journal(folder: RunFolder) -> RunSummary:
+def _summary_of_journal(folder: RunFolder) -> RunSummary:
     facts = facts_of(read_journal(folder.journal))
-    state, reason = _end_of(folder, facts)
+    state, reason = _state_by_records(folder, facts)
     return RunSummary(
         name=folder.path.name,
         procedure=facts.procedure,
-        units=[unit.path.name for unit in folder.unit_folders] or _known(facts.unit),
+        units=[unit.path.name for unit in folder.unit_folders] or _unit_list(facts.unit),
         state=state,
         reason=reason,
         started_utc=facts.started_utc,
@@ -389,10 +397,10 @@ class FolderCache(Generic[_Value]):
         """Value of a folder; errors of ``make`` are raised."""
         with self._lock:
             signature = self._signature(folder)
-            known = self._values.pop(folder, None)
-            if known is None or known[0] != signature:
-                known = (signature, self._make(folder))
-            self._values[folder] = known
+            cached = self._values.pop(folder, None)
+            if cached is None or cached[0] != signature:
+                cached = (signature, self._make(folder))
+            self._values[folder] = cached
             if len(self._values) > self._max_values:
                 self._values.popitem(last=False)
-            return known[1]
+            return cached[1]

@@ -1,4 +1,4 @@
-"""The server of the monitor: loopback only, read only, with bounded time, size and number of threads."""
+"""The server of the monitor: loopback only, read only, with limits of time, size and number of threads."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from typing import Any
 
 from gyrobench.bench.foundations.errors import GyrobenchError
 
-#: For plain answers.
-_BARE_POLICY = "default-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-#: For pages of a run folder: images and style inside, no scripts.
-RECORD_POLICY = f"{_BARE_POLICY}; img-src data:; style-src 'unsafe-inline'; sandbox allow-popups"
+#: Content security policy of plain responses.
+_DEFAULT_POLICY = "default-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+#: Policy of pages of a run folder: embedded images and styles, no scripts.
+RECORD_POLICY = f"{_DEFAULT_POLICY}; img-src data:; style-src 'unsafe-inline'; sandbox allow-popups"
 
 HTML = "text/html; charset=utf-8"
 _PLAIN = "text/plain; charset=utf-8"
@@ -31,13 +31,13 @@ class Response:
     status: HTTPStatus
     body: bytes
     content_type: str = HTML
-    policy: str = _BARE_POLICY
+    policy: str = _DEFAULT_POLICY
     headers: dict[str, str] = field(default_factory=dict)
 
 
 def page_policy(nonce: str) -> str:
-    """Policy of the monitor's pages: a style and a script with the nonce, which connects to this server."""
-    return f"{_BARE_POLICY}; style-src 'nonce-{nonce}'; script-src 'nonce-{nonce}'; connect-src 'self'"
+    """Policy of the monitor's pages: a style and a script with the nonce, and connections to this server."""
+    return f"{_DEFAULT_POLICY}; style-src 'nonce-{nonce}'; script-src 'nonce-{nonce}'; connect-src 'self'"
 
 
 def refusal(status: HTTPStatus, text: str, **headers: str) -> Response:
@@ -46,16 +46,16 @@ def refusal(status: HTTPStatus, text: str, **headers: str) -> Response:
 
 
 _LOOPBACK = "127.0.0.1"
-#: Allowed Host headers: another name comes from a page that rebound its own name to this address.
+#: Allowed Host headers; any other name comes from a page that resolved its own name to this address.
 _HOST_NAMES = {_LOOPBACK, "localhost"}
 _MAX_THREADS = 16
 _SOCKET_TIMEOUT_S = 10.0
 _MAX_REQUEST_S = 20.0
-#: A connection that was cut off releases its thread within this time.
-_MAX_CUT_OFF_S = 1.0
-_MAX_TARGET = 2000
+#: A connection that was shut down releases its thread within this time.
+_MAX_RELEASE_S = 1.0
+_MAX_TARGET_LENGTH = 2000
 _MIN_GZIP_BYTES = 1000
-_BUSY = b"HTTP/1.0 503 Service Unavailable\r\nRetry-After: 2\r\nContent-Length: 0\r\n\r\n"
+_BUSY_RESPONSE = b"HTTP/1.0 503 Service Unavailable\r\nRetry-After: 2\r\nContent-Length: 0\r\n\r\n"
 _HEADERS = {
     "Cache-Control": "no-store",
     "Cross-Origin-Opener-Policy": "same-origin",
@@ -66,7 +66,7 @@ _HEADERS = {
 
 
 class MonitorServer(ThreadingHTTPServer):
-    """Serves what a function answers to the target of a GET or HEAD request.
+    """Serves the responses of a function to the targets of GET and HEAD requests.
 
     ``answer``: returns the response to a target such as ``/runs/mine/``. ``port``: TCP port; 0 for any free
     port. Raises GyrobenchError if the port is not available.
@@ -78,7 +78,7 @@ class MonitorServer(ThreadingHTTPServer):
     def __init__(self, answer: Callable[[str], Response], port: int) -> None:
         self.answer = answer
         self._free_threads = threading.BoundedSemaphore(_MAX_THREADS)
-        self._waiting: dict[socket.socket, None] = {}  # connections without a whole request, oldest first
+        self._waiting: dict[socket.socket, None] = {}  # connections without a complete request, oldest first
         try:
             super().__init__((_LOOPBACK, port), _Handler)
         except (OSError, OverflowError) as error:
@@ -93,35 +93,35 @@ class MonitorServer(ThreadingHTTPServer):
         return f"http://{_LOOPBACK}:{self.server_port}/"
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer in a separate thread; of too many connections the one that waits longest is cut off.
+        """Answer in a separate thread; with too many connections, the longest waiting one is shut down.
 
-        Where all are being answered, the request is rejected.
+        If all are being answered, the request is rejected.
         """
         if not self._free_threads.acquire(blocking=False):
-            slowest = next(iter(self._waiting.copy()), None)
-            if slowest is not None:
-                self.has_asked(slowest)
-                _shut_down(slowest)
-            if slowest is None or not self._free_threads.acquire(timeout=_MAX_CUT_OFF_S):
+            oldest = next(iter(self._waiting.copy()), None)
+            if oldest is not None:
+                self.end_waiting(oldest)
+                _shut_down(oldest)
+            if oldest is None or not self._free_threads.acquire(timeout=_MAX_RELEASE_S):
                 self._reject(request)
                 return
         self._waiting[request] = None
         super().process_request(request, client_address)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Answer one request within a total time limit, which also ends slowly dripping requests."""
-        end = threading.Timer(_MAX_REQUEST_S, _shut_down, [request])
-        end.daemon = True
-        end.start()
+        """Answer one request within a total time limit, which also ends requests that arrive too slowly."""
+        timer = threading.Timer(_MAX_REQUEST_S, _shut_down, [request])
+        timer.daemon = True
+        timer.start()
         try:
             super().process_request_thread(request, client_address)
         finally:
-            end.cancel()
-            self.has_asked(request)
+            timer.cancel()
+            self.end_waiting(request)
             self._free_threads.release()
 
-    def has_asked(self, request: socket.socket) -> None:
-        """Note that a connection has sent a whole request, or ended."""
+    def end_waiting(self, request: socket.socket) -> None:
+        """Remove a connection that has sent a complete request, or ended, from those that wait."""
         self._waiting.pop(request, None)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
@@ -131,7 +131,7 @@ class MonitorServer(ThreadingHTTPServer):
 
     def _reject(self, request: socket.socket) -> None:
         try:
-            request.sendall(_BUSY)
+            request.sendall(_BUSY_RESPONSE)
         except OSError:
             pass  # disconnected already
         finally:
@@ -171,11 +171,11 @@ class _Handler(BaseHTTPRequestHandler):
         """Log nothing: a browser sends a request every two seconds."""
 
     def _answer(self) -> Response:
-        self.server.has_asked(self.request)
+        self.server.end_waiting(self.request)
         if not _is_allowed_host(self.headers.get_all("Host", [])):
             text = f"Open {self.server.url}: requests to other names are rejected."
             return refusal(HTTPStatus.MISDIRECTED_REQUEST, text)
-        if len(self.path) > _MAX_TARGET:
+        if len(self.path) > _MAX_TARGET_LENGTH:
             return refusal(HTTPStatus.REQUEST_URI_TOO_LONG, "Address too long.")
         try:
             return self.server.answer(self.path)
@@ -185,21 +185,21 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _send(self, answer: Response) -> None:
         body = answer.body
-        is_packed = len(body) > _MIN_GZIP_BYTES and self._takes_gzip()
-        if is_packed:
+        is_compressed = len(body) > _MIN_GZIP_BYTES and self._accepts_gzip()
+        if is_compressed:
             body = gzip.compress(body, compresslevel=5)
         self.send_response(answer.status)
-        own = {"Content-Type": answer.content_type, "Content-Security-Policy": answer.policy}
-        packing = {"Content-Encoding": "gzip"} if is_packed else {}
-        for name, value in {**_HEADERS, **own, **packing, **answer.headers}.items():
+        content_headers = {"Content-Type": answer.content_type, "Content-Security-Policy": answer.policy}
+        encoding = {"Content-Encoding": "gzip"} if is_compressed else {}
+        for name, value in {**_HEADERS, **content_headers, **encoding, **answer.headers}.items():
             self.send_header(name, value)
         self.send_header("Content-Length", str(len(body)))
         self.end_headers()
         if self.command != "HEAD":
             self.wfile.write(body)
 
-    def _takes_gzip(self) -> bool:
-        headers = getattr(self, "headers", None)  # a request may be refused before it has any
+    def _accepts_gzip(self) -> bool:
+        headers = getattr(self, "headers", None)  # a request may be refused before its headers are read
         return headers is not None and "gzip" in headers.get("Accept-Encoding", "")
 
 

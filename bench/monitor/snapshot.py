@@ -1,4 +1,4 @@
-"""One snapshot of a run: everything that a view of it shows, in plain numbers and text.
+"""Snapshot of a run: everything that its views show, as plain numbers and texts.
 
 Times are on the run's clock unless a name says otherwise. An unknown number is NaN, null in JSON.
 """
@@ -21,7 +21,7 @@ from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import read_limited
 from gyrobench.bench.navigation.positions import AXES
 
-#: A number, or NaN where it is not known.
+#: A number; NaN if unknown.
 Number = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
 Series = tuple[Number, ...]
 #: Values of the x, y and z gyro.
@@ -31,12 +31,12 @@ UNKNOWN: NumberTriple = (math.nan, math.nan, math.nan)
 
 def mean_known(values: NumberTriple) -> float:
     """Mean of the known values; NaN if there is none."""
-    known = [value for value in values if not math.isnan(value)]
-    return sum(known) / len(known) if known else math.nan
+    finite = [value for value in values if not math.isnan(value)]
+    return sum(finite) / len(finite) if finite else math.nan
 
 
 class StrictRecord:
-    """Read back as written, or rejected."""
+    """Base of records that are read back exactly as written, or rejected."""
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True)
 
@@ -62,7 +62,8 @@ class PositionSpan(StrictRecord):
 class PlannedProfile(StrictRecord):
     """Planned temperatures and positions, on the plan's time, which begins with 0."""
 
-    #: time_s, chamber_c, gyro_c: The chamber's ramped set point and the gyros' predicted temperature.
+    #: time_s, chamber_c, gyro_c: Set point of the chamber, with ramps, and predicted temperature of the
+    #: gyros.
     time_s: Series = ()
     chamber_c: Series = ()
     gyro_c: Series = ()
@@ -71,7 +72,7 @@ class PlannedProfile(StrictRecord):
 
 @dataclass(frozen=True)
 class MeasuredProfile(StrictRecord):
-    """Temperatures so far; all series have the same length. A row of NaN breaks the lines."""
+    """Temperatures so far; all series have the same length. Values of NaN at one time mark a gap."""
 
     time_s: Series = ()
     chamber_set_c: Series = ()
@@ -107,8 +108,8 @@ class BenchReadings(StrictRecord):
 
 
 _DIRECTIONS = (("East", "West"), ("North", "South"), ("Up", "Down"))
-#: An axis within 10 deg of a direction points there; a component below 1 minus this is not named.
-_ALONG = math.cos(math.radians(10.0))
+#: An axis within 10 deg of a direction is named by it alone; components below 1 minus this are not named.
+_MIN_COSINE = math.cos(math.radians(10.0))
 
 
 @dataclass(frozen=True)
@@ -133,12 +134,12 @@ class Attitude(StrictRecord):
 
 
 def _direction(cosines: Sequence[float]) -> str:
-    """Name of the direction of an axis; two or three names in between."""
+    """Name of the direction of an axis; two or three names for directions in between."""
     nearest_first = sorted(range(3), key=lambda index: -abs(cosines[index]))
-    if abs(cosines[nearest_first[0]]) >= _ALONG:
+    if abs(cosines[nearest_first[0]]) >= _MIN_COSINE:
         nearest_first = nearest_first[:1]
-    named = [index for index in nearest_first if abs(cosines[index]) > 1.0 - _ALONG]
-    return "-".join(_DIRECTIONS[index][cosines[index] < 0.0] for index in named)
+    significant = [index for index in nearest_first if abs(cosines[index]) > 1.0 - _MIN_COSINE]
+    return "-".join(_DIRECTIONS[index][cosines[index] < 0.0] for index in significant)
 
 
 @dataclass(frozen=True)
@@ -162,7 +163,7 @@ class WindowTrace(StrictRecord):
 
     planned_s: float  #: Planned duration.
     time_s: Series = ()  #: Since the window began.
-    #: velocity_east_mps, velocity_north_mps: Velocity computed by the INS: an error, since it is at rest.
+    #: velocity_east_mps, velocity_north_mps: Velocity errors of the INS, which is at rest.
     velocity_east_mps: Series = ()
     velocity_north_mps: Series = ()
     heading_change_deg: Series = ()  #: Since the window began, positive from North to West (about Up).
@@ -187,7 +188,7 @@ class CurrentDwell(StrictRecord):
     #: cycle, position: As in the dwell table.
     cycle: int
     position: str
-    #: The last is in progress, or complete while the table turns; empty while the INS aligns.
+    #: The last one is in progress, or complete while the table turns; empty while the INS aligns.
     windows: tuple[WindowTrace, ...] = ()
     #: Successive live estimates, the newest last; empty until the bias is observable.
     estimates: tuple[LiveBias, ...] = ()
@@ -221,7 +222,7 @@ class LiveBin(StrictRecord):
 
 @dataclass(frozen=True)
 class Alarm(StrictRecord):
-    """An active alarm: its interlock ("chamber_air") or instrument ("rate table"), and what to do."""
+    """An active alarm: interlock ("chamber_air") or instrument ("rate table"), and text for the operator."""
 
     name: str
     text: str
@@ -247,19 +248,19 @@ class UnitStatus(StrictRecord):
     bias_dph: NumberTriple
     sigma_dph: NumberTriple
     flags: str
-    dropped: str = ""  #: why it is left out of the rest of the run; empty where it is not
+    dropped: str = ""  #: why it is left out of the rest of the run; empty if it is not
     position: str = ""  #: of the newest dwell
     flagged: int = 0  #: completed dwells with flags
     ins_age_s: Number = math.nan  #: as in :class:`BenchReadings`
-    bins: tuple[LiveBin, ...] = ()  #: that its dwells fill
+    bins: tuple[LiveBin, ...] = ()  #: bins with its dwells
 
 
-#: Changes with the meaning of the fields.
+#: Version of the format, which changes with the meaning of the fields.
 FORMAT = 1
 #: Series are thinned so that a snapshot stays small in a run of any length.
 MAX_PLANNED, MAX_MEASURED, MAX_WINDOW_SAMPLES, MAX_ESTIMATES, MAX_MESSAGES = 400, 600, 200, 200, 50
 _MAX_BYTES = 20_000_000
-#: State by its text in live.json, a format that other readers rely on, where it differs.
+#: State by its text in live.json if they differ; other programs rely on the texts.
 _STATES_IN_FILE = {"waiting for a person": "waiting for the operator"}
 _TEXTS_IN_FILE = {state: text for text, state in _STATES_IN_FILE.items()}
 
@@ -302,9 +303,9 @@ class RunSnapshot(StrictRecord):
     planned, measured
         Planned and measured temperatures.
     bench, attitude, step, dwell
-        Present values; None where unknown or none is in progress.
+        Present values; None if unknown or none is in progress.
     dwells, bins, alarms, messages
-        Completed dwells that are for a bias, the bins that they fill, active alarms, and the last messages,
+        Completed dwells that measure a bias, their bins, active alarms, and the last messages,
         the newest last.
     finished_dwells : int
         Number of completed dwells, with those for rotations and noise.
@@ -343,12 +344,12 @@ class RunSnapshot(StrictRecord):
 
     @property
     def plan_now_s(self) -> float:
-        """Present time on the plan."""
+        """Present time on the plan's time scale."""
         return self.planned_s - self.left_s
 
     @property
     def behind_s(self) -> float:
-        """Delay behind the plan, as after a hold."""
+        """Delay behind the plan, for example after a hold."""
         return self.now_s - self.plan_now_s
 
     @property
@@ -358,7 +359,7 @@ class RunSnapshot(StrictRecord):
 
     def to_json(self) -> bytes:
         """JSON text; NaN becomes null."""
-        # A TypeAdapter would first build a schema of all records, in 0.06 s of each run.
+        # A TypeAdapter would build a schema of all records first, which takes 0.06 s in each run.
         state: Any = _TEXTS_IN_FILE.get(self.state, str(self.state))
         return to_json(replace(self, state=state), inf_nan_mode="null")
 

@@ -1,4 +1,4 @@
-"""Records the snapshot of a run while it is under way, and writes it into the run folder."""
+"""Records the snapshot of a run in progress, and writes it to the run folder."""
 
 from __future__ import annotations
 
@@ -59,36 +59,36 @@ from gyrobench.drivers.ins.ins_status import InsStatus
 _T = TypeVar("_T")
 
 
-class Thinned(Generic[_T]):
-    """Keeps at most ``max_rows`` rows: every n-th and the newest; n doubles when they are too many."""
+class ThinnedRows(Generic[_T]):
+    """Keeps at most ``max_rows`` rows: every n-th and the newest; n doubles when there are too many."""
 
     def __init__(self, max_rows: int) -> None:
         self._max_rows = max_rows
-        self._kept: list[_T] = []
+        self._thinned: list[_T] = []
         self._newest: _T | None = None
         self._count = 0
-        self._every = 1
+        self._interval = 1
 
     def add(self, row: _T) -> None:
         """Add the next row."""
-        if self._count % self._every == 0:
-            self._kept.append(row)
+        if self._count % self._interval == 0:
+            self._thinned.append(row)
         self._count += 1
         self._newest = row
-        if len(self._kept) >= self._max_rows:
-            self._kept = self._kept[::2]
-            self._every *= 2
+        if len(self._thinned) >= self._max_rows:
+            self._thinned = self._thinned[::2]
+            self._interval *= 2
 
     def rows(self) -> list[_T]:
         """Rows in order."""
-        if self._newest is None or self._kept[-1] is self._newest:
-            return list(self._kept)
-        return [*self._kept, self._newest]
+        if self._newest is None or self._thinned[-1] is self._newest:
+            return list(self._thinned)
+        return [*self._thinned, self._newest]
 
 
 def planned_profile(plan: Plan) -> PlannedProfile:
     """Planned temperatures and positions."""
-    time_s, chamber_c, gyro_c = (_evenly_thinned(each, MAX_PLANNED) for each in temperature_profile(plan))
+    time_s, chamber_c, gyro_c = (_evenly_chosen(each, MAX_PLANNED) for each in temperature_profile(plan))
     spans = tuple(PositionSpan(float(start), float(end), name) for start, end, name in position_spans(plan))
     return PlannedProfile(time_s, chamber_c, gyro_c, spans)
 
@@ -103,11 +103,11 @@ def _measured_profile(rows: Sequence[tuple[float, ...]]) -> MeasuredProfile:
 def profile_of_telemetry(telemetry: Mapping[str, FloatArray]) -> MeasuredProfile:
     """Profile of a run from its telemetry, whose columns have the names of its series."""
     return MeasuredProfile(
-        *(_evenly_thinned(telemetry[each.name], MAX_MEASURED) for each in fields(MeasuredProfile))
+        *(_evenly_chosen(telemetry[each.name], MAX_MEASURED) for each in fields(MeasuredProfile))
     )
 
 
-def _evenly_thinned(values: FloatArray, max_count: int) -> tuple[float, ...]:
+def _evenly_chosen(values: FloatArray, max_count: int) -> tuple[float, ...]:
     """At most ``max_count`` values, evenly chosen, with the first and the last."""
     if len(values) > max_count:
         values = values[np.linspace(0, len(values) - 1, max_count).round().astype(int)]
@@ -141,7 +141,7 @@ def live_bins(rows: Sequence[DwellRow], width_c: float) -> tuple[LiveBin, ...]:
 
 
 def _bench_readings(bench: LiveBench) -> BenchReadings:
-    """Last readings and their age."""
+    """Last readings of the instruments, and their ages."""
     readings, now_s = bench.readings, bench.clock.now()
     outer_deg, inner_deg = bench.table_angles()
     outer_dps, inner_dps = bench.station.table_axes_of(readings.table.rate_dps)
@@ -171,17 +171,19 @@ def _attitude_of(bench: LiveBench, position: str, azimuth_deg: float) -> Attitud
 
 
 def _alarms_of(bench: LiveBench) -> tuple[Alarm, ...]:
-    """Tripped interlocks, and instruments that do not reply."""
+    """Alarms of tripped interlocks, and of instruments that do not reply."""
     tripped = (Alarm(trip.name, trip.text) for trip in bench.trips())
     silent = (Alarm(name, f"the {name} does not reply; retrying") for name in bench.silent)
     return (*tripped, *silent)
 
 
 def _unit_status(bench: LiveBench, number: str, outcome: RunOutcome, bins: tuple[LiveBin, ...]) -> UnitStatus:
-    read = [unit.readings for unit in bench.units if unit.station.number == number and unit.has_readings]
-    readings = [each.ins for each in read]
+    read_units = [
+        unit.readings for unit in bench.units if unit.station.number == number and unit.has_readings
+    ]
+    readings = [each.ins for each in read_units]
     now_s = bench.clock.now()
-    ages_s = [each.ins.age_s + now_s - each.polled_s for each in read if math.isfinite(each.ins.age_s)]
+    ages_s = [each.ins.age_s + now_s - each.polled_s for each in read_units if math.isfinite(each.ins.age_s)]
     newest = [dwell.row for dwell in outcome.dwells[-1:]]
     return UnitStatus(
         number=number,
@@ -200,58 +202,58 @@ def _unit_status(bench: LiveBench, number: str, outcome: RunOutcome, bins: tuple
 
 
 class _WindowRecorder:
-    """One window; its heading is relative to the first known attitude."""
+    """Records one window; its heading is relative to the first known attitude."""
 
-    def __init__(self, planned_s: float, begun_s: float) -> None:
+    def __init__(self, planned_s: float, start_s: float) -> None:
         self._planned_s = planned_s
-        self._begun_s = begun_s
-        self._rows: Thinned[tuple[float, float, float, InsStatus]] = Thinned(MAX_WINDOW_SAMPLES)
+        self._start_s = start_s
+        self._rows: ThinnedRows[tuple[float, float, float, InsStatus]] = ThinnedRows(MAX_WINDOW_SAMPLES)
 
     def add(self, time_s: float, ins: InsStatus) -> None:
         east, north, _ = ins.velocity_enu_mps
-        self._rows.add((time_s - self._begun_s, east, north, ins))
+        self._rows.add((time_s - self._start_s, east, north, ins))
 
     def trace(self) -> WindowTrace:
         rows = self._rows.rows()
         if not rows:
             return WindowTrace(self._planned_s)
         time_s, east, north, statuses = zip(*rows, strict=True)
-        known = (each.attitude for each in statuses if not np.isnan(each.attitude).any())
-        first = next(known, np.full((3, 3), np.nan))
+        attitudes = (each.attitude for each in statuses if not np.isnan(each.attitude).any())
+        first = next(attitudes, np.full((3, 3), np.nan))
         heading_deg = tuple(_heading_deg(each.attitude @ first.T) for each in statuses)
         return WindowTrace(self._planned_s, time_s, east, north, heading_deg)
 
 
 class DwellTrace:
-    """Collects the current dwell: ``planned`` is its alignment, ``count`` the number of planned dwells."""
+    """Records the current dwell; ``planned``: step of its alignment, ``count``: number of planned dwells."""
 
     def __init__(self, planned: PlannedStep, count: int) -> None:
         self._planned = planned
         self._count = count
         self._windows: list[_WindowRecorder] = []
-        self._is_open = False
-        self._estimates: Thinned[LiveBias] = Thinned(MAX_ESTIMATES)
+        self._is_in_window = False
+        self._estimates: ThinnedRows[LiveBias] = ThinnedRows(MAX_ESTIMATES)
 
     def begin_window(self, planned_s: float, now_s: float) -> None:
-        """A window of navigation begins."""
+        """Begin a window of navigation."""
         self._windows.append(_WindowRecorder(planned_s, now_s))
-        self._is_open = True
+        self._is_in_window = True
 
     def end_window(self) -> None:
-        """It ends: data of the INS during a turn belong to no window."""
-        self._is_open = False
+        """End the window: data of the INS during a turn belong to no window."""
+        self._is_in_window = False
 
     def add(self, time_s: float, ins: InsStatus) -> None:
-        """Add data of the INS; kept inside a window."""
-        if self._is_open:
+        """Add data of the INS; ignored outside a window."""
+        if self._is_in_window:
             self._windows[-1].add(time_s, ins)
 
-    def estimated(self, time_s: float, estimate: StateSpaceEstimate) -> None:
+    def add_estimate(self, time_s: float, estimate: StateSpaceEstimate) -> None:
         """Add the newest estimate."""
         bias, sigma = estimate.bias_dph.tolist(), estimate.sigma_dph.tolist()
         self._estimates.add(LiveBias(time_s, tuple(bias), tuple(sigma)))
 
-    def now(self) -> CurrentDwell:
+    def current(self) -> CurrentDwell:
         """The dwell so far."""
         planned = self._planned
         return CurrentDwell(
@@ -264,13 +266,13 @@ class DwellTrace:
         )
 
 
-def _heading_deg(turned: FloatArray) -> float:
+def _heading_deg(rotation: FloatArray) -> float:
     """Angle about Up of a small rotation (3, 3); NaN if unknown."""
-    return float(np.rad2deg(np.arctan2(turned[1, 0] - turned[0, 1], turned[0, 0] + turned[1, 1])))
+    return float(np.rad2deg(np.arctan2(rotation[1, 0] - rotation[0, 1], rotation[0, 0] + rotation[1, 1])))
 
 
-#: In real time, independent of the run's clock.
-_WRITE_EVERY_S = 2.0
+#: Interval of real time, independent of the run's clock.
+_WRITE_INTERVAL_S = 2.0
 
 
 class SnapshotRecorder(RunObserver):
@@ -281,13 +283,13 @@ class SnapshotRecorder(RunObserver):
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
-        self._real = WallClock()
+        self._wall_clock = WallClock()
         self._next_write_s = 0.0
         self._folder: RunFolder | None = None
         self._bench: LiveBench | None = None
         self._outcome = RunOutcome()
         self._planned = planned_profile(plan)
-        self._readings: Thinned[tuple[float, ...]] = Thinned(MAX_MEASURED)
+        self._readings: ThinnedRows[tuple[float, ...]] = ThinnedRows(MAX_MEASURED)
         self._last_reading_s = -math.inf
         self._state, self._reason = RunState.STARTING, ""
         self._question: Question | None = None
@@ -299,19 +301,19 @@ class SnapshotRecorder(RunObserver):
         self._has_new_dwell = True
         self._dwells: tuple[SnapshotDwell, ...] = ()
         self._bins: tuple[LiveBin, ...] = ()
-        self._bins_of_units: dict[str, tuple[LiveBin, ...]] = {}
+        self._bins_by_unit: dict[str, tuple[LiveBin, ...]] = {}
         self._messages: deque[Note] = deque(maxlen=MAX_MESSAGES)
         self._estimate: Callable[[], StateSpaceEstimate | None] | None = None
 
     def snapshot(self) -> RunSnapshot | None:
-        """The run now; None before it starts."""
+        """Snapshot of the run now; None before it starts."""
         folder, bench = self._folder, self._bench
         if folder is None or bench is None:
             return None
         is_read = self._last_reading_s > -math.inf
-        self._take_estimate(bench)
+        self._update_estimate(bench)
         if self._has_new_dwell:
-            self._take_dwells()
+            self._update_dwells()
         return RunSnapshot(
             name=folder.path.resolve().name,
             folder=str(folder.path),
@@ -319,13 +321,13 @@ class SnapshotRecorder(RunObserver):
             station=bench.station.file.station,
             unit=self._unit,
             started_utc=bench.clock.epoch.isoformat(timespec="seconds"),
-            updated_utc=self._real.utc().isoformat(timespec="seconds"),
+            updated_utc=self._wall_clock.utc().isoformat(timespec="seconds"),
             state=self._state,
             now_s=bench.clock.now(),
             left_s=self._left_s,
             planned_s=self._plan.duration_s,
             dwell_count=self._plan.dwell_count,
-            finished_dwells=len(self._shown.finished),
+            finished_dwells=len(self._shown_outcome.finished),
             reason=self._reason,
             question=self._question,
             planned=self._planned,
@@ -333,51 +335,53 @@ class SnapshotRecorder(RunObserver):
             bench=_bench_readings(bench) if is_read else None,
             attitude=_attitude_of(bench, self._position, self._azimuth_deg) if is_read else None,
             step=self._step,
-            dwell=self._dwell.now() if self._dwell else None,
+            dwell=self._dwell.current() if self._dwell else None,
             dwells=self._dwells,
             bins=self._bins,
             alarms=_alarms_of(bench) if is_read else (),
             messages=tuple(self._messages),
             units=tuple(
-                _unit_status(bench, number, outcome, self._bins_of_units.get(number, ()))
+                _unit_status(bench, number, outcome, self._bins_by_unit.get(number, ()))
                 for number, outcome in self._outcome.units.items()
             ),
         )
 
-    def _take_estimate(self, bench: LiveBench) -> None:
-        make, self._estimate = self._estimate, None
-        estimate = make() if make and self._dwell else None
+    def _update_estimate(self, bench: LiveBench) -> None:
+        compute, self._estimate = self._estimate, None
+        estimate = compute() if compute and self._dwell else None
         if estimate and self._dwell:
-            self._dwell.estimated(bench.clock.now(), estimate)
+            self._dwell.add_estimate(bench.clock.now(), estimate)
 
     def begun(self, folder: RunFolder, bench: LiveBench, outcome: RunOutcome) -> None:
-        """Start with the dwells, readings and messages from before a resume."""
+        """Begin with the dwells, readings and messages from before a resumption."""
         self._folder, self._bench, self._outcome = folder, bench, outcome
-        new = [Note(bench.clock.now(), note.text) for note in self._messages]  # noted before the clock ran
-        with contextlib.suppress(RunFolderError):  # of a new run there is none
-            before = read_snapshot(folder.live)
-            for row in zip(*astuple(before.measured), strict=True):
+        messages = [
+            Note(bench.clock.now(), note.text) for note in self._messages
+        ]  # from before the clock started
+        with contextlib.suppress(RunFolderError):  # a new run has none
+            previous = read_snapshot(folder.live)
+            for row in zip(*astuple(previous.measured), strict=True):
                 self._readings.add(row)
             self._readings.add((bench.clock.now(), *[math.nan] * (len(fields(MeasuredProfile)) - 1)))
-            new = [*before.messages, *new]
-        self._messages = deque(new, maxlen=MAX_MESSAGES)
+            messages = [*previous.messages, *messages]
+        self._messages = deque(messages, maxlen=MAX_MESSAGES)
         self._write()
 
     def noted(self, text: str) -> None:
-        """Keep a message."""
+        """Add a message."""
         self._messages.append(Note(self._bench.clock.now() if self._bench else 0.0, text))
 
     def identified(self, unit: str) -> None:
-        """Keep the serial number; of several units that of the first."""
+        """Record the serial number; that of the first unit if there are several."""
         self._unit = next(iter(self._outcome.units), unit)
 
     def dropped(self, unit: str, why: str) -> None:
-        """Keep why a unit is left out, and show another one if it was this."""
+        """Record why a unit is dropped; the snapshot then shows another unit if it showed this one."""
         self.noted(f"unit {unit} is dropped: {why}")
         self._has_new_dwell = True
 
     def step_started(self, planned: PlannedStep, bench: LiveBench) -> None:
-        """Show the next step."""
+        """Record the step in progress."""
         now_s, step = bench.clock.now(), planned.step
         self._estimate = None
         self._state, self._reason = RunState.RUNNING, ""
@@ -390,9 +394,9 @@ class SnapshotRecorder(RunObserver):
             self._azimuth_deg += step.angle_deg
         elif isinstance(step, RotatingStep):
             self._position, self._azimuth_deg = "", math.nan
-        self._follow_dwell(planned, now_s)
+        self._update_dwell(planned, now_s)
 
-    def _follow_dwell(self, planned: PlannedStep, now_s: float) -> None:
+    def _update_dwell(self, planned: PlannedStep, now_s: float) -> None:
         if planned.dwell is None:
             self._dwell = None
         elif isinstance(planned.step, Align):
@@ -413,23 +417,23 @@ class SnapshotRecorder(RunObserver):
             self._readings.add((readings.polled_s, set_or_nan_c, air_c, *gyro_c))
             if self._dwell and self._step and readings.polled_s >= self._step.started_s:
                 self._dwell.add(readings.polled_s, readings.ins)
-        if self._real.now() >= self._next_write_s:
+        if self._wall_clock.now() >= self._next_write_s:
             self._write()
 
     def ticked(self, bench: LiveBench, left_s: float) -> None:  # noqa: ARG002
-        """Keep the planned time remaining."""
+        """Record the planned time remaining."""
         self._left_s = left_s
 
     def estimable(self, estimate: Callable[[], StateSpaceEstimate | None]) -> None:
-        """Estimate with the next snapshot."""
+        """Compute the estimate with the next snapshot."""
         self._estimate = estimate
 
     def dwell_measured(self, row: DwellRow) -> None:  # noqa: ARG002
-        """Replace all dwells with the next snapshot: the last one may have flagged earlier ones."""
+        """Update all dwells with the next snapshot, since a dwell may flag earlier ones."""
         self._has_new_dwell = True
 
     def held(self, why: str, needs_person: bool, command: RunCommand | None) -> None:
-        """The run holds; an interrupted dwell will be repeated."""
+        """Record that the run holds; an interrupted dwell will be repeated."""
         if command is RunCommand.PAUSE:
             self._state = RunState.PAUSED
         elif needs_person and command is None:
@@ -441,17 +445,17 @@ class SnapshotRecorder(RunObserver):
         self._estimate = None
 
     def continued(self) -> None:
-        """The hold is over."""
+        """Record that the hold is over."""
         self._state, self._reason = RunState.RUNNING, ""
 
     def asked(self, question: str, answers: Sequence[str]) -> None:
-        """The operator is asked."""
+        """Record an open question."""
         self._question = Question(question, tuple(answers))
         if self._state is RunState.RUNNING:
             self._state, self._reason = RunState.WAITING, question
 
     def answered(self) -> None:
-        """The question is closed."""
+        """Record that the question is closed."""
         if self._question and self._reason == self._question.text:
             self._state, self._reason = RunState.RUNNING, ""
         self._question = None
@@ -463,20 +467,20 @@ class SnapshotRecorder(RunObserver):
         self._write()
 
     @property
-    def _shown(self) -> RunOutcome:
-        """The outcome whose dwells are shown: of several units the first that is measured."""
-        of_units = self._outcome.units.values()
+    def _shown_outcome(self) -> RunOutcome:
+        """Outcome whose dwells are shown; with several units, that of the first one that is measured."""
+        outcomes = self._outcome.units.values()
         return next(
-            (each for each in of_units if each.ended == "finished"), next(iter(of_units), self._outcome)
+            (each for each in outcomes if each.ended == "finished"), next(iter(outcomes), self._outcome)
         )
 
-    def _take_dwells(self) -> None:
+    def _update_dwells(self) -> None:
         self._has_new_dwell = False
-        rows = [dwell.row for dwell in self._shown.dwells]
+        rows = [dwell.row for dwell in self._shown_outcome.dwells]
         self._dwells = snapshot_dwells(rows)
         width_c = self._plan.procedure.bin_width_c
         self._bins = live_bins(rows, width_c)
-        self._bins_of_units = {
+        self._bins_by_unit = {
             number: live_bins([dwell.row for dwell in each.dwells], width_c)
             for number, each in self._outcome.units.items()
         }
@@ -487,4 +491,4 @@ class SnapshotRecorder(RunObserver):
         if snapshot is not None and self._folder is not None:
             with contextlib.suppress(RunFolderError):
                 write_whole(self._folder.live, snapshot.to_json(), is_synced=False)
-        self._next_write_s = self._real.now() + _WRITE_EVERY_S
+        self._next_write_s = self._wall_clock.now() + _WRITE_INTERVAL_S

@@ -1,4 +1,4 @@
-"""The terminal of a run of days: keys without waiting, output that never holds the run up."""
+"""The terminal of a run of days: keys are read without waiting, and output never blocks the run."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def is_c_locale(environment: Mapping[str, str]) -> bool:
 class RunConsole(Console):
     """A rich console that becomes quiet when its terminal is closed, so that the run continues.
 
-    Characters that the terminal can't show, as ± in ASCII, are printed as question marks.
+    Characters that the terminal can't show, such as ± in ASCII, are printed as question marks.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -41,8 +41,8 @@ class RunConsole(Console):
     def on_broken_pipe(self) -> None:
         """Become quiet; standard output is redirected to the null device, so that closing it succeeds."""
         self.quiet = True
-        with Path(os.devnull).open("w") as nowhere:
-            os.dup2(nowhere.fileno(), sys.stdout.fileno())
+        with Path(os.devnull).open("w") as null_device:
+            os.dup2(null_device.fileno(), sys.stdout.fileno())
 
     def _write_buffer(self) -> None:
         """Become quiet also on other errors of a closed terminal."""
@@ -54,23 +54,23 @@ class RunConsole(Console):
             self.on_broken_pipe()
 
 
-#: Further texts are dropped; a run of weeks prints less.
-_MAX_WAITING = 10_000
+#: Further texts are dropped; a run of weeks prints fewer.
+_MAX_QUEUED_TEXTS = 10_000
 _POLL_S = 0.02
 
 
 class BackgroundStream(io.TextIOBase):
     """Writes to a stream in a separate thread.
 
-    A terminal halted with Ctrl-S, or an ssh connection whose client sleeps, blocks every write; the guard
-    would take a run that waited for it for dead. ``on_closed`` is called when the stream is closed.
+    A terminal that is halted with Ctrl-S, or an ssh connection whose client sleeps, blocks every write; the
+    guard would treat a run that waits for it as dead. ``on_closed`` is called when the stream is closed.
     """
 
     def __init__(self, stream: TextIO, on_closed: Callable[[], None]) -> None:
         self._stream = stream
         self._on_closed = on_closed
-        self._texts: queue.Queue[str] = queue.Queue(_MAX_WAITING)
-        self._thread = threading.Thread(target=self._work, daemon=True)
+        self._texts: queue.Queue[str] = queue.Queue(_MAX_QUEUED_TEXTS)
+        self._thread = threading.Thread(target=self._write_queued, daemon=True)
         self._thread.start()
 
     def write(self, text: str) -> int:
@@ -104,7 +104,7 @@ class BackgroundStream(io.TextIOBase):
         """Encoding of the stream."""
         return self._stream.encoding or "utf-8"
 
-    def _work(self) -> None:
+    def _write_queued(self) -> None:
         while True:
             text = self._texts.get()
             try:
@@ -117,13 +117,13 @@ class BackgroundStream(io.TextIOBase):
 
 
 _MAX_BYTES, _MAX_LINE = 1024, 100
-#: Sent by arrow keys and the like.
+#: Sequences that arrow keys and similar keys send.
 _ESCAPE_SEQUENCE = re.compile(rb"\x1b(\[[0-9;?]*[ -/]*[@-~]|O?.)?")
 _BACKSPACE, _CLEAR = "\x7f\b", "\x15\x17"
 
 
 class Keyboard:
-    """Lines typed at standard input.
+    """Reads lines typed at standard input.
 
     As a context manager it switches off line editing and echo of a POSIX terminal, so that a view can show
     the typed keys itself; Ctrl-C and Ctrl-Z still send signals.
@@ -133,46 +133,46 @@ class Keyboard:
         self._lock = threading.Lock()
         self._lines: deque[str] = deque()
         self._unfinished = ""
-        self._before: list[Any] | None = None
+        self._saved_attributes: list[Any] | None = None
 
     def __enter__(self) -> Keyboard:
         if is_in_foreground():
             import termios
 
             descriptor = sys.stdin.fileno()
-            self._before = termios.tcgetattr(descriptor)
-            unseen = termios.tcgetattr(descriptor)
-            unseen[3] &= ~(termios.ECHO | termios.ICANON)
-            termios.tcsetattr(descriptor, termios.TCSANOW, unseen)
+            self._saved_attributes = termios.tcgetattr(descriptor)
+            attributes = termios.tcgetattr(descriptor)
+            attributes[3] &= ~(termios.ECHO | termios.ICANON)
+            termios.tcsetattr(descriptor, termios.TCSANOW, attributes)
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._before is not None:
+        if self._saved_attributes is not None:
             import termios
 
-            before, self._before = self._before, None
+            saved, self._saved_attributes = self._saved_attributes, None
             with contextlib.suppress(OSError, termios.error):  # the terminal is closed
-                termios.tcsetattr(sys.stdin.fileno(), termios.TCSANOW, before)
+                termios.tcsetattr(sys.stdin.fileno(), termios.TCSANOW, saved)
 
     @property
     def unfinished(self) -> str:
         """Keys typed since the last complete line."""
         with self._lock:
-            self._take_keys()
+            self._process_keys()
             return self._unfinished
 
     def line(self) -> str:
         """Oldest line typed; empty if there is none."""
         with self._lock:
-            if self._before is None:
-                return _whole_line()
-            self._take_keys()
+            if self._saved_attributes is None:
+                return _read_line()
+            self._process_keys()
             return self._lines.popleft() if self._lines else ""
 
-    def _take_keys(self) -> None:
-        if self._before is None:
+    def _process_keys(self) -> None:
+        if self._saved_attributes is None:
             return
-        for key in _typed().decode(errors="ignore"):
+        for key in _read_keys().decode(errors="ignore"):
             if key in "\r\n":
                 self._lines.append(self._unfinished.strip())
                 self._unfinished = ""
@@ -192,7 +192,7 @@ def is_in_foreground() -> bool:
         return False
 
 
-def _typed() -> bytes:
+def _read_keys() -> bytes:
     """Keys waiting at standard input."""
     try:
         if select.select([sys.stdin], [], [], 0.0)[0]:
@@ -202,7 +202,7 @@ def _typed() -> bytes:
     return b""
 
 
-def _whole_line() -> str:
+def _read_line() -> str:
     """A line waiting at standard input; empty if there is none."""
     try:
         if sys.stdin is None or sys.stdin.closed or not select.select([sys.stdin], [], [], 0.0)[0]:

@@ -1,4 +1,4 @@
-"""Plots in characters: dots of braille, or marks of plain ASCII on a terminal without Unicode."""
+"""Plots of characters: braille dots, or ASCII marks on a terminal without Unicode."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gyrobench.bench.monitor.snapshot import Attitude, NumberTriple
 #: Bit of each dot of a braille character, by row from the top and column.
 _BRAILLE = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 _BRAILLE_BLANK = 0x2800
-#: ASCII marks by which halves of a cell are set: upper 1, lower 2.
+#: ASCII mark by the bits of a cell: 1 for the upper half, 2 for the lower half.
 _ASCII = " '.:"
 _NO_STYLE = ""
 
@@ -27,7 +27,7 @@ class Canvas:
     def __init__(self, width: int, height: int, is_ascii: bool = False) -> None:
         self.width, self.height = width, height
         self._is_ascii = is_ascii
-        self._per_column, self._per_row = (1, 2) if is_ascii else (2, 4)
+        self._dots_per_column, self._dots_per_row = (1, 2) if is_ascii else (2, 4)
         self._bits: dict[tuple[int, int], int] = {}
         self._styles: dict[tuple[int, int], str] = {}
         self._letters: dict[tuple[int, int], str] = {}
@@ -35,22 +35,22 @@ class Canvas:
     def line(self, points: Sequence[Point], style: str = _NO_STYLE, every: int = 1) -> None:
         """Join points by lines, broken at unknown points.
 
-        With ``every`` above 1, only every such column of dots has one: the line is dotted.
+        With ``every`` above 1, dots are set only in every such column: the line is dotted.
         """
-        before: tuple[int, int] | None = None
+        previous: tuple[int, int] | None = None
         for point in points:
-            now = self._dot(point)
-            if now is not None:
-                for dot in _between(before or now, now):
+            current = self._dot(point)
+            if current is not None:
+                for dot in _line_dots(previous or current, current):
                     if dot[0] % every == 0:
                         self._set(dot, style)
-            before = now
+            previous = current
 
     def letter(self, point: Point, letter: str, style: str = _NO_STYLE) -> None:
         """Write a character at a point, over any line."""
         dot = self._dot(point)
         if dot is not None:
-            cell = (dot[0] // self._per_column, dot[1] // self._per_row)
+            cell = (dot[0] // self._dots_per_column, dot[1] // self._dots_per_row)
             self._letters[cell] = letter
             self._styles[cell] = style
 
@@ -77,19 +77,19 @@ class Canvas:
         x, y = point
         if not (math.isfinite(x) and math.isfinite(y) and -1e-9 <= x <= 1 + 1e-9 and -1e-9 <= y <= 1 + 1e-9):
             return None
-        columns, rows = self.width * self._per_column, self.height * self._per_row
+        columns, rows = self.width * self._dots_per_column, self.height * self._dots_per_row
         return round(x * (columns - 1)), round((1.0 - y) * (rows - 1))
 
     def _set(self, dot: tuple[int, int], style: str) -> None:
         column, row = dot
-        cell = (column // self._per_column, row // self._per_row)
+        cell = (column // self._dots_per_column, row // self._dots_per_row)
         bit = 1 << row % 2 if self._is_ascii else _BRAILLE[row % 4][column % 2]
         self._bits[cell] = self._bits.get(cell, 0) | bit
         if cell not in self._letters:
             self._styles[cell] = style
 
 
-def _between(first: tuple[int, int], last: tuple[int, int]) -> Iterable[tuple[int, int]]:
+def _line_dots(first: tuple[int, int], last: tuple[int, int]) -> Iterable[tuple[int, int]]:
     """All dots of the straight line from one dot to another."""
     steps = max(abs(last[0] - first[0]), abs(last[1] - first[1]), 1)
     for step in range(steps + 1):
@@ -97,9 +97,9 @@ def _between(first: tuple[int, int], last: tuple[int, int]) -> Iterable[tuple[in
         yield (round(first[0] + share * (last[0] - first[0])), round(first[1] + share * (last[1] - first[1])))
 
 
-#: Most room for the numbers of the vertical axis.
+#: Largest width of the numbers of the vertical axis.
 _LABEL_WIDTH = 6
-_DOTTED = 3
+_DOT_INTERVAL = 3
 _DIM = "dim"
 _STEPS = (1.0, 2.0, 5.0, 10.0)
 
@@ -133,24 +133,24 @@ def plot(
     label_width = max(len(_number(low)), len(_number(high)))
     canvas = Canvas(width - label_width - 1, height - 1, is_ascii)
 
-    def place(x: float, y: float) -> Point:
+    def to_canvas(x: float, y: float) -> Point:
         return (x - x_range[0]) / (x_range[1] - x_range[0]), (y - low) / (high - low)
 
     if mark_x is not None:
-        canvas.line([place(mark_x, low), place(mark_x, high)], _DIM)
+        canvas.line([to_canvas(mark_x, low), to_canvas(mark_x, high)], _DIM)
     elif low < 0.0 < high:
-        canvas.line([place(x, 0.0) for x in x_range], _DIM, _DOTTED)
+        canvas.line([to_canvas(x, 0.0) for x in x_range], _DIM, _DOT_INTERVAL)
     for curve in curves:
-        points = [place(x, y) for x, y in zip(curve.x, curve.y, strict=True)]
-        canvas.line(points, curve.style, _DOTTED if curve.is_dotted else 1)
+        points = [to_canvas(x, y) for x, y in zip(curve.x, curve.y, strict=True)]
+        canvas.line(points, curve.style, _DOT_INTERVAL if curve.is_dotted else 1)
     for curve in curves:
-        ends = [
-            place(x, y)
+        points = [
+            to_canvas(x, y)
             for x, y in zip(curve.x, curve.y, strict=True)
             if math.isfinite(x) and math.isfinite(y)
         ]
-        if curve.letter and ends:
-            canvas.letter(ends[-1], curve.letter, f"bold {curve.style}")
+        if curve.letter and points:
+            canvas.letter(points[-1], curve.letter, f"bold {curve.style}")
     return _with_axes(canvas, (_number(low), _number(high)), label_width, x_labels, "|" if is_ascii else "│")
 
 
@@ -159,21 +159,21 @@ def _with_axes(
 ) -> list[Text]:
     lines = []
     last = canvas.height - 1
-    for number, row in enumerate(canvas.rows()):
-        label = y_labels[1] if number == 0 else y_labels[0] if number == last else ""
+    for index, row in enumerate(canvas.rows()):
+        label = y_labels[1] if index == 0 else y_labels[0] if index == last else ""
         lines.append(Text.assemble((f"{label:>{label_width}}{bar}", _DIM), row))
     left, right = x_labels
-    below = " " * (label_width + 1) + left + right.rjust(canvas.width - len(left))
-    return [*lines, Text(below, _DIM)]
+    x_axis = " " * (label_width + 1) + left + right.rjust(canvas.width - len(left))
+    return [*lines, Text(x_axis, _DIM)]
 
 
 def _y_range(curves: Iterable[PlotCurve], min_span: float) -> tuple[float, float]:
-    """Round numbers around all values."""
+    """Limits at round numbers around all values."""
     values = [value for curve in curves for value in curve.y if math.isfinite(value)]
     low, high = (min(values), max(values)) if values else (0.0, 0.0)
-    lacking = min_span - (high - low)
-    if lacking > 0.0:
-        low, high = low - lacking / 2.0, high + lacking / 2.0
+    missing_span = min_span - (high - low)
+    if missing_span > 0.0:
+        low, high = low - missing_span / 2.0, high + missing_span / 2.0
     step = _round_step((high - low) / 8.0)
     return math.floor(low / step + 1e-9) * step, math.ceil(high / step - 1e-9) * step
 
@@ -190,8 +190,8 @@ def _number(value: float) -> str:
 
 
 _STYLES = ("red", "green", "cyan")
-#: The direction that the snapshot is seen from: turned to the east, and raised, by these angles.
-_TURN_RAD, _RAISE_RAD = math.radians(25.0), math.radians(25.0)
+#: Viewpoint of the drawing: turned to the east, and raised, by these angles.
+_VIEW_AZIMUTH_RAD, _VIEW_ELEVATION_RAD = math.radians(25.0), math.radians(25.0)
 #: A character is twice as high as it is wide.
 _ASPECT = 2.0
 
@@ -199,27 +199,27 @@ _ASPECT = 2.0
 def attitude_lines(attitude: Attitude, width: int, height: int, is_ascii: bool) -> list[Text]:
     """Draw the body axes in ``width`` by ``height`` characters."""
     canvas = Canvas(width, height, is_ascii)
-    reach = min(0.5, 0.5 * height * _ASPECT / width) * 0.9
-    middle: Point = (0.5, 0.5)
+    axis_length = min(0.5, 0.5 * height * _ASPECT / width) * 0.9
+    centre: Point = (0.5, 0.5)
     columns = tuple(zip(*attitude.body_in_enu, strict=True))
-    # What points away from the eye is drawn first.
+    # Axes that point away from the viewpoint are drawn first.
     for axis in sorted(range(3), key=lambda each: -_depth(columns[each])):
-        right, up = _seen(columns[axis])
-        end = (middle[0] + reach * right, middle[1] + reach * up * width / (height * _ASPECT))
-        canvas.line([middle, end], _STYLES[axis])
+        right, up = _project(columns[axis])
+        end = (centre[0] + axis_length * right, centre[1] + axis_length * up * width / (height * _ASPECT))
+        canvas.line([centre, end], _STYLES[axis])
         canvas.letter(end, "xyz"[axis], f"bold {_STYLES[axis]}")
     return canvas.rows()
 
 
-def _seen(cosines: NumberTriple) -> Point:
-    """Where a unit vector (East, North, Up) ends on the snapshot."""
+def _project(cosines: NumberTriple) -> Point:
+    """End of a unit vector (East, North, Up) in the drawing, from the centre, to the right and upwards."""
     east, north, up = cosines
-    right = east * math.cos(_TURN_RAD) + north * math.sin(_TURN_RAD)
-    ahead = north * math.cos(_TURN_RAD) - east * math.sin(_TURN_RAD)
-    return right, up * math.cos(_RAISE_RAD) + ahead * math.sin(_RAISE_RAD)
+    right = east * math.cos(_VIEW_AZIMUTH_RAD) + north * math.sin(_VIEW_AZIMUTH_RAD)
+    ahead = north * math.cos(_VIEW_AZIMUTH_RAD) - east * math.sin(_VIEW_AZIMUTH_RAD)
+    return right, up * math.cos(_VIEW_ELEVATION_RAD) + ahead * math.sin(_VIEW_ELEVATION_RAD)
 
 
 def _depth(cosines: NumberTriple) -> float:
     east, north, up = cosines
-    ahead = north * math.cos(_TURN_RAD) - east * math.sin(_TURN_RAD)
-    return ahead * math.cos(_RAISE_RAD) - up * math.sin(_RAISE_RAD)
+    ahead = north * math.cos(_VIEW_AZIMUTH_RAD) - east * math.sin(_VIEW_AZIMUTH_RAD)
+    return ahead * math.cos(_VIEW_ELEVATION_RAD) - up * math.sin(_VIEW_ELEVATION_RAD)

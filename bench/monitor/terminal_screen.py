@@ -1,4 +1,4 @@
-"""The live view as lines of text: what there is room for, the most important first."""
+"""The live view as lines of text; with little room, the most important parts only."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ _STATE_STYLES = {
     RunState.STOPPED: "bold red",
     RunState.FAILED: "bold red",
 }
-_ALARM = "bold red"
-#: Lines of a text that the operator has to act on.
-_MAX_LINES = 3
+_ALARM_STYLE = "bold red"
+#: Largest number of lines of an alarm, a reason or a question.
+_MAX_TEXT_LINES = 3
 #: Readings older than this are marked.
 _STALE_S = 30.0
 
@@ -59,16 +59,16 @@ def _attention(snapshot: RunSnapshot, width: int) -> list[Text]:
     """Alarms, the reason why the run does not continue, and the open question; empty if there are none."""
     lines: list[Text] = []
     question = snapshot.question.text if snapshot.question else ""
-    # The alarms state the reason of a hold as long as they last.
+    # Active alarms already state the reason of a hold.
     is_repeated = snapshot.reason in question or (snapshot.alarms and snapshot.state is not RunState.PAUSED)
     if snapshot.reason and not (is_repeated and not snapshot.state.is_over):
-        lines += _folded(snapshot.reason, width, "", "bold")
+        lines += _wrap(snapshot.reason, width, "", "bold")
     for alarm in snapshot.alarms:
         if alarm.text not in question:
-            lines += _folded(f"{alarm.name.replace('_', ' ')}: {alarm.text}", width, "ALARM ", _ALARM)
+            lines += _wrap(f"{alarm.name.replace('_', ' ')}: {alarm.text}", width, "ALARM ", _ALARM_STYLE)
     if snapshot.question:
-        lines += _folded(question, width, "", _ALARM)
-        lines.append(Text(f"Type one of: {', '.join(snapshot.question.answers)}", _ALARM))
+        lines += _wrap(question, width, "", _ALARM_STYLE)
+        lines.append(Text(f"Type one of: {', '.join(snapshot.question.answers)}", _ALARM_STYLE))
     return lines
 
 
@@ -77,13 +77,13 @@ def _step_line(snapshot: RunSnapshot) -> Text:
     step = snapshot.step
     if step is None:
         return Text("no step in progress", "dim")
-    of = f"step {step.number}/{step.count}"
+    number_text = f"step {step.number}/{step.count}"
     elapsed_s = max(0.0, snapshot.now_s - step.started_s)
     label = f"{step.label}: " if step.label else ""
     return Text.assemble(
-        f"{of}  {label}",
+        f"{number_text}  {label}",
         (step.description, "bold"),
-        f"  {_minutes(elapsed_s)} of {_minutes(step.planned_s)}" if step.planned_s >= 1.0 else "",
+        f"  {_duration_text(elapsed_s)} of {_duration_text(step.planned_s)}" if step.planned_s >= 1.0 else "",
     )
 
 
@@ -91,10 +91,10 @@ def _readings_line(bench: BenchReadings) -> Text:
     """Temperatures and mode of the INS; stale readings are marked with their age."""
     set_c = "off" if math.isnan(bench.chamber_set_c) else f"set {bench.chamber_set_c:.1f}"
     parts = [
-        f"chamber {_degrees(bench.chamber_c)}, {set_c}{_old(bench.chamber_age_s)}",
-        f"INS {bench.ins_mode}{_old(bench.ins_age_s)}",
-        f"table{old}" if (old := _old(bench.table_age_s)) else "",
-        f"gyros {' '.join(map(_degrees, bench.gyro_c))} degC",
+        f"chamber {_temperature_text(bench.chamber_c)}, {set_c}{_stale_text(bench.chamber_age_s)}",
+        f"INS {bench.ins_mode}{_stale_text(bench.ins_age_s)}",
+        f"table{table_age}" if (table_age := _stale_text(bench.table_age_s)) else "",
+        f"gyros {' '.join(map(_temperature_text, bench.gyro_c))} degC",
     ]
     return Text("  ".join(part for part in parts if part))
 
@@ -113,32 +113,34 @@ def _bias_line(snapshot: RunSnapshot, plus_minus: str) -> Text:
 
 def _biases(estimate: LiveBias | UnitStatus, plus_minus: str) -> str:
     """Bias of each gyro, in 0.001 deg/h."""
-    each = zip(AXES, estimate.bias_dph, estimate.sigma_dph, strict=True)
-    return "  ".join(f"{axis} {1e3 * bias:+z.2f}{plus_minus}{1e3 * sigma:.2f}" for axis, bias, sigma in each)
+    values = zip(AXES, estimate.bias_dph, estimate.sigma_dph, strict=True)
+    return "  ".join(
+        f"{axis} {1e3 * bias:+z.2f}{plus_minus}{1e3 * sigma:.2f}" for axis, bias, sigma in values
+    )
 
 
 def _unit_lines(snapshot: RunSnapshot, plus_minus: str) -> list[Text]:
-    """A line for each of several units: dwells, biases of the newest one, or why it was dropped."""
+    """A line for each unit: number of dwells, biases of the newest dwell, or why the unit was dropped."""
     lines = []
     for unit in snapshot.units:
         head = f"unit {unit.number:<8}{unit.dwells:>4} dwells  "
         if unit.dropped:
-            lines.append(Text.assemble(head, (f"dropped: {unit.dropped}", _ALARM)))
+            lines.append(Text.assemble(head, (f"dropped: {unit.dropped}", _ALARM_STYLE)))
             continue
-        shown = "flagged" if unit.flags else _biases(unit, plus_minus) if unit.position else ""
-        lines.append(Text.assemble(head, f"{unit.ins_mode:<9} ", shown))
+        result = "flagged" if unit.flags else _biases(unit, plus_minus) if unit.position else ""
+        lines.append(Text.assemble(head, f"{unit.ins_mode:<9} ", result))
     return lines
 
 
 def _sigma_line(estimates: tuple[LiveBias, ...], width: int, is_ascii: bool) -> Text:
-    """History of the largest of the three uncertainties, first to last."""
+    """History of the largest uncertainty of the three gyros."""
     sigmas = [1e3 * max(each.sigma_dph) for each in estimates]
     head, tail = f"sigma {sigmas[0]:.1f} ", f" {sigmas[-1]:.1f}"
     room = width - len(head) - len(tail)
-    shown = sigmas[:: max(1, math.ceil(len(sigmas) / room))]
-    blocks = "_.-=^" if is_ascii else "▁▂▃▄▅▆▇█"
-    top = max(shown)
-    bars = "".join(blocks[min(len(blocks) - 1, int(len(blocks) * each / top))] for each in shown)
+    chosen = sigmas[:: max(1, math.ceil(len(sigmas) / room))]
+    marks = "_.-=^" if is_ascii else "▁▂▃▄▅▆▇█"
+    largest = max(chosen)
+    bars = "".join(marks[min(len(marks) - 1, int(len(marks) * each / largest))] for each in chosen)
     return Text.assemble((head, "dim"), (bars, "cyan"), (tail, "dim"))
 
 
@@ -148,57 +150,57 @@ def _message_lines(snapshot: RunSnapshot, count: int) -> list[Text]:
     return [Text.assemble((f"{hours_minutes(each.time_s):>6s} ", "dim"), each.text) for each in newest]
 
 
-def _folded(text: str, width: int, head: str, style: str) -> list[Text]:
+def _wrap(text: str, width: int, head: str, style: str) -> list[Text]:
     lines = textwrap.wrap(head + text, width, subsequent_indent=" " * len(head))
-    if len(lines) > _MAX_LINES:
-        lines = [*lines[: _MAX_LINES - 1], lines[_MAX_LINES - 1][: width - 4] + " ..."]
+    if len(lines) > _MAX_TEXT_LINES:
+        lines = [*lines[: _MAX_TEXT_LINES - 1], lines[_MAX_TEXT_LINES - 1][: width - 4] + " ..."]
     return [Text(line, style) for line in lines]
 
 
-def _minutes(time_s: float) -> str:
-    """Minutes and seconds, or hours and minutes of what takes longer."""
+def _duration_text(time_s: float) -> str:
+    """Duration in minutes and seconds, or in hours and minutes from one hour on."""
     if time_s >= 3600.0:
         return f"{hours_minutes(time_s)} h"
     return f"{int(time_s) // 60}:{int(time_s) % 60:02d}"
 
 
-def _degrees(value_c: float) -> str:
+def _temperature_text(value_c: float) -> str:
     return "-" if math.isnan(value_c) else f"{value_c:.1f}"
 
 
-def _old(age_s: float) -> str:
+def _stale_text(age_s: float) -> str:
     if math.isnan(age_s):
         return " (no data)"
     return f" ({age_s:.0f} s old)" if age_s > _STALE_S else ""
 
 
-_CHAMBER, _GYRO, _NORTH = "cyan", "yellow", "magenta"
+_CHAMBER_STYLE, _GYRO_STYLE, _NORTH_STYLE = "cyan", "yellow", "magenta"
 _AXES_WIDTH = 24
-#: A drawing of the axes with at most this number of rows leaves no room for the angles.
-_WITHOUT_ANGLES = 8
-_ARCSEC = 3600.0
+#: With at most this number of rows the angles of the table are omitted.
+_MAX_ROWS_WITHOUT_ANGLES = 8
+_ARCSEC_PER_DEG = 3600.0
 _BIN_LABEL_WIDTH, _BIN_WIDTH = 11, 11
 _MIN_BIN_ROWS = 1 + len(AXES)
 _MIN_SPAN_C, _MIN_SPAN_MMPS, _MIN_SPAN_ARCSEC = 4.0, 0.5, 0.5
 
 
 def _profile_graph(snapshot: RunSnapshot, width: int, height: int, is_ascii: bool) -> list[Text]:
-    """Temperatures as they were until now, and by plan from now on."""
+    """Measured temperatures until now, and planned ones from now on."""
     measured, planned = snapshot.measured, snapshot.planned
     end_s = max(snapshot.now_s + snapshot.left_s, snapshot.now_s, 1.0)
-    to_come = [index for index, time_s in enumerate(planned.time_s) if time_s >= snapshot.plan_now_s]
-    future_s = [planned.time_s[index] + snapshot.behind_s for index in to_come]
+    future = [index for index, time_s in enumerate(planned.time_s) if time_s >= snapshot.plan_now_s]
+    future_s = [planned.time_s[index] + snapshot.behind_s for index in future]
     curves = [
-        PlotCurve(future_s, [planned.chamber_c[index] for index in to_come], _CHAMBER, is_dotted=True),
-        PlotCurve(future_s, [planned.gyro_c[index] for index in to_come], _GYRO, is_dotted=True),
-        PlotCurve(measured.time_s, measured.chamber_c, _CHAMBER, "c"),
-        PlotCurve(measured.time_s, measured.gyro_x_c, _GYRO, "g"),
+        PlotCurve(future_s, [planned.chamber_c[index] for index in future], _CHAMBER_STYLE, is_dotted=True),
+        PlotCurve(future_s, [planned.gyro_c[index] for index in future], _GYRO_STYLE, is_dotted=True),
+        PlotCurve(measured.time_s, measured.chamber_c, _CHAMBER_STYLE, "c"),
+        PlotCurve(measured.time_s, measured.gyro_x_c, _GYRO_STYLE, "g"),
     ]
     title = Text.assemble(
         ("  degC  ", "dim"),
-        ("c chamber", _CHAMBER),
+        ("c chamber", _CHAMBER_STYLE),
         "  ",
-        ("g gyro x", _GYRO),
+        ("g gyro x", _GYRO_STYLE),
         ("  from now on: plan", "dim"),
     )
     labels = ("0:00", f"{hours_minutes(end_s)} h")
@@ -208,32 +210,34 @@ def _profile_graph(snapshot: RunSnapshot, width: int, height: int, is_ascii: boo
 
 def _dwell_graphs(snapshot: RunSnapshot, width: int, height: int, is_ascii: bool) -> list[Text]:
     """Position, velocity and heading side by side."""
-    each = (width - _AXES_WIDTH - 2) // 2
+    graph_width = (width - _AXES_WIDTH - 2) // 2
     windows = snapshot.dwell.windows if snapshot.dwell else ()
-    position = _position(snapshot, height, is_ascii)
+    position = _position_block(snapshot, height, is_ascii)
     if not windows:
-        why = "the INS is not navigating yet" if snapshot.dwell else "no dwell in progress"
-        return _beside([position, [Text(why, "dim")]], (_AXES_WIDTH, 2 * each + 1), height)
+        note = "the INS is not navigating yet" if snapshot.dwell else "no dwell in progress"
+        return _side_by_side([position, [Text(note, "dim")]], (_AXES_WIDTH, 2 * graph_width + 1), height)
     time_s, end_s = _joined_time_s(windows)
 
     def graph(title: Text, values: dict[str, tuple[str, list[float]]], min_span: float) -> list[Text]:
         curves = [PlotCurve(time_s, series, style, letter) for letter, (style, series) in values.items()]
         labels = ("0", f"{end_s / 60.0:.2g} min")
-        return [title, *plot(curves, each, height - 1, (0.0, end_s), labels, min_span, is_ascii)]
+        return [title, *plot(curves, graph_width, height - 1, (0.0, end_s), labels, min_span, is_ascii)]
 
     east = [1e3 * value for window in windows for value in (*window.velocity_east_mps, math.nan)]
     north = [1e3 * value for window in windows for value in (*window.velocity_north_mps, math.nan)]
-    change = [_ARCSEC * value for window in windows for value in (*window.heading_change_deg, math.nan)]
-    title = Text.assemble(("mm/s  ", "dim"), ("E East", _CHAMBER), "  ", ("N North", _NORTH))
-    velocity = graph(title, {"E": (_CHAMBER, east), "N": (_NORTH, north)}, _MIN_SPAN_MMPS)
-    heading = graph(Text("change of heading, arcsec", "dim"), {"H": (_GYRO, change)}, _MIN_SPAN_ARCSEC)
-    return _beside([position, velocity, heading], (_AXES_WIDTH, each, each), height)
+    change = [
+        _ARCSEC_PER_DEG * value for window in windows for value in (*window.heading_change_deg, math.nan)
+    ]
+    title = Text.assemble(("mm/s  ", "dim"), ("E East", _CHAMBER_STYLE), "  ", ("N North", _NORTH_STYLE))
+    velocity = graph(title, {"E": (_CHAMBER_STYLE, east), "N": (_NORTH_STYLE, north)}, _MIN_SPAN_MMPS)
+    heading = graph(Text("change of heading, arcsec", "dim"), {"H": (_GYRO_STYLE, change)}, _MIN_SPAN_ARCSEC)
+    return _side_by_side([position, velocity, heading], (_AXES_WIDTH, graph_width, graph_width), height)
 
 
 def _bins_table(snapshot: RunSnapshot, height: int, plus_minus: str) -> list[Text]:
-    """The bins nearest to the temperature of the gyros, all three in each, of the units that fit.
+    """Bins nearest to the temperature of the gyros, with all three gyros, for as many units as fit.
 
-    No lines while all are empty.
+    Empty while all bins are empty.
     """
     tables = _filled_tables(snapshot)[: height // _MIN_BIN_ROWS]
     return [
@@ -244,7 +248,7 @@ def _bins_table(snapshot: RunSnapshot, height: int, plus_minus: str) -> list[Tex
 
 
 def _filled_tables(snapshot: RunSnapshot) -> list[tuple[str, NumberTriple, list[LiveBin]]]:
-    """Name, present temperatures and bins with a dwell, of each unit that is measured and has such bins."""
+    """Name, present temperatures and filled bins of each measured unit that has filled bins."""
     gyro_c = snapshot.bench.gyro_c if snapshot.bench else UNKNOWN
     tables = [(unit.number, unit.gyro_c, unit.bins) for unit in snapshot.units if not unit.dropped]
     filled = [
@@ -273,31 +277,31 @@ def _bin_row(
     bins: Sequence[LiveBin], gyro: str, ends: tuple[float, float], positions: Sequence[str], plus_minus: str
 ) -> Text:
     row = Text(f"{f'{gyro} {ends[0]:g}..{ends[1]:g}':<{_BIN_LABEL_WIDTH}}")
-    of_gyro = {each.position: each for each in bins if each.gyro == gyro and each.low_c == ends[0]}
+    by_position = {each.position: each for each in bins if each.gyro == gyro and each.low_c == ends[0]}
     for name in positions:
-        one = of_gyro.get(name)
-        text = f"{1e3 * one.bias_dph:z.1f}{plus_minus}{1e3 * one.sigma_dph:.1f}" if one else "."
-        row.append(f"{text:>{_BIN_WIDTH}}", "" if one else "dim")
+        bin_ = by_position.get(name)
+        text = f"{1e3 * bin_.bias_dph:z.1f}{plus_minus}{1e3 * bin_.sigma_dph:.1f}" if bin_ else "."
+        row.append(f"{text:>{_BIN_WIDTH}}", "" if bin_ else "dim")
     return row
 
 
-def _position(snapshot: RunSnapshot, height: int, is_ascii: bool) -> list[Text]:
+def _position_block(snapshot: RunSnapshot, height: int, is_ascii: bool) -> list[Text]:
     attitude = snapshot.attitude
     if attitude is None:
         return [Text("table angles unknown", "dim")]
     azimuth = "" if math.isnan(attitude.azimuth_deg) else f" at {attitude.azimuth_deg:g} deg"
     title = Text(f"{attitude.position}{azimuth}" if attitude.position else "no position", "bold")
     words = textwrap.wrap(attitude.directions(), _AXES_WIDTH, break_on_hyphens=False)
-    below = [Text(line, "dim") for line in words]
-    if snapshot.bench and height > _WITHOUT_ANGLES:
+    lines_below = [Text(line, "dim") for line in words]
+    if snapshot.bench and height > _MAX_ROWS_WITHOUT_ANGLES:
         angles = f"{snapshot.bench.outer_deg:.2f}, {snapshot.bench.inner_deg:.2f}"
-        below.append(Text(f"table {angles}", "dim"))
-    drawing = attitude_lines(attitude, _AXES_WIDTH, height - 1 - len(below), is_ascii)
-    return [title, *drawing, *below]
+        lines_below.append(Text(f"table {angles}", "dim"))
+    drawing = attitude_lines(attitude, _AXES_WIDTH, height - 1 - len(lines_below), is_ascii)
+    return [title, *drawing, *lines_below]
 
 
 def _joined_time_s(windows: Sequence[WindowTrace]) -> tuple[list[float], float]:
-    """Times of all windows one after the other, broken between them, and the end of the last."""
+    """Times of all windows in sequence, with NaN between windows, and the end of the last window."""
     time_s: list[float] = []
     begin_s = 0.0
     for window in windows:
@@ -306,20 +310,20 @@ def _joined_time_s(windows: Sequence[WindowTrace]) -> tuple[list[float], float]:
     return time_s, begin_s or 1.0
 
 
-def _beside(blocks: Sequence[Sequence[Text]], widths: Sequence[int], height: int) -> list[Text]:
+def _side_by_side(blocks: Sequence[Sequence[Text]], widths: Sequence[int], height: int) -> list[Text]:
     lines = []
-    for number in range(height):
+    for index in range(height):
         line = Text()
         for block, width in zip(blocks, widths, strict=True):
-            part = block[number].copy() if number < len(block) else Text()
-            part.truncate(width, pad=True)
-            line = Text.assemble(line, " ", part) if line else part
+            cell = block[index].copy() if index < len(block) else Text()
+            cell.truncate(width, pad=True)
+            line = Text.assemble(line, " ", cell) if line else cell
         lines.append(line)
     return lines
 
 
 MAX_WIDTH, MAX_HEIGHT = 240, 80
-#: Least and most rows of what can be drawn larger or smaller.
+#: Smallest and largest number of rows of the profile and of the dwell.
 _PROFILE_ROWS, _DWELL_ROWS = (5, 22), (6, 18)
 _MAX_MESSAGE_ROWS = 5
 
@@ -336,7 +340,7 @@ def screen(snapshot: RunSnapshot, width: int, height: int, is_ascii: bool) -> li
     if snapshot.bench:
         lines.append(_readings_line(snapshot.bench))
     bias = [_bias_line(snapshot, plus_minus), *_unit_lines(snapshot, plus_minus)]
-    rows = _shares(height - len(top) - len(lines) - len(bias), snapshot)
+    rows = _allocate_rows(height - len(top) - len(lines) - len(bias), snapshot)
     if snapshot.dwell and rows["sigma"]:
         bias.append(_sigma_line(snapshot.dwell.estimates, width, is_ascii))
     if rows["profile"]:
@@ -352,20 +356,20 @@ def screen(snapshot: RunSnapshot, width: int, height: int, is_ascii: bool) -> li
     return shown
 
 
-def _shares(room: int, snapshot: RunSnapshot) -> dict[str, int]:
-    """Rows of each part: first the minimum of each, in the order of importance, then up to its maximum."""
+def _allocate_rows(room: int, snapshot: RunSnapshot) -> dict[str, int]:
+    """Number of rows of each part: first the minimum of each, by importance, then up to the maximum."""
     tables = _filled_tables(snapshot)
-    most_bin_rows = sum(1 + len(AXES) * len(_ranges(bins)) for _, _, bins in tables)
+    max_bin_rows = sum(1 + len(AXES) * len(_ranges(bins)) for _, _, bins in tables)
     row_limits = {
         "profile": _PROFILE_ROWS,
         "dwell": _DWELL_ROWS,
-        "bins": (min(_MIN_BIN_ROWS * len(tables), most_bin_rows), most_bin_rows),
+        "bins": (min(_MIN_BIN_ROWS * len(tables), max_bin_rows), max_bin_rows),
         "sigma": (1, 1) if snapshot.dwell and len(snapshot.dwell.estimates) > 1 else (0, 0),
         "messages": (min(1, len(snapshot.messages)), min(_MAX_MESSAGE_ROWS, len(snapshot.messages))),
     }
     rows = dict.fromkeys(row_limits, 0)
     for part, (min_rows, _) in row_limits.items():
-        if part == "bins":  # of as many units as there is room for
+        if part == "bins":  # for as many units as fit
             min_rows = min(min_rows, max(room, _MIN_BIN_ROWS))
         if min_rows <= room:
             rows[part] = min_rows

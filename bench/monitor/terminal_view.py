@@ -1,4 +1,4 @@
-"""A run in the terminal: a line for each dwell, the live view below them, the operator's answers."""
+"""A run in the terminal: a line for each dwell, the live view below, and the operator's answers."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ from gyrobench.bench.runs.provenance import emulated_bench_text
 class _TerminalOperator:
     """Takes answers and commands from the keyboard without waiting for them."""
 
-    #: Commands that are executed.
+    #: Commands that are accepted.
     commands: Sequence[RunCommand] = tuple(RunCommand)
 
     def __init__(self, console: Console, keyboard: Keyboard) -> None:
@@ -77,21 +77,21 @@ class _TerminalOperator:
         if typed in self.commands:
             return RunCommand(typed)
         if typed:
-            why = f"{typed}: a run on virtual time never waits. " if typed in list(RunCommand) else ""
-            self._console.print(f"{why}Type one of: {', '.join(self.commands)}", soft_wrap=True)
+            reason = f"{typed}: a run on virtual time never waits. " if typed in list(RunCommand) else ""
+            self._console.print(f"{reason}Type one of: {', '.join(self.commands)}", soft_wrap=True)
         return None
 
 
 class _VirtualTimeOperator(_TerminalOperator):
-    """Takes commands from the keyboard, and consents to every question: no operator can be waited for."""
+    """Takes commands from the keyboard, and consents to every question, since virtual time can't wait."""
 
     commands = (RunCommand.SKIP, RunCommand.ABORT)
 
     def __init__(self, console: Console, keyboard: Keyboard) -> None:
         super().__init__(console, keyboard)
         self._consent = ConsentingOperator()
-        self._real = WallClock()
-        self._next_look_s = 0.0
+        self._wall_clock = WallClock()
+        self._next_poll_s = 0.0
 
     def ask(self, question: str, answers: Sequence[str]) -> None:
         """Choose an answer."""
@@ -102,18 +102,18 @@ class _VirtualTimeOperator(_TerminalOperator):
         return self._consent.answer()
 
     def command(self) -> RunCommand | None:
-        """A command that has been typed; looked for some times a second, since ticks take microseconds."""
-        now_s = self._real.now()
-        if now_s < self._next_look_s:
+        """A command that has been typed; polled a few times a second, since ticks take microseconds."""
+        now_s = self._wall_clock.now()
+        if now_s < self._next_poll_s:
             return None
-        self._next_look_s = now_s + _KEYS_EVERY_S
+        self._next_poll_s = now_s + _KEY_INTERVAL_S
         return super().command()
 
 
-_UNITS = "Biases in 0.001 deg/h with their standard uncertainty, temperatures in degC."
-_UPDATE_EVERY_TICKS = 50
-_HEAD = "dwell   cycle  position gyro x    bias x        bias y        bias z     left h"
-_INDENT = 8
+_UNITS_TEXT = "Biases in 0.001 deg/h with their standard uncertainty, temperatures in degC."
+_TICKS_PER_UPDATE = 50
+_TABLE_HEAD = "dwell   cycle  position gyro x    bias x        bias y        bias z     left h"
+_FLAG_INDENT = 8
 
 
 class LinesView(RunObserver):
@@ -125,8 +125,8 @@ class LinesView(RunObserver):
         self._ticks = 0
         self._left_s = plan.duration_s
         self._step = ""
-        self._so_far = ""
-        self._has_head = self._has_several = False
+        self._live_biases = ""
+        self._has_printed_head = self._has_several_units = False
         self._has_status = has_status and console.is_terminal
         self._status: Status | None = None
 
@@ -149,10 +149,10 @@ class LinesView(RunObserver):
         self._console.print(text, highlight=False)
 
     def begun(self, folder: RunFolder, bench: LiveBench, outcome: RunOutcome) -> None:  # noqa: ARG002
-        """State that the bench is emulated; name the unit of each dwell where there are several."""
+        """Print that the bench is emulated; the lines name the unit of each dwell if there are several."""
         if text := emulated_bench_text(folder):
             self._console.print(text, style="bold yellow", highlight=False, soft_wrap=True)
-        self._has_several = bool(outcome.units)
+        self._has_several_units = bool(outcome.units)
 
     def dropped(self, unit: str, why: str) -> None:
         """Print that a unit is dropped."""
@@ -161,7 +161,7 @@ class LinesView(RunObserver):
     def step_started(self, planned: PlannedStep, bench: LiveBench) -> None:
         """Show the step; chamber steps are printed with the time since the start."""
         self._step = f"{planned.label}: {planned.step.describe()}"
-        self._so_far = ""
+        self._live_biases = ""
         self._ticks = 0
         if isinstance(planned.step, SetChamber):
             time = hours_minutes(bench.clock.now())
@@ -174,48 +174,50 @@ class LinesView(RunObserver):
         """Update temperatures and remaining time."""
         self._left_s = left_s
         self._ticks += 1
-        if self._status and self._ticks % _UPDATE_EVERY_TICKS == 1:
+        if self._status and self._ticks % _TICKS_PER_UPDATE == 1:
             optics = bench.readings.ins.optics_c
             gyro = f"gyro {optics[0]:.1f} degC | " if optics[0] == optics[0] else ""
             chamber = f"chamber {bench.readings.chamber.temperature_c:.1f} degC"
-            where = f"{self._so_far} | " if self._so_far else f"{chamber}, {gyro}"
+            where = f"{self._live_biases} | " if self._live_biases else f"{chamber}, {gyro}"
             text = f"{hours_minutes(left_s)} h left | {where}{self._step}"
             self._status.update(Text(text, no_wrap=True, overflow="ellipsis"))
 
     def estimable(self, estimate: Callable[[], StateSpaceEstimate | None]) -> None:
         """Show the present biases with the next update."""
-        if self._status and (so_far := estimate()):
-            pairs = zip(AXES, 1e3 * so_far.bias_dph, 1e3 * so_far.sigma_dph, strict=True)
-            self._so_far = " ".join(f"{axis} {bias:+z.1f}±{sigma:.1f}" for axis, bias, sigma in pairs)
+        if self._status and (estimate_now := estimate()):
+            pairs = zip(AXES, 1e3 * estimate_now.bias_dph, 1e3 * estimate_now.sigma_dph, strict=True)
+            self._live_biases = " ".join(f"{axis} {bias:+z.1f}±{sigma:.1f}" for axis, bias, sigma in pairs)
 
     def dwell_measured(self, row: DwellRow) -> None:
-        """Print a dwell, the table head above the first one, and the reasons below a flagged one."""
-        if not self._has_head:
-            columns = f"unit {_HEAD}".removesuffix("     left h") if self._has_several else _HEAD
-            self._console.print(f"{_UNITS}\n{columns}", highlight=False)
-            self._has_head = True
+        """Print a dwell, the table head above the first dwell, and the reasons below a flagged dwell."""
+        if not self._has_printed_head:
+            columns = (
+                f"unit {_TABLE_HEAD}".removesuffix("     left h") if self._has_several_units else _TABLE_HEAD
+            )
+            self._console.print(f"{_UNITS_TEXT}\n{columns}", highlight=False)
+            self._has_printed_head = True
         number = f"{row.dwell:3d}/{self._plan.dwell_count:<3d}"
-        if self._has_several:
+        if self._has_several_units:
             number = f"{row.unit} {number}"
         temperature = "-" if math.isnan(row.gyro_c[0]) else f"{row.gyro_c[0]:.1f}"
         head = f"{number} {row.cycle:5d}  {row.position:<7s} {temperature:>6s}"
         if row.flags:
             self._console.print(f"{head}  flagged", highlight=False)
-            self._console.print(Padding(Text(flag_text(row.flags)), (0, 0, 0, _INDENT), expand=False))
+            self._console.print(Padding(Text(flag_text(row.flags)), (0, 0, 0, _FLAG_INDENT), expand=False))
             return
         values = " ".join(
             f"{bias * 1e3:+z7.2f} ±{sigma * 1e3:<4.2f}"
             for bias, sigma in zip(row.bias_dph, row.sigma_dph, strict=True)
         )
-        left = "" if self._has_several else f" {hours_minutes(self._left_s):>6s}"
+        left = "" if self._has_several_units else f" {hours_minutes(self._left_s):>6s}"
         self._console.print(f"{head} {values}{left}", highlight=False, soft_wrap=True)
 
 
-#: Rows above the view for scrolling lines.
+#: Rows above the view, for lines that scroll.
 _ROWS_ABOVE = 4
 _MIN_HEIGHT = 4
-#: Intervals of the snapshot and of showing typed keys.
-_SNAPSHOT_EVERY_S, _KEYS_EVERY_S = 1.0, 0.1
+#: Intervals at which the snapshot and the typed keys are updated.
+_SNAPSHOT_INTERVAL_S, _KEY_INTERVAL_S = 1.0, 0.1
 
 
 class _TerminalView(RunObserver):
@@ -241,9 +243,9 @@ class _TerminalView(RunObserver):
         self._clock = WallClock()
         self._next_snapshot_s = 0.0
         self._snapshot: RunSnapshot | None = None
-        self._over = threading.Event()
+        self._stop = threading.Event()
         self._live = Live(console=console, auto_refresh=False, transient=True)
-        self._thread = threading.Thread(target=self._draw_until_over, daemon=True)
+        self._thread = threading.Thread(target=self._draw_until_stopped, daemon=True)
 
     def __enter__(self) -> _TerminalView:
         self._keyboard.__enter__()
@@ -252,7 +254,7 @@ class _TerminalView(RunObserver):
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._over.set()
+        self._stop.set()
         self._thread.join()
         self._live.stop()
         self._keyboard.__exit__()
@@ -260,34 +262,34 @@ class _TerminalView(RunObserver):
     def beat(self, bench: LiveBench) -> None:  # noqa: ARG002
         """Take a new snapshot if it is due."""
         if self._clock.now() >= self._next_snapshot_s:
-            self._take()
+            self._take_snapshot()
 
     def held(self, why: str, needs_person: bool, command: RunCommand | None) -> None:  # noqa: ARG002
         """Show at once that the run holds."""
-        self._take()
+        self._take_snapshot()
 
     def asked(self, question: str, answers: Sequence[str]) -> None:  # noqa: ARG002
         """Show a question at once."""
-        self._take()
+        self._take_snapshot()
 
     def ended(self, outcome: RunOutcome) -> None:  # noqa: ARG002
         """Show the end."""
-        self._take()
+        self._take_snapshot()
 
-    def _take(self) -> None:
+    def _take_snapshot(self) -> None:
         self._snapshot = self._recorder.snapshot()
-        self._next_snapshot_s = self._clock.now() + _SNAPSHOT_EVERY_S
+        self._next_snapshot_s = self._clock.now() + _SNAPSHOT_INTERVAL_S
 
-    def _draw_until_over(self) -> None:
+    def _draw_until_stopped(self) -> None:
         drawn: tuple[RunSnapshot | None, str, tuple[int, int]] | None = None
-        while not self._over.wait(_KEYS_EVERY_S):
+        while not self._stop.wait(_KEY_INTERVAL_S):
             size = (self._console.width, self._console.height)
             typed = self._keyboard.unfinished
-            seen = (self._snapshot, typed, size)
-            is_same = drawn is not None and seen[0] is drawn[0] and seen[1:] == drawn[1:]
+            current = (self._snapshot, typed, size)
+            is_same = drawn is not None and current[0] is drawn[0] and current[1:] == drawn[1:]
             if not is_same and self._can_draw():
-                self._live.update(Group(*self._lines(*seen)), refresh=True)
-                drawn = seen
+                self._live.update(Group(*self._lines(*current)), refresh=True)
+                drawn = current
 
     def _lines(self, snapshot: RunSnapshot | None, typed: str, size: tuple[int, int]) -> list[Text]:
         width = min(MAX_WIDTH, size[0])
@@ -314,7 +316,7 @@ _MAX_DRAIN_S = 10.0
 def observe_in_terminal(
     console: RunConsole, job: Job, wants_live: bool
 ) -> Iterator[tuple[RunObserver, Operator]]:
-    """Record the snapshot of a run, and show the run, while the context lasts; the run never waits for it.
+    """Record the snapshot of a run and show the run in this context; the run never waits for the output.
 
     The live view needs a terminal that can move its cursor, with this process in the foreground; otherwise
     lines are printed. On virtual time, where no operator can be waited for, every question is answered with
@@ -324,24 +326,24 @@ def observe_in_terminal(
     operator = (_VirtualTimeOperator if job.is_virtual else _TerminalOperator)(console, keyboard)
     is_live = wants_live and console.is_terminal and not console.is_dumb_terminal and is_in_foreground()
     recorder = SnapshotRecorder(job.plan)
-    with ExitStack() as shown:
-        stream = shown.enter_context(_background_output(console))
-        lines = shown.enter_context(LinesView(console, job.plan, has_status=not is_live))
-        watchers: list[RunObserver] = [recorder, lines]
+    with ExitStack() as contexts:
+        stream = contexts.enter_context(_background_output(console))
+        lines = contexts.enter_context(LinesView(console, job.plan, has_status=not is_live))
+        observers: list[RunObserver] = [recorder, lines]
         if is_live:
             view = _TerminalView(console, recorder, keyboard, operator.commands, lambda: not stream.is_behind)
-            watchers.append(shown.enter_context(view))
-        yield ObserverGroup(*watchers), operator
+            observers.append(contexts.enter_context(view))
+        yield ObserverGroup(*observers), operator
 
 
 @contextmanager
 def _background_output(console: RunConsole) -> Iterator[BackgroundStream]:
     """Write in the background; at the end wait a limited time for the remaining output."""
-    before = console.file
-    stream = BackgroundStream(cast(TextIO, before), console.on_broken_pipe)
+    terminal = console.file
+    stream = BackgroundStream(cast(TextIO, terminal), console.on_broken_pipe)
     console.file = cast(TextIO, stream)
     try:
         yield stream
     finally:
         stream.drain(_MAX_DRAIN_S)
-        console.file = before
+        console.file = terminal

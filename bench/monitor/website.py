@@ -26,17 +26,17 @@ from gyrobench.bench.monitor.page_content import (
     Freshness,
     ListRow,
     bin_tables,
+    dwell_table,
     freshness_of,
     headline,
     list_row,
     reading_rows,
-    shown_dwells,
     unreadable_row,
 )
 from gyrobench.bench.monitor.run_list import (
     FolderCache,
     is_run,
-    records_of,
+    pages_of,
     runs_in,
     signature_of,
     snapshot_of,
@@ -56,55 +56,55 @@ from gyrobench.bench.runs.provenance import watermark_of
 def run_fragment(
     snapshot: RunSnapshot,
     freshness: Freshness,
-    records: Mapping[str, str],
+    pages: Mapping[str, str],
     home: str,
     verdict: str = "",
     is_of_unit: bool = False,
     watermark: str = "",
 ) -> str:
-    """Content of the page of a run, which the page refreshes by itself.
+    """Content of the page of a run, which the browser refreshes.
 
-    ``verdict`` is that on the unit, empty if it was not judged. ``records`` has addresses and titles of the
-    pages in the run folder; ``home`` is the address of the list of runs, empty if there is none; on the page
-    that ``is_of_unit``, one of several, that of the run. ``watermark``: SIMULATED, or empty.
+    ``verdict``: on the unit, empty if it was not judged. ``pages``: titles of the pages in the run folder, by
+    address. ``home``: address of the list of runs, empty if there is none; if the page ``is_of_unit``, one of
+    several, address of the run. ``watermark``: SIMULATED, or empty.
     """
     dwell = snapshot.dwell
-    measured = f"unit {snapshot.unit}" if snapshot.unit else ""
+    unit_text = f"unit {snapshot.unit}" if snapshot.unit else ""
     if snapshot.units and not is_of_unit:
-        measured = "units " + ", ".join(unit.number for unit in snapshot.units)
-    return _rendered(
+        unit_text = "units " + ", ".join(unit.number for unit in snapshot.units)
+    return _render(
         "run.html.j2",
-        measured=measured,
+        unit_text=unit_text,
         watermark=watermark,
         title=_title(snapshot, freshness),
         snapshot=snapshot,
         freshness=freshness,
-        records=records,
+        pages=pages,
         home=home,
         home_label="All units" if is_of_unit else "All runs",
-        units_at="../" if is_of_unit else f"{UNITS_FOLDER}/",
-        top=headline(snapshot, verdict),
+        units_address="../" if is_of_unit else f"{UNITS_FOLDER}/",
+        headline=headline(snapshot, verdict),
         step_label=_step_label(snapshot),
         profile=profile_chart(snapshot),
-        axes=axes_drawing(snapshot.attitude) if snapshot.attitude else None,
+        drawing=axes_drawing(snapshot.attitude) if snapshot.attitude else None,
         azimuth=_azimuth(snapshot.attitude),
         readings=reading_rows(snapshot.bench) if snapshot.bench else [],
         windows=window_charts(dwell) if dwell else [],
         biases=bias_charts(dwell) if dwell else [],
         temperatures=temperature_charts(snapshot.bins),
         bins=bin_tables(snapshot.bins),
-        dwells=shown_dwells(snapshot.dwells),
+        dwells=dwell_table(snapshot.dwells),
     )
 
 
 def _problem_fragment(title: str, problem: str, home: str) -> str:
     """Page that reports a problem."""
-    return _rendered("problem.html.j2", title=title, problem=problem, home=home)
+    return _render("problem.html.j2", title=title, problem=problem, home=home)
 
 
-def whole_page(fragment: str, nonce: str) -> str:
+def full_page(fragment: str, nonce: str) -> str:
     """Page with style and script around a fragment."""
-    return _rendered("page.html.j2", fragment=fragment, nonce=nonce)
+    return _render("page.html.j2", fragment=fragment, nonce=nonce)
 
 
 @cache
@@ -115,22 +115,22 @@ def _environment() -> Environment:
     return environment
 
 
-def _rendered(template: str, **content: object) -> str:
+def _render(template: str, **content: object) -> str:
     return _environment().get_template(template).render(**content)
 
 
 def _title(snapshot: RunSnapshot, freshness: Freshness) -> str:
-    """Title of the browser's tab, the most important first."""
+    """Title of the browser's tab, the most important information first."""
     if freshness.warning:
         return f"▲ silent: {snapshot.name}"
     if snapshot.alarms and not freshness.is_over:
         return f"▲ ALARM: {snapshot.name}"
-    left = "" if freshness.is_over else f", {hours_minutes(snapshot.left_s)} h left"
-    return f"{snapshot.state.value}{left}: {snapshot.name}"
+    remaining = "" if freshness.is_over else f", {hours_minutes(snapshot.left_s)} h left"
+    return f"{snapshot.state.value}{remaining}: {snapshot.name}"
 
 
 def _step_label(snapshot: RunSnapshot) -> str:
-    """Place of the step in the plan, with labels of positions."""
+    """Label of the step in the plan, with positions as labels."""
     if snapshot.step is None:
         return ""
     parts = snapshot.step.label.split(", ")
@@ -145,15 +145,15 @@ def _azimuth(attitude: Attitude | None) -> str:
 
 _MAX_LISTED = 200
 _MAX_SNAPSHOTS = 8
-_MAX_RECORD_BYTES = 50_000_000
+_MAX_PAGE_BYTES = 50_000_000
 _FRAGMENT = "fragment"
-_HOME = "../../"
+_LIST_ADDRESS = "../../"
 
 
 class Website:
     """Answers requests for pages of a run folder, or of a folder of runs.
 
-    The folder ``root`` is read at each request, so a run may start in it later; ``utc`` returns the host's
+    The folder ``root`` is read at each request, so a run may start in it later. ``utc`` returns the host's
     calendar time.
     """
 
@@ -172,17 +172,17 @@ class Website:
         if path == "/metrics":
             return self._metrics()
         if is_run(self._root):
-            return self._of_run(self._root, path.removeprefix("/"), "")
+            return self._answer_run(self._root, path.removeprefix("/"), "")
         if path in ("/", f"/{_FRAGMENT}"):
-            return _page_or_fragment(self._list(), path.removeprefix("/"))
-        return self._of_listed(path)
+            return _page_or_fragment(self._list_page(), path.removeprefix("/"))
+        return self._answer_listed_run(path)
 
-    def _of_listed(self, path: str) -> Response:
+    def _answer_listed_run(self, path: str) -> Response:
         match path.split("/", maxsplit=3):
             case ["", "runs", name, rest]:
                 run = next((run for run in self._runs() if run.name == name), None)
                 if run is not None:
-                    return self._of_run(run, rest, _HOME)
+                    return self._answer_run(run, rest, _LIST_ADDRESS)
             case ["", "runs", name] if name:
                 return refusal(
                     HTTPStatus.PERMANENT_REDIRECT, "Moved.", Location=f"/runs/{quote(name, safe='')}/"
@@ -195,23 +195,23 @@ class Website:
         except RunFolderError:
             return []
 
-    def _of_run(self, run: Path, rest: str, home: str) -> Response:
+    def _answer_run(self, run: Path, rest: str, home: str) -> Response:
         if rest in ("", _FRAGMENT):
-            return _page_or_fragment(self._run(run, home), rest)
-        if rest in records_of(run):
-            return _record(run / rest)
+            return _page_or_fragment(self._run_page(run, home), rest)
+        if rest in pages_of(run):
+            return _page_file(run / rest)
         match rest.split("/", maxsplit=2):
             case [str(folder), number, within] if folder == UNITS_FOLDER:
-                return self._of_unit(run, number, within)
+                return self._answer_unit(run, number, within)
         return _not_found()
 
-    def _of_unit(self, run: Path, number: str, within: str) -> Response:
+    def _answer_unit(self, run: Path, number: str, rest: str) -> Response:
         unit = next((each.path for each in RunFolder(run).unit_folders if each.path.name == number), None)
-        if unit is not None and within in ("", _FRAGMENT):
-            return _page_or_fragment(self._run(run, _HOME, unit), within)
-        return _record(unit / within) if unit is not None and within in records_of(unit) else _not_found()
+        if unit is not None and rest in ("", _FRAGMENT):
+            return _page_or_fragment(self._run_page(run, _LIST_ADDRESS, unit), rest)
+        return _page_file(unit / rest) if unit is not None and rest in pages_of(unit) else _not_found()
 
-    def _run(self, run: Path, home: str, unit: Path | None = None) -> str:
+    def _run_page(self, run: Path, home: str, unit: Path | None = None) -> str:
         try:
             snapshot = self._snapshots.of(run)
             if unit is not None:
@@ -219,35 +219,35 @@ class Website:
         except GyrobenchError as error:
             return _problem_fragment(run.absolute().name, str(error), home)
         freshness = freshness_of(snapshot.state, snapshot.updated_utc, self._utc())
-        shown = unit or run
-        verdict = verdict_in(shown) if snapshot.state.is_over else ""
+        target = unit or run
+        verdict = verdict_in(target) if snapshot.state.is_over else ""
         is_of_unit, watermark = unit is not None, watermark_of(run)
-        return run_fragment(snapshot, freshness, records_of(shown), home, verdict, is_of_unit, watermark)
+        return run_fragment(snapshot, freshness, pages_of(target), home, verdict, is_of_unit, watermark)
 
     def _metrics(self) -> Response:
         """Metrics of the run, or of the newest runs of the folder; those that can't be read are left out."""
         runs = [self._root] if is_run(self._root) else self._runs()[:_MAX_SNAPSHOTS]
-        found = []
+        metrics_input = []
         for run in runs:
             with contextlib.suppress(GyrobenchError):
                 snapshot = self._snapshots.of(run)
                 age_s = freshness_of(snapshot.state, snapshot.updated_utc, self._utc()).age_s
-                found.append((run, snapshot, age_s))
+                metrics_input.append((run, snapshot, age_s))
         try:
-            return Response(HTTPStatus.OK, metrics_text(found), METRICS_TYPE)
+            return Response(HTTPStatus.OK, metrics_text(metrics_input), METRICS_TYPE)
         except MissingPackageError as error:
             return refusal(HTTPStatus.NOT_IMPLEMENTED, str(error))
 
-    def _list(self) -> str:
+    def _list_page(self) -> str:
         try:
             runs = runs_in(self._root)
         except RunFolderError as error:
             return _problem_fragment("Runs", str(error), "")
-        rows, left_out = [self._row(run) for run in runs[:_MAX_LISTED]], max(0, len(runs) - _MAX_LISTED)
+        rows, left_out = [self._list_row(run) for run in runs[:_MAX_LISTED]], max(0, len(runs) - _MAX_LISTED)
         folder = str(self._root.absolute())
-        return _rendered("runs.html.j2", title="Runs", folder=folder, rows=rows, left_out=left_out)
+        return _render("runs.html.j2", title="Runs", folder=folder, rows=rows, left_out=left_out)
 
-    def _row(self, run: Path) -> ListRow:
+    def _list_row(self, run: Path) -> ListRow:
         try:
             summary = self._summaries.of(run)
         except GyrobenchError as error:
@@ -257,17 +257,17 @@ class Website:
         return replace(row, facts=f"{watermark}, {row.facts}") if watermark else row
 
 
-def _page_or_fragment(fragment: str, what: str) -> Response:
-    if what == _FRAGMENT:
+def _page_or_fragment(fragment: str, name: str) -> Response:
+    if name == _FRAGMENT:
         return Response(HTTPStatus.OK, fragment.encode())
     nonce = secrets.token_urlsafe(16)
-    return Response(HTTPStatus.OK, whole_page(fragment, nonce).encode(), HTML, page_policy(nonce))
+    return Response(HTTPStatus.OK, full_page(fragment, nonce).encode(), HTML, page_policy(nonce))
 
 
-def _record(path: Path) -> Response:
+def _page_file(path: Path) -> Response:
     try:
         return Response(
-            HTTPStatus.OK, read_limited(path, _MAX_RECORD_BYTES, RunFolderError), HTML, RECORD_POLICY
+            HTTPStatus.OK, read_limited(path, _MAX_PAGE_BYTES, RunFolderError), HTML, RECORD_POLICY
         )
     except RunFolderError as error:
         return refusal(HTTPStatus.SERVICE_UNAVAILABLE, str(error))

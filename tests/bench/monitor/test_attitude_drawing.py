@@ -15,7 +15,7 @@ def tips(drawing):
 
 
 def test_the_drawing_says_the_same_in_words():
-    assert drawing_of(POSITIONS["z_down"].C_nb()).words == "x West, y North, z Down"
+    assert drawing_of(POSITIONS["z_down"].C_nb()).description == "x West, y North, z Down"
 
 
 def test_the_body_stands_as_the_world_where_it_is_level_and_points_north():
@@ -40,7 +40,7 @@ def test_up_is_above_east_to_the_right_and_north_away():
 def test_all_of_it_is_inside_the_drawing(position, azimuth_deg):
     drawing = drawing_of(POSITIONS[position].C_nb(np.radians(azimuth_deg)))
     arrows = [*drawing.behind, *drawing.before]
-    places = [arrow.label_at for arrow in arrows] + [arrow.tip for arrow in arrows]
+    places = [arrow.label_position for arrow in arrows] + [arrow.tip for arrow in arrows]
     shapes = (*drawing.box, *drawing.floor)
     places += [tuple(map(float, point.split(","))) for shape in shapes for point in shape.split()]
     assert all(4.0 < coordinate < SIZE - 4.0 for place in places for coordinate in place)
@@ -51,6 +51,6 @@ def test_all_of_it_is_inside_the_drawing(position, azimuth_deg):
 @pytest.mark.parametrize("position", POSITIONS)
 def test_labels_of_a_position_are_apart(position):
     arrows = drawing_of(POSITIONS[position].C_nb())
-    labels = [np.array(arrow.label_at) for arrow in (*arrows.behind, *arrows.before)]
+    labels = [np.array(arrow.label_position) for arrow in (*arrows.behind, *arrows.before)]
     apart = [np.linalg.norm(one - other) for index, one in enumerate(labels) for other in labels[:index]]
     assert min(apart) > 10.0

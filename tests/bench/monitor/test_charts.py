@@ -8,9 +8,9 @@ import pytest
 from gyrobench.bench.monitor.charts import (
     HOUR_S,
     MINUTE_S,
-    band,
+    band_path,
     bias_charts,
-    line,
+    line_path,
     profile_chart,
     temperature_charts,
     time_axis,
@@ -73,7 +73,7 @@ def test_time_has_ticks_at_usual_hours_and_minutes(high_s, unit_s, texts):
 
 def test_a_line_leads_through_its_points_and_is_broken_where_nothing_is_known():
     x, y = time_axis("Time", 100.0, 1.0), value_axis("Value", [0.0, 1.0], 1.0)
-    path = line(x, y, [0.0, 50.0, 60.0, 100.0], [0.0, 1.0, NAN, 0.0])
+    path = line_path(x, y, [0.0, 50.0, 60.0, 100.0], [0.0, 1.0, NAN, 0.0])
     assert path.count("M") == 2
     assert [place[0] for place in places(path)] == pytest.approx([0.0, 500.0, 1000.0])
     assert places(path)[0][1] == places(path)[2][1] > places(path)[1][1]
@@ -81,12 +81,12 @@ def test_a_line_leads_through_its_points_and_is_broken_where_nothing_is_known():
 
 def test_nothing_gives_no_path():
     x, y = time_axis("Time", 100.0, 1.0), value_axis("Value", [], 1.0)
-    assert line(x, y, [1.0], [NAN]) == line(x, y, [], []) == band(x, y, [], [], []) == ""
+    assert line_path(x, y, [1.0], [NAN]) == line_path(x, y, [], []) == band_path(x, y, [], [], []) == ""
 
 
 def test_a_band_goes_there_above_and_back_below():
     x, y = time_axis("Time", 100.0, 1.0), value_axis("Value", [0.0, 2.0], 1.0)
-    path = band(x, y, [0.0, 100.0], [0.0, 0.5], [2.0, 1.5])
+    path = band_path(x, y, [0.0, 100.0], [0.0, 0.5], [2.0, 1.5])
     assert [place[0] for place in places(path)] == [0.0, 1000.0, 1000.0, 0.0]
     heights = [place[1] for place in places(path)]
     assert heights == sorted(heights)
@@ -153,7 +153,7 @@ def snapshot():
 
 
 def curve(chart, look):
-    return next(each for each in chart.curves if each.look == look)
+    return next(each for each in chart.curves if each.css_class == look)
 
 
 def test_what_is_to_come_is_as_late_as_the_run(snapshot):
@@ -210,7 +210,7 @@ def test_bins_are_drawn_over_temperature_with_a_line_for_each_position():
     charts = temperature_charts(made_up_snapshot().bins)
     assert [each.label for each in charts] == ["X gyro", "Y gyro", "Z gyro"]
     filled = {each.position for each in made_up_snapshot().bins if each.count and each.gyro == "x"}
-    assert {curve.look for curve in charts[0].chart.curves} == {f"position {name}" for name in filled}
+    assert {curve.css_class for curve in charts[0].chart.curves} == {f"position {name}" for name in filled}
     ticks = [tick.percent for tick in charts[0].chart.x.ticks]
     assert ticks == sorted(ticks)
     assert temperature_charts([]) == []

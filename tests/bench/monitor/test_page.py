@@ -8,7 +8,7 @@ import pytest
 
 from gyrobench.bench.monitor.page_content import Freshness
 from gyrobench.bench.monitor.snapshot import MeasuredProfile, PlannedProfile, Question, RunSnapshot, RunState
-from gyrobench.bench.monitor.website import run_fragment, whole_page
+from gyrobench.bench.monitor.website import full_page, run_fragment
 from tests.bench.monitor.sample_snapshots import made_up_snapshot, waiting_snapshot
 
 FRESH = Freshness(1.0, False, "")
@@ -58,7 +58,7 @@ class Outline(HTMLParser):
 
 @pytest.fixture(params=PICTURES)
 def page(request):
-    return whole_page(run_fragment(*PICTURES[request.param], {}, ""), "nonce")
+    return full_page(run_fragment(*PICTURES[request.param], {}, ""), "nonce")
 
 
 def test_every_page_is_well_formed_with_one_name_for_each_part(page):

@@ -8,11 +8,11 @@ from gyrobench.bench.monitor.page_content import (
     Freshness,
     age_text,
     bin_tables,
+    dwell_table,
     freshness_of,
     headline,
     list_row,
     reading_rows,
-    shown_dwells,
     unreadable_row,
 )
 from gyrobench.bench.monitor.run_list import RunSummary
@@ -43,7 +43,7 @@ def test_ages_are_reported_in_the_unit_that_fits():
 
 
 def tiles(snapshot):
-    return {tile.name: (tile.value, tile.below) for tile in headline(snapshot).tiles}
+    return {tile.name: (tile.value, tile.detail) for tile in headline(snapshot).tiles}
 
 
 def test_a_run_in_its_middle():
@@ -91,11 +91,11 @@ def test_instruments_that_say_nothing_are_reported():
 
 def test_every_state_has_a_sign_and_an_alarm_makes_any_that_still_running_bad():
     assert set(STATE_SYMBOLS) == set(RunState)
-    looks = {state: headline(replace(made_up_snapshot(), state=state)).look for state in RunState}
+    looks = {state: headline(replace(made_up_snapshot(), state=state)).css_class for state in RunState}
     assert {state for state, look in looks.items() if look == "bad"} == {RunState.FAILED}
     assert looks[RunState.HOLDING] == "notable"
-    assert headline(waiting_snapshot()).look == "bad"
-    assert headline(replace(waiting_snapshot(), state=RunState.FINISHED)).look == "good"
+    assert headline(waiting_snapshot()).css_class == "bad"
+    assert headline(replace(waiting_snapshot(), state=RunState.FINISHED)).css_class == "good"
 
 
 def test_the_end_is_expected_on_the_calendar_only_where_the_run_keeps_to_it():
@@ -133,7 +133,7 @@ def test_no_bins_where_no_dwell_counts():
 
 
 def test_dwells_come_with_the_newest_first():
-    table = shown_dwells(measured_dwells(13))
+    table = dwell_table(measured_dwells(13))
     assert [row.number for row in table.rows] == list(range(13, 0, -1))
     newest, flagged = table.rows[0], table.rows[13 - 5]
     assert (newest.position, newest.temperature) == ("Z-Up", "3.1")
@@ -172,7 +172,7 @@ RUN = RunSummary(
 def test_a_run_under_way_in_one_line():
     row = list_row(RUN, Freshness(1.0, False, ""))
     assert row.address == "runs/six%20position%20%231/"
-    assert (row.state, row.look, row.reason) == ("holding", "notable", "the door is open")
+    assert (row.state, row.css_class, row.reason) == ("holding", "notable", "the door is open")
     assert row.facts == "six_position, unit 1001, 13 of 24 dwells, 6:00 h left, started 2026-03-02 07:30 UTC"
 
 
@@ -188,13 +188,13 @@ def test_a_run_that_is_over_has_nothing_left():
 
 def test_a_silent_run_and_one_that_can_not_be_read_are_reported_as_such():
     silent = list_row(RUN, Freshness(40.0, False, "No update for 40 s."))
-    assert (silent.state, silent.look, silent.reason) == ("silent", "bad", "No update for 40 s.")
+    assert (silent.state, silent.css_class, silent.reason) == ("silent", "bad", "No update for 40 s.")
     assert unreadable_row("mine", "damaged").reason == "damaged"
 
 
 def test_alarms_come_first():
     row = list_row(replace(RUN, alarms=2), Freshness(1.0, False, ""))
-    assert row.look == "bad"
+    assert row.css_class == "bad"
     assert row.facts.startswith("▲ 2 ALARMS, ")
 
 
@@ -209,5 +209,5 @@ def test_alarms_come_first():
 )
 def test_the_verdict_is_as_prominent_as_the_end_of_the_run(verdict, look, text):
     top = headline(replace(made_up_snapshot(), state=RunState.FINISHED, alarms=()), verdict)
-    assert (top.look, top.state) == (look, text)
-    assert top.sign == ("✕" if verdict == "rejected" else "✓")
+    assert (top.css_class, top.state) == (look, text)
+    assert top.symbol == ("✕" if verdict == "rejected" else "✓")

@@ -15,7 +15,7 @@ from gyrobench.bench.engine.resume import prepare_resumption
 from gyrobench.bench.engine.run import resume_run, run_job
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.monitor.snapshot import RunSnapshot, RunState, read_snapshot
-from gyrobench.bench.monitor.snapshot_recorder import SnapshotRecorder, Thinned
+from gyrobench.bench.monitor.snapshot_recorder import SnapshotRecorder, ThinnedRows
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.emulators.acl_axis import SoftwareFault
@@ -25,7 +25,7 @@ from tests.bench.monitor.conftest import recorded_run
 
 
 def thinned(count, max_rows=10):
-    kept = Thinned(max_rows)
+    kept = ThinnedRows(max_rows)
     for number in range(count):
         kept.add((number,))
     return [number for (number,) in kept.rows()]
