@@ -134,6 +134,7 @@ def export_navigation(
 
 
 def _batches(folder: RunFolder, setup: MeasurementSetup, dwell: int | None) -> Iterator[pa.Table]:
+    """Tables of the selected parts of the log, one by one."""
     log = TimedLog(folder)
     finished = log.finished
     selected = {number for number, marks in finished.items() if marks.dwell == dwell}
@@ -163,6 +164,7 @@ def _table(part: TimedPart, setup: MeasurementSetup, marks: DwellMarks | None, s
 
 
 def _float_values(data: NavigationData, start_s: float) -> list[FloatArray]:
+    """Values of the float columns, in their order."""
     quaternion = np.full((len(data.row), 4), np.nan)
     is_known = np.isfinite(data.attitude).all(axis=(1, 2))
     if is_known.any():

@@ -113,7 +113,7 @@ def data_origin(folder: RunFolder) -> dict[str, Any]:
     }
 
 
-#: Record beside the exported files.
+#: Record in the folder of the exported files.
 _RECORD_FILE = "export.json"
 _MAX_RECORD_BYTES = 10_000_000
 
@@ -198,6 +198,7 @@ class ExportFolder:
         self.written.append(path)
 
     def _earlier_entries(self, path: Path) -> dict[str, Any]:
+        """Entries of an existing record of the same run."""
         if not path.exists():
             return {}
         try:

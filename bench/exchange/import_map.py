@@ -42,6 +42,7 @@ def _from_plain_value(key: str, plain_type: Any, model: type[StrictModel]) -> Be
 
 
 def _require_one(model: Any, *names: str) -> None:
+    """Raise ValueError unless exactly one of the named fields has a value."""
     given = [name for name in names if getattr(model, name) is not None]
     if len(given) != 1:
         quoted = ", ".join(f"'{name}'" for name in names)

@@ -172,19 +172,19 @@ def _complete_parts(time_s: FloatArray, values: FloatArray) -> list[IntArray]:
         return []
     usual_s = float(np.median(time_s[lag:] - time_s[:-lag])) / lag
     is_repeated = (np.diff(time_s) < 0.5 * usual_s) & (values[1:] == values[:-1]).all(axis=1)
-    kept = np.flatnonzero(np.concatenate([[True], ~is_repeated]))
-    index, count = np.arange(1, len(kept)), len(kept)
-    deviation_s = np.concatenate([[0.0], np.cumsum(time_s[kept] - usual_s * np.arange(count))])
+    kept_indices = np.flatnonzero(np.concatenate([[True], ~is_repeated]))
+    index, count = np.arange(1, len(kept_indices)), len(kept_indices)
+    deviation_s = np.concatenate([[0.0], np.cumsum(time_s[kept_indices] - usual_s * np.arange(count))])
     first, last = np.maximum(index - _JUMP_SAMPLES, 0), np.minimum(index + _JUMP_SAMPLES, count)
     jump_s = (deviation_s[last] - deviation_s[index]) / (last - index) - (
         deviation_s[index] - deviation_s[first]
     ) / (index - first)
     is_gap = (np.abs(jump_s) > 0.5 * usual_s) & (
-        np.abs(np.diff(time_s[kept]) - usual_s) > _MIN_STEP_ERROR * usual_s
+        np.abs(np.diff(time_s[kept_indices]) - usual_s) > _MIN_STEP_ERROR * usual_s
     )
-    valid: BoolArray = np.asarray(np.isfinite(values[kept]).all(axis=1))
+    valid: BoolArray = np.asarray(np.isfinite(values[kept_indices]).all(axis=1))
     is_joined = valid[1:] & valid[:-1] & ~is_gap
-    return [kept[begin : end + 1] for begin, end in true_spans(is_joined)]
+    return [kept_indices[begin : end + 1] for begin, end in true_spans(is_joined)]
 
 
 def _saturation_index(time_s: FloatArray, values: FloatArray, limit: float) -> int | None:

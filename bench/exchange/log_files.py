@@ -263,6 +263,7 @@ class _SampleLines(io.RawIOBase):
                 return cleaned
 
     def _clean(self, block: bytes) -> bytes:
+        """Lines without comments, as UTF-8, with one tab between cells that blanks separate."""
         block = block.removeprefix(_BYTE_ORDER_MARK)
         if self._comment:
             block = self._comment.sub(b"", block)
@@ -275,6 +276,7 @@ class _SampleLines(io.RawIOBase):
 
 
 def _separator(head: list[str], layout: TextFormat) -> str:
+    """Separator of the cells, from the layout or the first line."""
     if layout.separator != "auto":
         return _SEPARATORS[layout.separator]
     candidates = "\t;" if layout.decimal == "," else "\t;,"

@@ -160,9 +160,9 @@ def _missing_earth_warnings(rows: Sequence[DwellRow], latitude_deg: float) -> It
             along_up_dph = float(np.mean(means))
             if abs(along_up_dph + earth_dph) < _EARTH_TOLERANCE * abs(earth_dph):
                 yield (
-                    f"the {axis} gyro, where it is vertical, seems to lack the Earth's rotation: subtracting "
+                    f"if vertical, the {axis} gyro seems to lack the Earth's rotation: subtracting "
                     f"it leaves {along_up_dph:.1f} deg/h along Up. Check 'unit' and 'scale' of the gyro; "
-                    "leave 'earth_rate' out where the log is free of it"
+                    "leave 'earth_rate' out if it was removed from the log"
                 )
 
 
@@ -192,6 +192,7 @@ def _map_warnings(log_map: LogMap, rows: Sequence[DwellRow]) -> list[str]:
 def _origin(
     logs: Sequence[_ReadLog], windows: Sequence[Window], map_path: Path, log_map: LogMap
 ) -> dict[str, Any]:
+    """Origin of the rows, for the record of the import."""
     resolutions = {
         f"gyro_{axis}": temperature_resolution_c(windows, f"gyro_{axis}_c")
         for axis in AXES
@@ -342,6 +343,7 @@ def _offsets_s(logs: Sequence[_ReadLog], log_map: LogMap) -> list[float]:
 def _cycles(
     windows: Sequence[Window], log_indices: Sequence[int], offsets: Sequence[float], log_map: LogMap
 ) -> list[int]:
+    """Cycle of each window; ``log_indices``: index of its log."""
     rule = log_map.cycle
     if rule.constant is not None:
         return [rule.constant] * len(windows)
@@ -362,6 +364,7 @@ def _cycles(
 
 
 def _position(window: Window, log_map: LogMap) -> str:
+    """Position of the unit in a window."""
     rule = log_map.averages.position
     if rule.constant is not None:
         return rule.constant
@@ -371,6 +374,7 @@ def _position(window: Window, log_map: LogMap) -> str:
 
 
 def _gyro_temperatures(window: Window, log_map: LogMap) -> tuple[Triple, Triple]:
+    """Mean temperatures of the gyros in a window, degC, and their rates, K/h."""
     constant = log_map.averages.temperatures.constant_c
     if constant is not None:
         return (constant, constant, constant), (0.0, 0.0, 0.0)

@@ -31,7 +31,7 @@ from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 #: Quantities of some samples by name, each of shape (n,): ``time_s``, ``rate_x`` (deg/h), ``gyro_x_c``, ...,
-#: ``force_x``, ``position`` (index in POSITIONS), ``cycle``; NaN where not measured.
+#: ``force_x``, ``position`` (index in POSITIONS), ``cycle``; NaN if not measured.
 Samples = dict[str, FloatArray]
 
 RATES = tuple(f"rate_{axis}" for axis in AXES)
@@ -176,6 +176,7 @@ class SampleReader:
         return times_s
 
     def _samples(self, batch: Batch) -> Samples:
+        """Quantities of a batch; rates with an invalid status are NaN."""
         samples = {
             name: _converted(name, batch[column], scale, offset)
             for name, (column, scale, offset) in self._quantities.items()
@@ -193,6 +194,7 @@ class SampleReader:
         return samples
 
     def _positions(self, rule: PositionRule, texts: NDArray[np.str_]) -> FloatArray:
+        """Indices of positions, from the texts of their column."""
         names, indices = np.unique(_normalised(texts), return_inverse=True)
         values = {_normalised_text(text): name for text, name in rule.values.items()}
         unknown = [name for name in names if name and name not in values]
@@ -205,12 +207,13 @@ class SampleReader:
         return np.array([float(positions.index(values[name])) if name else np.nan for name in names])[indices]
 
     def _check_order(self, time_s: FloatArray, last_s: float) -> None:
+        """Raise MeasurementError if a time is earlier than the previous one."""
         steps = np.diff(time_s, prepend=last_s)
         backward = np.flatnonzero(steps < 0.0)
         if backward.size:
             raise MeasurementError(
                 f"{self._path}: time goes back by {-steps[backward[0]]:g} s at {time_s[backward[0]]:.3f} s "
-                "after the first sample. Cut the log there, or, where only its clock is wrong, give "
+                "after the first sample. Cut the log there, or, if only its clock is wrong, give "
                 "'time: {sample_rate_hz: ...}' in the import map"
             )
 
@@ -357,6 +360,7 @@ def _split_windows(samples: Samples, index: NDArray[np.intp], begin: int, end: i
 
 
 def _window(samples: Samples, window_s: float, skip_s: float, before_s: float) -> Window:
+    """Means of the samples of one window; ``before_s``: time of the previous sample."""
     time_s = samples["time_s"]
     index = int(_window_index(time_s[:1], window_s, skip_s)[0])
     rates = np.column_stack([samples[name] for name in RATES])

@@ -88,7 +88,7 @@ class ExportSelection:
 
     what: Sequence[DataKind] = ()  #: Empty for all but navigation.
     formats: Sequence[Format] = ()  #: Empty for Parquet and BLF. Kinds without any of them are left out.
-    dwell: int | None = None  #: Navigation of this dwell alone.
+    dwell: int | None = None  #: Number of the only dwell whose navigation is exported; None for all.
 
     def __post_init__(self) -> None:
         unfit = [str(kind) for kind in self.what if not self.suffixes(kind)]
@@ -242,6 +242,7 @@ def _files(kind: DataKind, selection: ExportSelection) -> list[str]:
 
 
 def _write(folder: RunFolder, kind: DataKind, selection: ExportSelection, destination: ExportFolder) -> None:
+    """Write the files of one kind."""
     if kind is DataKind.COMPENSATION:
         _write_compensation(folder, selection.suffixes(kind), destination)
         return
@@ -347,8 +348,8 @@ def _table(declared: Compensation, model: Compensation) -> pa.Table:
 
 def _polynomial(compensation: Compensation, gyro: int, temperature_c: FloatArray) -> FloatArray:
     bias_dph = np.polynomial.polynomial.polyval(temperature_c, compensation.polynomial_dph[gyro])
-    inside = (temperature_c >= compensation.low_c[gyro]) & (temperature_c <= compensation.high_c[gyro])
-    return np.where(inside, np.round(bias_dph, _DECIMALS), np.nan)
+    is_inside = (temperature_c >= compensation.low_c[gyro]) & (temperature_c <= compensation.high_c[gyro])
+    return np.where(is_inside, np.round(bias_dph, _DECIMALS), np.nan)
 
 
 _TERMS_SCHEMA = pa.schema(

@@ -138,6 +138,7 @@ class SignalLog:
         return frames
 
     def _signal(self, column: Column) -> tuple[_Stamps, NDArray[Any]]:
+        """Stamps and values of a signal; raises DocumentError if the log lacks it."""
         name = self.columns[column - 1] if isinstance(column, int) and column <= len(self.columns) else column
         if name in self._without_frames:
             message = str(name).partition(".")[0]
@@ -201,6 +202,7 @@ def _mf4_frames(path: Path) -> FrameBlock:
 
 
 def _mf4_block(frames: Any) -> FrameBlock:
+    """Frames of one group."""
     columns = {name.rpartition(".")[2]: frames.samples[name] for name in frames.samples.dtype.names}
     identifiers = columns["ID"].astype(np.uint32)
     is_extended = columns.get("IDE", identifiers > _MAX_STANDARD_ID).astype(np.bool_)

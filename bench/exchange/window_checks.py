@@ -139,6 +139,7 @@ def temperature_warnings(rows: Sequence[DwellRow], windows: Sequence[Window], lo
 
 
 def _sample_problem(window: Window, log_map: LogMap, interval_s: float, gap_s: float) -> str:
+    """Reason against a window by its samples; empty if there is none."""
     total = window.samples + window.dropped
     if total < MIN_WINDOW_SAMPLES:
         return f"fewer than {MIN_WINDOW_SAMPLES} samples (are 'window_s' and the unit of time right?)"
@@ -152,6 +153,7 @@ def _sample_problem(window: Window, log_map: LogMap, interval_s: float, gap_s: f
 
 
 def _rate_problem(window: Window, saturation: FloatArray) -> str:
+    """Reason against a window by its rates; empty if there is none."""
     for axis, unchanged, extreme, limit in zip(
         AXES, window.max_samples_unchanged, window.extreme_dph, saturation, strict=True
     ):
@@ -163,6 +165,7 @@ def _rate_problem(window: Window, saturation: FloatArray) -> str:
 
 
 def _temperature_problem(window: Window, log_map: LogMap, is_stuck: bool) -> str:
+    """Reason against a window by its temperatures; empty if there is none."""
     if log_map.averages.temperatures.constant_c is not None:
         return ""
     if any(np.isnan(window.slopes_per_h[name]) for name in _GYRO_TEMPERATURES):
@@ -171,6 +174,7 @@ def _temperature_problem(window: Window, log_map: LogMap, is_stuck: bool) -> str
 
 
 def _position_problem(window: Window, log_map: LogMap) -> str:
+    """Reason against a window by its position or cycle; empty if there is none."""
     for name in ("position", "cycle"):
         if name in window.means:
             if np.isnan(window.means[name]):
@@ -317,6 +321,7 @@ def _mean_square(differences: FloatArray) -> FloatArray:
 
 
 def _resolution_variance(windows: Sequence[Window]) -> FloatArray:
+    """Variance of a window's mean rate due to the resolution, shape (3,)."""
     step = np.min([each.rate_step_dph for each in windows], axis=0)
     step = np.where(np.isfinite(step), step, 0.0)
     scatter = np.median([each.scatter_dph for each in windows], axis=0)

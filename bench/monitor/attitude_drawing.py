@@ -89,6 +89,7 @@ _VIEW_AXES = np.array(
 
 
 def _towards_eye(axis: FloatArray) -> float:
+    """Component of an axis towards the viewpoint."""
     return -float(axis @ _VIEW_AXES[:, 2])
 
 
@@ -104,6 +105,7 @@ def _points_text(points: list[tuple[float, float]]) -> str:
 
 
 def _arrow(css_class: str, label: str, axis: FloatArray, length: float) -> Arrow:
+    """Draw an arrow of ``length`` along an axis."""
     start, tip = _project(np.zeros(3)), _project(length * axis)
     right, down = tip[0] - start[0], tip[1] - start[1]
     length_px = math.hypot(right, down)

@@ -149,6 +149,7 @@ def band_path(
 
 
 def _coordinates(x: Axis, y: Axis, x_value: float, y_value: float) -> str:
+    """Coordinates of a point in an SVG path."""
     per_percent = _SIDE / 100.0
     return f"{x.percent(x_value) * per_percent:.1f} {y.percent(y_value) * per_percent:.1f}"
 
@@ -357,12 +358,15 @@ def _planned_path(
 
 
 def _lanes(x: Axis, snapshot: RunSnapshot) -> dict[str, list[PositionBar]]:
+    """Bars of each position, future ones shifted by the run's delay."""
     used = {span.position for span in snapshot.planned.positions}
     lanes: dict[str, list[PositionBar]] = {position: [] for position in POSITIONS if position in used}
     for span in snapshot.planned.positions:
         is_over = span.end_s <= snapshot.plan_now_s
         start_s = span.start_s if span.start_s <= snapshot.plan_now_s else span.start_s + snapshot.behind_s
         end_s = span.end_s if is_over else span.end_s + snapshot.behind_s
-        left, right = x.percent(start_s), x.percent(end_s)
-        lanes.setdefault(span.position, []).append(PositionBar(left, round(right - left, 3), is_over))
+        start_percent, end_percent = x.percent(start_s), x.percent(end_s)
+        lanes.setdefault(span.position, []).append(
+            PositionBar(start_percent, round(end_percent - start_percent, 3), is_over)
+        )
     return lanes

@@ -93,6 +93,7 @@ class _Families:
 
 
 def _samples(folder: Path, snapshot: RunSnapshot, age_s: float) -> Iterator[_Sample]:
+    """All samples of one run."""
     yield _Sample("gyrobench_run_info", 1.0, (snapshot.procedure, snapshot.station, snapshot.unit))
     for state in RunState:
         yield _Sample("gyrobench_run_state", state is snapshot.state, (state.value,))
@@ -119,6 +120,7 @@ def _samples(folder: Path, snapshot: RunSnapshot, age_s: float) -> Iterator[_Sam
 
 
 def _bench_samples(snapshot: RunSnapshot) -> Iterator[_Sample]:
+    """Samples of the instruments' last readings."""
     bench = snapshot.bench
     if bench is None:
         return
@@ -156,6 +158,7 @@ def _single_unit(snapshot: RunSnapshot) -> UnitStatus:
 
 
 def _unit_samples(unit: UnitStatus) -> Iterator[_Sample]:
+    """Samples of one unit."""
     yield _Sample("gyrobench_dwells_measured", unit.dwells, (unit.number,))
     yield _Sample("gyrobench_dwells_flagged", unit.flagged, (unit.number,))
     yield _Sample("gyrobench_reply_age_seconds", unit.ins_age_s, ("ins", unit.number))

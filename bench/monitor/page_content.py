@@ -121,6 +121,7 @@ def headline(snapshot: RunSnapshot, verdict: str = "") -> Headline:
 
 
 def _next_step(snapshot: RunSnapshot) -> str:
+    """Commands with which the operator can continue."""
     folder = shlex.quote(snapshot.folder)
     if snapshot.state in (RunState.STOPPED, RunState.FAILED):
         return f"gyrobench resume {folder} --look shows what is left; without --look it resumes."
@@ -372,6 +373,7 @@ def _address_of(name: str) -> str:
 
 
 def _run_facts(run: RunSummary) -> Iterable[str]:
+    """Facts of a run in the list."""
     if run.alarms:
         yield f"▲ {counted(run.alarms, 'alarm').upper()}"
     if run.procedure:

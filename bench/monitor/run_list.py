@@ -148,6 +148,7 @@ def snapshot_from_records(folder: RunFolder) -> RunSnapshot:
 
 
 def _station_and_plan(folder: RunFolder) -> tuple[Station | None, Plan | None]:
+    """Station and plan of a run; None if they can't be read."""
     try:
         station = Station(folder.station)
         return station, station.plan(*load_procedure(folder.procedure))
@@ -210,6 +211,7 @@ def _mode(code: float) -> str:
 def _attitude(
     station: Station | None, bench: BenchReadings | None, dwells: Sequence[DwellRow], journal: Sequence[Entry]
 ) -> Attitude | None:
+    """Last attitude of the unit; None if unknown."""
     if station is None or bench is None or math.isnan(bench.outer_deg + bench.inner_deg):
         return None
     finished = [entry.get("marks") for entry in journal if entry.get("event") == "dwell_finished"]
@@ -228,6 +230,7 @@ def _messages(journal: Sequence[Entry]) -> Iterator[Note]:
 
 
 def _message_of(entry: Mapping[str, Any]) -> str:
+    """Message of a journal entry; empty if it has none."""
     match entry.get("event"):
         case "note" | "soak_not_settled":
             return str(entry.get("text", ""))
@@ -286,10 +289,10 @@ def runs_in(folder: Path) -> list[Path]:
     Raises RunFolderError if the folder can't be read.
     """
     try:
-        inside = [path for path in folder.iterdir() if path.is_dir() and not path.is_symlink()]
+        folders = [path for path in folder.iterdir() if path.is_dir() and not path.is_symlink()]
     except OSError as error:
         raise RunFolderError(f"{folder}: can't be read: {error.strerror}") from error
-    return sorted(filter(is_run, inside), key=_sort_key, reverse=True)
+    return sorted(filter(is_run, folders), key=_sort_key, reverse=True)
 
 
 def summarise(folder: Path) -> RunSummary:
@@ -314,7 +317,7 @@ def verdict_in(folder: Path) -> str:
 
 
 def signature_of(folder: Path) -> Hashable:
-    """A value that changes with every change of the run."""
+    """Value that changes with every change of the files of a run."""
     run = RunFolder(folder)
     return holder_of(folder), *map(_changed_ns, (run.live, run.journal, run.dwells, run.acceptance))
 

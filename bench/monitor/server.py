@@ -130,6 +130,7 @@ class MonitorServer(ThreadingHTTPServer):
             super().handle_error(request, client_address)
 
     def _reject(self, request: socket.socket) -> None:
+        """Reject a connection, since all threads are busy."""
         try:
             request.sendall(_BUSY_RESPONSE)
         except OSError:
@@ -171,6 +172,7 @@ class _Handler(BaseHTTPRequestHandler):
         """Log nothing: a browser sends a request every two seconds."""
 
     def _answer(self) -> Response:
+        """Response to the request, also to an invalid one."""
         self.server.end_waiting(self.request)
         if not _is_allowed_host(self.headers.get_all("Host", [])):
             text = f"Open {self.server.url}: requests to other names are rejected."
@@ -184,6 +186,7 @@ class _Handler(BaseHTTPRequestHandler):
             return refusal(HTTPStatus.INTERNAL_SERVER_ERROR, text)
 
     def _send(self, answer: Response) -> None:
+        """Send a response, compressed if the client accepts that."""
         body = answer.body
         is_compressed = len(body) > _MIN_GZIP_BYTES and self._accepts_gzip()
         if is_compressed:

@@ -171,7 +171,7 @@ class WindowTrace(StrictRecord):
 
 @dataclass(frozen=True)
 class LiveBias(StrictRecord):
-    """Estimate of the current dwell at one moment; triples are x, y, z."""
+    """Estimate of the bias of the current dwell at one time; triples are x, y, z."""
 
     time_s: float
     bias_dph: NumberTriple
@@ -285,7 +285,7 @@ class RunState(StrEnum):
 
 @dataclass(frozen=True)
 class RunSnapshot(StrictRecord):
-    """A run at one moment.
+    """Snapshot of a run at one time.
 
     Attributes
     ----------
@@ -374,8 +374,8 @@ class RunSnapshot(StrictRecord):
             snapshot = _adapter().validate_json(data)
         except ValidationError as error:
             first = error.errors()[0]
-            where = ".".join(map(str, first["loc"])) or "the file"
-            raise RunFolderError(f"{damaged}: {where}: {first['msg']}") from error
+            location = ".".join(map(str, first["loc"])) or "the file"
+            raise RunFolderError(f"{damaged}: {location}: {first['msg']}") from error
         if any(len({len(series) for series in group}) > 1 for group in _series(snapshot)):
             raise RunFolderError(f"{damaged}: series of one table differ in length")
         # Versions before 0.2.0 write no number.

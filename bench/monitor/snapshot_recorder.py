@@ -178,6 +178,7 @@ def _alarms_of(bench: LiveBench) -> tuple[Alarm, ...]:
 
 
 def _unit_status(bench: LiveBench, number: str, outcome: RunOutcome, bins: tuple[LiveBin, ...]) -> UnitStatus:
+    """Status of one of several units."""
     read_units = [
         unit.readings for unit in bench.units if unit.station.number == number and unit.has_readings
     ]
@@ -397,6 +398,7 @@ class SnapshotRecorder(RunObserver):
         self._update_dwell(planned, now_s)
 
     def _update_dwell(self, planned: PlannedStep, now_s: float) -> None:
+        """Begin or end the current dwell, or its window, with a step."""
         if planned.dwell is None:
             self._dwell = None
         elif isinstance(planned.step, Align):

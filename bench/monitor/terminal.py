@@ -170,6 +170,7 @@ class Keyboard:
             return self._lines.popleft() if self._lines else ""
 
     def _process_keys(self) -> None:
+        """Append the waiting keys to the typed lines."""
         if self._saved_attributes is None:
             return
         for key in _read_keys().decode(errors="ignore"):

@@ -61,7 +61,7 @@ class Canvas:
     def _row(self, row: int) -> Text:
         cells = [(column, row) for column in range(self.width)]
         styled = itertools.groupby(cells, key=lambda cell: self._styles.get(cell, _NO_STYLE))
-        parts = (("".join(map(self._character, same)), style) for style, same in styled)
+        parts = (("".join(map(self._character, cells_of_style)), style) for style, cells_of_style in styled)
         return Text.assemble(*parts)
 
     def _character(self, cell: tuple[int, int]) -> str:
@@ -157,13 +157,14 @@ def plot(
 def _with_axes(
     canvas: Canvas, y_labels: tuple[str, str], label_width: int, x_labels: tuple[str, str], bar: str
 ) -> list[Text]:
+    """Rows of the canvas with labels of the axes."""
     lines = []
     last = canvas.height - 1
     for index, row in enumerate(canvas.rows()):
         label = y_labels[1] if index == 0 else y_labels[0] if index == last else ""
         lines.append(Text.assemble((f"{label:>{label_width}}{bar}", _DIM), row))
-    left, right = x_labels
-    x_axis = " " * (label_width + 1) + left + right.rjust(canvas.width - len(left))
+    start_label, end_label = x_labels
+    x_axis = " " * (label_width + 1) + start_label + end_label.rjust(canvas.width - len(start_label))
     return [*lines, Text(x_axis, _DIM)]
 
 

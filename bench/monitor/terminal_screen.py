@@ -204,8 +204,8 @@ def _profile_graph(snapshot: RunSnapshot, width: int, height: int, is_ascii: boo
         ("  from now on: plan", "dim"),
     )
     labels = ("0:00", f"{hours_minutes(end_s)} h")
-    now = None if snapshot.state.is_over else snapshot.now_s
-    return [title, *plot(curves, width, height - 1, (0.0, end_s), labels, _MIN_SPAN_C, is_ascii, now)]
+    mark_s = None if snapshot.state.is_over else snapshot.now_s
+    return [title, *plot(curves, width, height - 1, (0.0, end_s), labels, _MIN_SPAN_C, is_ascii, mark_s)]
 
 
 def _dwell_graphs(snapshot: RunSnapshot, width: int, height: int, is_ascii: bool) -> list[Text]:
@@ -259,13 +259,14 @@ def _filled_tables(snapshot: RunSnapshot) -> list[tuple[str, NumberTriple, list[
 
 
 def _unit_bins(head: str, now_c: float, bins: list[LiveBin], height: int, plus_minus: str) -> list[Text]:
+    """Table of the bins of one unit, those nearest to its temperature."""
     nearest = sorted(
         _ranges(bins), key=lambda ends: abs(sum(ends) / 2.0 - now_c) if math.isfinite(now_c) else ends[0]
     )
     positions = [name for name in POSITIONS if any(each.position == name for each in bins)]
     title = f"{f'{head}, C':<{_BIN_LABEL_WIDTH}}" + "".join(f"{name:>{_BIN_WIDTH}}" for name in positions)
-    shown = sorted(nearest[: (height - 1) // len(AXES)])
-    rows = [_bin_row(bins, gyro, ends, positions, plus_minus) for ends in shown for gyro in AXES]
+    ranges = sorted(nearest[: (height - 1) // len(AXES)])
+    rows = [_bin_row(bins, gyro, ends, positions, plus_minus) for ends in ranges for gyro in AXES]
     return [Text(title, "dim"), *rows]
 
 
@@ -276,6 +277,7 @@ def _ranges(bins: Sequence[LiveBin]) -> set[tuple[float, float]]:
 def _bin_row(
     bins: Sequence[LiveBin], gyro: str, ends: tuple[float, float], positions: Sequence[str], plus_minus: str
 ) -> Text:
+    """Biases of one gyro in one temperature bin, for each position."""
     row = Text(f"{f'{gyro} {ends[0]:g}..{ends[1]:g}':<{_BIN_LABEL_WIDTH}}")
     by_position = {each.position: each for each in bins if each.gyro == gyro and each.low_c == ends[0]}
     for name in positions:
@@ -286,6 +288,7 @@ def _bin_row(
 
 
 def _position_block(snapshot: RunSnapshot, height: int, is_ascii: bool) -> list[Text]:
+    """Position, drawing of the axes and angles of the table."""
     attitude = snapshot.attitude
     if attitude is None:
         return [Text("table angles unknown", "dim")]
@@ -311,6 +314,7 @@ def _joined_time_s(windows: Sequence[WindowTrace]) -> tuple[list[float], float]:
 
 
 def _side_by_side(blocks: Sequence[Sequence[Text]], widths: Sequence[int], height: int) -> list[Text]:
+    """Lines of blocks in columns of these widths."""
     lines = []
     for index in range(height):
         line = Text()

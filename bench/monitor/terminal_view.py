@@ -165,9 +165,9 @@ class LinesView(RunObserver):
         self._ticks = 0
         if isinstance(planned.step, SetChamber):
             time = hours_minutes(bench.clock.now())
-            now = f"chamber {bench.readings.chamber.temperature_c:.1f} degC now"
+            chamber = f"chamber {bench.readings.chamber.temperature_c:.1f} degC now"
             self._console.print(
-                f"{time:>5s} h  {planned.step.describe()}, {now}", highlight=False, soft_wrap=True
+                f"{time:>5s} h  {planned.step.describe()}, {chamber}", highlight=False, soft_wrap=True
             )
 
     def ticked(self, bench: LiveBench, left_s: float) -> None:
@@ -178,8 +178,8 @@ class LinesView(RunObserver):
             optics = bench.readings.ins.optics_c
             gyro = f"gyro {optics[0]:.1f} degC | " if optics[0] == optics[0] else ""
             chamber = f"chamber {bench.readings.chamber.temperature_c:.1f} degC"
-            where = f"{self._live_biases} | " if self._live_biases else f"{chamber}, {gyro}"
-            text = f"{hours_minutes(left_s)} h left | {where}{self._step}"
+            status = f"{self._live_biases} | " if self._live_biases else f"{chamber}, {gyro}"
+            text = f"{hours_minutes(left_s)} h left | {status}{self._step}"
             self._status.update(Text(text, no_wrap=True, overflow="ellipsis"))
 
     def estimable(self, estimate: Callable[[], StateSpaceEstimate | None]) -> None:
@@ -209,8 +209,8 @@ class LinesView(RunObserver):
             f"{bias * 1e3:+z7.2f} ±{sigma * 1e3:<4.2f}"
             for bias, sigma in zip(row.bias_dph, row.sigma_dph, strict=True)
         )
-        left = "" if self._has_several_units else f" {hours_minutes(self._left_s):>6s}"
-        self._console.print(f"{head} {values}{left}", highlight=False, soft_wrap=True)
+        remaining = "" if self._has_several_units else f" {hours_minutes(self._left_s):>6s}"
+        self._console.print(f"{head} {values}{remaining}", highlight=False, soft_wrap=True)
 
 
 #: Rows above the view, for lines that scroll.
@@ -281,6 +281,7 @@ class _TerminalView(RunObserver):
         self._next_snapshot_s = self._clock.now() + _SNAPSHOT_INTERVAL_S
 
     def _draw_until_stopped(self) -> None:
+        """Draw the view when something has changed, until the context ends."""
         drawn: tuple[RunSnapshot | None, str, tuple[int, int]] | None = None
         while not self._stop.wait(_KEY_INTERVAL_S):
             size = (self._console.width, self._console.height)
@@ -301,6 +302,7 @@ class _TerminalView(RunObserver):
         return [*screen(snapshot, width, height - len(prompt), is_ascii), *prompt]
 
     def _prompt(self, snapshot: RunSnapshot | None, typed: str) -> Text:
+        """Line with the typed keys, or with the possible inputs."""
         if typed:
             return Text(f"> {typed}_", no_wrap=True)
         question = snapshot.question if snapshot else None
@@ -319,7 +321,7 @@ def observe_in_terminal(
     """Record the snapshot of a run and show the run in this context; the run never waits for the output.
 
     The live view needs a terminal that can move its cursor, with this process in the foreground; otherwise
-    lines are printed. On virtual time, where no operator can be waited for, every question is answered with
+    lines are printed. On virtual time, which can't wait for an operator, every question is answered with
     consent.
     """
     keyboard = Keyboard()

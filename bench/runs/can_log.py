@@ -70,6 +70,7 @@ _ERROR = np.dtype(
 
 
 def _template(dtype: np.dtype[np.void], kind: int) -> NDArray[np.void]:
+    """Object of one frame with all fields that are the same for every frame."""
     template = np.zeros(1, dtype)
     template["signature"], template["header_size"], template["version"] = b"LOBJ", 32, 1
     template["size"], template["kind"], template["time_unit"] = dtype.itemsize, kind, TIME_ONE_NANS
@@ -149,6 +150,7 @@ def _pack_objects(block: FrameBlock, start_s: float) -> bytes:
 
 
 def _fill_template(template: NDArray[np.void], rows: NDArray[np.void], start_s: float) -> NDArray[np.void]:
+    """Objects (n,) of frames, with times relative to ``start_s``."""
     objects = np.frombuffer(bytearray(template.tobytes() * len(rows)), template.dtype)
     objects["time"] = np.maximum((rows["time_s"] - start_s) * _NS, 0.0)
     objects["dlc"], objects["id"], objects["data"] = rows["length"], rows["id"], rows["data"]
@@ -228,6 +230,7 @@ def _decode_objects(objects: bytes, start_s: float) -> FrameBlock | None:
 
 
 def _match_template(template: NDArray[np.void], objects: NDArray[np.void]) -> bool:
+    """Whether the headers of all objects are those of the template."""
     # Compares the header up to the unit of time, as 4-byte numbers, which is faster than by field.
     words, fixed = (
         each.view("<u4").reshape(-1, template.itemsize // 4)[:, :5] for each in (objects, template)
@@ -236,6 +239,7 @@ def _match_template(template: NDArray[np.void], objects: NDArray[np.void]) -> bo
 
 
 def _decode_uniform(objects: NDArray[np.void], start_s: float) -> FrameBlock:
+    """Frames of objects of one kind, data frames or error frames."""
     is_error = objects.dtype == _ERROR
     flags = ERROR_FRAME if is_error else np.where(objects["flags"] & REMOTE_FLAG, REMOTE_FRAME, 0)
     time_s = objects["time"] / _NS + start_s
@@ -243,6 +247,7 @@ def _decode_uniform(objects: NDArray[np.void], start_s: float) -> FrameBlock:
 
 
 def _read_with_python_can(content: bytes) -> tuple[FrameBlock, bool]:
+    """Frames as read by python-can, and whether the whole file was read."""
     messages: list[can.Message] = []
     is_whole = False
     try:
@@ -318,6 +323,7 @@ class CanLog:
             self._part = None
 
     def _abandon(self, part: _OpenPart, error: OSError) -> RunFolderError:
+        """Close a part that can't be written; returns the error to raise."""
         self._part = None
         part.close()
         return write_error(part.path, error)

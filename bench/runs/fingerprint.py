@@ -89,6 +89,7 @@ def find_change(path: Path, fingerprint: str) -> Change | None:
 
 
 def _locate_change(path: Path, start: int, block: bytes, record: NDArray[np.void]) -> Change:
+    """Change of a block that begins at byte ``start`` and differs from its record."""
     if len(block) < record["length"]:
         end = start + len(block)
         return Change(start, end, f"cut off at byte {end}; it differs from byte {start} at the latest")
@@ -124,6 +125,7 @@ def _single_change(block: bytes, record: NDArray[np.void]) -> tuple[int, int]:
 
 
 def _record(block: bytes) -> tuple[int, int, int, bytes]:
+    """Length, sum, first moment and digest of a block."""
     # Adler-32 holds the sum plus one, and the moment counted from the end, modulo the same prime.
     moment_from_end, sum_plus_one = divmod(zlib.adler32(block), 1 << 16)
     total = (sum_plus_one - 1) % _PRIME

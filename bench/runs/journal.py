@@ -99,6 +99,7 @@ class Journal:
         self._last_line = text
 
     def _lock(self) -> None:
+        """Lock the file; raises RunFolderError if another process holds it."""
         try:
             is_free = lock_descriptor(self._descriptor, blocking=False)
         except OSError:  # a file system or a platform without locks
@@ -189,6 +190,7 @@ def _sha256(line: bytes) -> str:
 
 
 def _parse_entry(line: bytes) -> dict[str, Any] | None:
+    """Entry in a line; None if the line is damaged."""
     try:
         entry = parse_json(line)
     except ValueError:
@@ -221,6 +223,7 @@ def _excerpt(line: bytes) -> str:
 
 
 def _with_nan_as_none(value: Any) -> Any:
+    """Value for JSON: numbers that are not finite become None."""
     if isinstance(value, dict):
         return {key: _with_nan_as_none(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -264,6 +267,7 @@ def facts_of(entries: Iterable[Mapping[str, Any]]) -> RunFacts:
 
 
 def _with_entry(facts: RunFacts, entry: Mapping[str, Any]) -> RunFacts:
+    """Facts updated by one entry."""
     match entry.get("event"):
         case "run_started":
             return _with_start(replace(facts, started_utc=_text(entry, "utc")), entry)
@@ -273,10 +277,10 @@ def _with_entry(facts: RunFacts, entry: Mapping[str, Any]) -> RunFacts:
             return replace(facts, unit=_text(entry, "unit") or facts.unit)
         case "investigation_started" | "investigation_resumed" as event:
             # A resumed investigation replays its blocks, and records them again.
-            begun = replace(facts, unit=_text(entry, "unit") or facts.unit, dwells=_dwell_count(entry))
+            with_unit = replace(facts, unit=_text(entry, "unit") or facts.unit, dwells=_dwell_count(entry))
             if event == "investigation_started":
-                return _with_start(replace(begun, started_utc=_text(entry, "utc")), entry)
-            return replace(_with_start(begun, entry), resumes=facts.resumes + 1)
+                return _with_start(replace(with_unit, started_utc=_text(entry, "utc")), entry)
+            return replace(_with_start(with_unit, entry), resumes=facts.resumes + 1)
         case "measured":
             return replace(facts, dwells=facts.dwells + _dwell_count(entry))
         case "investigation_ended":
@@ -300,6 +304,7 @@ def _with_entry(facts: RunFacts, entry: Mapping[str, Any]) -> RunFacts:
 
 
 def _with_start(facts: RunFacts, entry: Mapping[str, Any]) -> RunFacts:
+    """Facts updated by the start or the resumption of a run."""
     options = entry.get("options")
     return replace(
         facts,

@@ -168,18 +168,15 @@ def seal_run(folder: RunFolder, key: Path | None = None, *, accept_changes: bool
 
 
 def _seal_folder(
-    folder: RunFolder,
-    key: Path | None,
-    accept_changes: bool,
-    known_sha256: Mapping[str, str] = MappingProxyType({}),
+    folder: RunFolder, key: Path | None, accept_changes: bool, known: Mapping[str, str] = MappingProxyType({})
 ) -> Path | None:
-    """Path of the new seal; None if nothing has changed. ``known_sha256``: hashes of some files by path."""
+    """Path of the new seal; None if nothing has changed. ``known``: hashes of some files, by path."""
     seals = _read_seals(folder.path)
     last = seals[-1] if seals else None
     sealed = last.files if last else {}
     files = {
         path: SealedFile(
-            (folder.path / path).stat().st_size, known_sha256.get(path) or file_sha256(folder.path / path)
+            (folder.path / path).stat().st_size, known.get(path) or file_sha256(folder.path / path)
         )
         for path in _paths_to_seal(folder.path)
     }
@@ -189,7 +186,7 @@ def _seal_folder(
     if last and changes.evidence and not accept_changes:
         raise RunFolderError(
             f"{folder.path}: {listed(changes.evidence)} changed since seal {last.number}. "
-            "Restore them, or seal with --accept-changes, which keeps that on record"
+            "Restore them, or seal with --accept-changes, which records the change"
         )
     seal = Seal(
         number=last.number + 1 if last else 1,
@@ -214,7 +211,7 @@ def _seal_folder(
 
 
 def _seal_as_json(root: Path, seal: Seal, previous: Mapping[str, SealedFile]) -> Iterator[bytes]:
-    """JSON of a seal, file by file; computes the fingerprints, which are most of its size."""
+    """JSON of a seal, file by file; computes the fingerprints, which JSON need not escape."""
     record = {name: value for name, value in vars(seal).items() if name not in _NOT_RECORDED}
     yield json.dumps({**record, "changes": asdict(seal.changes), "files": {}}).encode().removesuffix(b"}}")
     separator = ""
@@ -222,9 +219,7 @@ def _seal_as_json(root: Path, seal: Seal, previous: Mapping[str, SealedFile]) ->
         is_unchanged = path in previous and previous[path].sha256 == each.sha256
         entry = json.dumps({"size_bytes": each.size_bytes, "sha256": each.sha256}).removesuffix("}")
         yield f'{separator}{json.dumps(path)}: {entry}, "fingerprint": "'.encode()
-        yield (
-            b"" if is_unchanged else fingerprint_of(root / path).encode()
-        )  # has no character that JSON escapes
+        yield b"" if is_unchanged else fingerprint_of(root / path).encode()
         yield b'"}'
         separator = ", "
     yield b"}}"
@@ -244,12 +239,12 @@ def _differs(path: Path, sealed: SealedFile) -> bool:
 
 
 def update_seal(
-    folder: RunFolder, known_sha256: Mapping[str, str] = MappingProxyType({}), are_tables_new: bool = False
+    folder: RunFolder, hashes: Mapping[str, str] = MappingProxyType({}), are_tables_new: bool = False
 ) -> None:
     """Seal a run that has ended, or what was added to it; without a signature if the key can't be used.
 
     Leaves a run of a version without seals as it is, and one whose tables differ from their seal, unless they
-    were computed again (``are_tables_new``). ``known_sha256``: hashes by path that a new report states, so
+    were computed again (``are_tables_new``). ``hashes``: those by path that a new report states, so
     that the seal holds the same. Raises RunFolderError if measured data or inputs have changed since the last
     seal.
     """
@@ -259,7 +254,7 @@ def update_seal(
         return  # damaged: a seal would confirm the damage
     is_due = (folder.path / _SEALS).exists() or is_linked(folder.journal)
     if ended and is_due and (are_tables_new or not edited_tables(folder)):
-        _seal_folder(folder, None, accept_changes=False, known_sha256=known_sha256)
+        _seal_folder(folder, None, accept_changes=False, known=hashes)
 
 
 def require_sealed_inputs(folder: RunFolder) -> None:
@@ -278,7 +273,7 @@ def require_sealed_inputs(folder: RunFolder) -> None:
     if last and changed:
         raise RunFolderError(
             f"{folder.path}: {listed(changed)} changed since seal {last.number}. Accept the change with "
-            f"`gyrobench seal {folder.path} --accept-changes`, which keeps it on record, or restore the file"
+            f"`gyrobench seal {folder.path} --accept-changes`, which records it, or restore the file"
         )
 
 
@@ -372,6 +367,7 @@ def _paths_to_seal(root: Path, prefix: str = "") -> Iterator[str]:
 
 
 def _changes(root: Path, previous: Mapping[str, SealedFile], files: Mapping[str, SealedFile]) -> SealChanges:
+    """Changes of the files since the previous seal."""
     changed = [path for path in files if path in previous and files[path].sha256 != previous[path].sha256]
     extended = [path for path in changed if _is_evidence(path) and _starts_with(root / path, previous[path])]
     return SealChanges(
@@ -393,18 +389,19 @@ def _starts_with(path: Path, sealed: SealedFile) -> bool:
 
 
 def _finding(root: Path, path: str, sealed: SealedFile, seals: Sequence[Seal]) -> SealFinding | None:
+    """How a file differs from its seal; None if it does not."""
     file = root / path
     if not file.is_file():
         return SealFinding(path, "is missing")
     if file_sha256(file) == sealed.sha256:
         return None
-    sealed_versions = (seal.files[path] for seal in seals if path in seal.files)
+    versions = (seal.files[path] for seal in seals if path in seal.files)
     fingerprints = [
-        each.fingerprint for each in sealed_versions if each.sha256 == sealed.sha256 and each.fingerprint
+        each.fingerprint for each in versions if each.sha256 == sealed.sha256 and each.fingerprint
     ]
     change = find_change(file, fingerprints[0]) if fingerprints else None
     if change is None:
-        return SealFinding(path, "differs; where is not known")
+        return SealFinding(path, "differs at an unknown position")
     return SealFinding(path, change.text, change.start, change.end)
 
 
@@ -430,6 +427,7 @@ def _read_seal(path: Path, trusted: bytes | None) -> Seal:
 
 
 def _signature_problem(text: bytes, signature: Mapping[str, Any], key: bytes, trusted: bytes | None) -> str:
+    """Problem of the signature of a seal; empty if there is none."""
     if hashlib.sha256(text).hexdigest() != signature["sha256"]:
         return "was changed: its hash does not fit"
     if trusted is not None and key != trusted:
@@ -446,6 +444,7 @@ def _signature_problem(text: bytes, signature: Mapping[str, Any], key: bytes, tr
 
 
 def _signature(text: bytearray, key: Path | None) -> dict[str, str]:
+    """Signature of a seal; the reason in place of it if no key is given or usable."""
     configured = os.environ.get(KEY_VARIABLE, "")
     if key is None and not configured:
         return {"unsigned": f"no key; {KEY_VARIABLE} names one"}

@@ -140,6 +140,7 @@ def _floats(column: pa.ChunkedArray) -> FloatArray:
 
 
 def _read_part(path: Path, columns: Sequence[str] = TELEMETRY_COLUMNS) -> dict[str, FloatArray]:
+    """Columns of one part; raises RunFolderError if it can't be read."""
     content = pa.BufferReader(read_limited(path, _MAX_PART_BYTES, RunFolderError))
     try:
         part = pq.ParquetFile(content)

@@ -229,8 +229,8 @@ class _Prediction:
         mean, variance = self._predict(np.array([1.0, months]), cross_covariance)
         variance = variance + drift * months**2 + walk * months + scatter
         sigma = np.sqrt(np.maximum(variance, 1e-300))
-        within = norm.cdf((limit_dph - mean) / sigma) - norm.cdf((-limit_dph - mean) / sigma)
-        return float(self._weight @ within)
+        probability = norm.cdf((limit_dph - mean) / sigma) - norm.cdf((-limit_dph - mean) / sigma)
+        return float(self._weight @ probability)
 
     def drift(self) -> tuple[float, float]:
         """Drift of the unit, and its standard uncertainty."""

@@ -116,6 +116,7 @@ def _common_positions(runs: Iterable[Mapping[str, object]]) -> tuple[str, ...]:
 def _weighted_sum(
     rows: Sequence[Mapping[str, Any]], weights: np.ndarray[Any, np.dtype[np.float64]]
 ) -> RunBias:
+    """Weighted sum of the biases of one run, which are taken as independent."""
     bias_dph = np.array([row["bias_dph"] for row in rows])
     sigma_dph = np.array([row["sigma_dph"] for row in rows])
     first = rows[0]
@@ -192,6 +193,7 @@ def mixed_origins(runs: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _fit_trend(quantity: BiasQuantity, runs: Sequence[RunBias]) -> Trend:
+    """Level and slope of one quantity over the runs of a unit; ``p_adjusted`` is NaN."""
     values = np.array([run.bias_dph for run in runs])
     variances = np.array([run.sigma_dph for run in runs]) ** 2
     months = np.array(months_since_first(runs))

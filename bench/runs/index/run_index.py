@@ -152,6 +152,7 @@ class RunIndex:
         changed: Sequence[RunFiles],
         progress: ReportProgress | None,
     ) -> None:
+        """Replace the rows of changed runs, in transactions."""
         with ThreadPoolExecutor(1 if self._store.is_local else _MAX_READERS) as readers:
             for first in range(0, len(changed), _RUNS_PER_TRANSACTION):
                 runs = changed[first : first + _RUNS_PER_TRANSACTION]
@@ -167,6 +168,7 @@ class RunIndex:
                     progress(first + len(runs), len(changed))
 
     def _read_units(self, connection: duckdb.DuckDBPyConnection, tag: str) -> None:
+        """Replace the table of units, and the columns of runs that depend on it."""
         units = parse_units(self._store.read(UNITS).decode("utf-8-sig", "replace"), UNITS) if tag else []
         connection.begin()
         connection.execute("DELETE FROM units")
@@ -221,6 +223,7 @@ class RunIndex:
         return self._connect(read_only=False)
 
     def _connect(self, *, read_only: bool) -> duckdb.DuckDBPyConnection:
+        """Connect to the index, and wait for other processes up to a time limit."""
         clock = WallClock()
         deadline = Deadline(clock, _LOCK_TIMEOUT_S)
         while True:
@@ -236,6 +239,7 @@ class RunIndex:
             clock.sleep(_LOCK_POLL_S)
 
     def _connection_error(self, error: duckdb.Error, *, is_held: bool) -> RunFolderError:
+        """Error for an index that could not be opened."""
         if is_held:
             return _IndexInUseError(
                 f"{self.path}: another process is using this index. Wait until it has finished"
@@ -250,6 +254,7 @@ class RunIndex:
 
 
 def _default_path(store: RunStore) -> Path:
+    """Path of the index: beside the runs if that is possible, otherwise in the user's cache."""
     if store.is_local and os.access(store.root, os.W_OK):
         return Path(store.root) / _INDEX
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")

@@ -114,6 +114,7 @@ class RunStore:
             return ""
 
     def _closure(self, folder: str) -> dict[str, str]:
+        """Tags of the files of a search in a run folder."""
         tags = {}
         for name in (CLOSURE_FILE, CLOSURE_FINDINGS):
             with contextlib.suppress(FileNotFoundError):
@@ -149,6 +150,7 @@ def _protocols(file_system: AbstractFileSystem) -> tuple[str, ...]:
 
 
 def _tag(info: Mapping[str, Any]) -> str:
+    """Size of a file, and a value that changes with its content."""
     return f"{info.get('size')} {next((info[name] for name in _TAGS if info.get(name)), '')}"
 
 
@@ -163,6 +165,7 @@ def find_run_folders(names: Sequence[str]) -> list[Path]:
 
 
 def _matching_folders(name: str) -> Iterator[Path]:
+    """Run folders that match one name or pattern."""
     matches = [name] if Path(name).exists() else sorted(glob.glob(name))  # noqa: PTH207 - may be absolute
     roots = [Path(match) for match in matches]
     is_found = False

@@ -317,6 +317,7 @@ def rows_by_table(records: Sequence[RunRecord]) -> dict[str, list[dict[str, Any]
 
 
 def _dwell_values(path: str, row: DwellRow) -> dict[str, Any]:
+    """Row of the table of dwells."""
     triples = {
         column: value
         for name in _DWELL_TRIPLES

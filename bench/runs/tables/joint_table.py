@@ -102,7 +102,7 @@ _Row = TypeVar("_Row", JointBiasRow, JointPlateauRow)
 
 
 def joint_bias_rows(solutions: Sequence[JointSolution], up_rate: UpRate | None) -> list[JointBiasRow]:
-    """Biases of all dwells, three rows each; corrected by the rate Up of all plateaus where it applies."""
+    """Biases of all dwells, three rows each; corrected by the rate Up of all plateaus if that applies."""
     return [row for plateau, each in enumerate(solutions, 1) for row in _bias_rows(plateau, each, up_rate)]
 
 
@@ -136,6 +136,7 @@ def read_joint_plateaus(path: Path) -> list[JointPlateauRow]:
 
 
 def _bias_rows(plateau: int, solution: JointSolution, up_rate: UpRate | None) -> Iterator[JointBiasRow]:
+    """Rows of the dwells of one plateau."""
     corrected = solution.corrected(up_rate) if up_rate is not None and up_rate.applies else None
     for index, dwell in enumerate(solution.dwells):
         for axis, gyro in enumerate(AXES):
@@ -183,6 +184,7 @@ def _all_plateaus(dwells: int, rate: UpRate) -> JointPlateauRow:
 
 
 def _up_rate_values(rate: UpRate) -> dict[str, Any]:
+    """Columns of the rate Up and of the latitude error."""
     return {
         "up_rate_dph": rate.rate * RADPS_TO_DPH,
         "up_rate_sigma_dph": rate.sigma * RADPS_TO_DPH,
