@@ -90,7 +90,7 @@ class Canvas:
 
 
 def _line_dots(first: tuple[int, int], last: tuple[int, int]) -> Iterable[tuple[int, int]]:
-    """All dots of the straight line from one dot to another."""
+    """Dots of the straight line from one dot to another."""
     steps = max(abs(last[0] - first[0]), abs(last[1] - first[1]), 1)
     for step in range(steps + 1):
         share = step / steps

@@ -55,7 +55,7 @@ class Recalibration:
 
 @dataclass(frozen=True)
 class _Unit:
-    """Runs of a unit."""
+    """Runs of a unit: times since the first run, biases and their variances, each of shape (n,)."""
 
     months: FloatArray
     bias_dph: FloatArray
@@ -205,12 +205,9 @@ class _Prediction:
         self, unit: _Unit, sigmas: FloatArray, drift_of_others: FloatArray, weight: FloatArray
     ) -> None:
         is_relevant = weight > weight.max() * 1e-6
-        self._unit, self._sd, self._weight = (
-            unit,
-            sigmas[is_relevant],
-            weight[is_relevant] / weight[is_relevant].sum(),
-        )
-        inverse = unit.inverse_covariance(self._sd)
+        self._unit, self._sigmas = unit, sigmas[is_relevant]
+        self._weight = weight[is_relevant] / weight[is_relevant].sum()
+        inverse = unit.inverse_covariance(self._sigmas)
         design = np.column_stack([np.ones_like(unit.months), unit.months])
         matrix = design.T @ inverse @ design
         matrix[:, 1, 1] += np.maximum(drift_of_others[is_relevant, 0], 0.0)
@@ -224,7 +221,7 @@ class _Prediction:
 
     def probability_within(self, months: float, limit_dph: float) -> float:
         """Probability that the bias is within the limit in a run ``months`` after the unit's first run."""
-        drift, walk, scatter = (self._sd**2).T
+        drift, walk, scatter = (self._sigmas**2).T
         cross_covariance = self._cross_covariance(months)
         mean, variance = self._predict(np.array([1.0, months]), cross_covariance)
         variance = variance + drift * months**2 + walk * months + scatter
@@ -234,16 +231,16 @@ class _Prediction:
 
     def drift(self) -> tuple[float, float]:
         """Drift of the unit, and its standard uncertainty."""
-        cross_covariance = (self._sd[:, 0] ** 2)[:, None] * self._unit.months
+        cross_covariance = (self._sigmas[:, 0] ** 2)[:, None] * self._unit.months
         mean, variance = self._predict(np.array([0.0, 1.0]), cross_covariance)
-        variance = variance + self._sd[:, 0] ** 2
+        variance = variance + self._sigmas[:, 0] ** 2
         overall = float(self._weight @ mean)
         return overall, float(np.sqrt(self._weight @ (variance + (mean - overall) ** 2)))
 
     def _cross_covariance(self, months: float) -> FloatArray:
         """Covariance of a later run with the measured runs, shape (g, n)."""
         t = self._unit.months
-        drift, walk, _ = (self._sd**2).T[:, :, None]
+        drift, walk, _ = (self._sigmas**2).T[:, :, None]
         return np.asarray(drift * months * t + walk * np.minimum(t, months), dtype=float)
 
     def _predict(self, row: FloatArray, cross_covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
