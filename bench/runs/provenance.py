@@ -77,7 +77,7 @@ def identities_in(folder: RunFolder) -> dict[str, str]:
 
 
 def ins_identity(folder: RunFolder) -> str:
-    """How the INS of a run identified, with its firmware; empty if unknown."""
+    """Identification of the INS of a run, with its firmware; empty if unknown."""
     return ", ".join(text for name, text in identities_in(folder).items() if name.startswith("INS"))
 
 
