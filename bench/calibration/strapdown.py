@@ -31,7 +31,7 @@ import numpy as np
 
 from gyrobench.bench.calibration.coefficients import COUNT, LOWER, OPTIONAL_PARAMETERS, SensorErrors
 from gyrobench.bench.calibration.increment_recording import SensorNoise
-from gyrobench.bench.calibration.turns import Vector, set_turn
+from gyrobench.bench.calibration.turns import Vector, add_scaled, cross_product, multiply, set_turn
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 from gyrobench.bench.foundations.kernels import compiled, multiply_3x3
 from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vectors
@@ -49,11 +49,8 @@ PARAMETER_COUNT = COUNT + len(OPTIONAL_PARAMETERS)
 ATTITUDE, DRIFT = slice(PARAMETER_COUNT, PARAMETER_COUNT + 3), slice(PARAMETER_COUNT + 3, PARAMETER_COUNT + 6)
 LATITUDE = PARAMETER_COUNT + 6
 _ALL = tuple(range(LATITUDE))
-_FIRST_QUADRATIC, _FIRST_G_SENSITIVITY, _FIRST_ASYMMETRY = (
-    QUADRATIC.start,
-    G_SENSITIVITIES.start,
-    ASYMMETRIES.start,
-)
+_FIRST_QUADRATIC, _FIRST_G_SENSITIVITY = QUADRATIC.start, G_SENSITIVITIES.start
+_FIRST_ASYMMETRY = ASYMMETRIES.start
 _ROWS, _COLUMNS = LOWER
 #: Rotations, rad, after which the attitude, and after which the responses are updated. In between, increments
 #: are summed with their coning and sculling, and the responses use the mean attitude.
@@ -180,28 +177,9 @@ def integrate_increments(
 
 
 @compiled
-def _multiply(a: FloatArray, b: Vector) -> Vector:
-    return (
-        a[0, 0] * b[0] + a[0, 1] * b[1] + a[0, 2] * b[2],
-        a[1, 0] * b[0] + a[1, 1] * b[1] + a[1, 2] * b[2],
-        a[2, 0] * b[0] + a[2, 1] * b[1] + a[2, 2] * b[2],
-    )
-
-
-@compiled
 def _corrected_increment(correction: FloatArray, measured: FloatArray) -> Vector:
-    x, y, z = _multiply(correction, (measured[0], measured[1], measured[2]))
+    x, y, z = multiply(correction, (measured[0], measured[1], measured[2]))
     return x + correction[0, 3], y + correction[1, 3], z + correction[2, 3]
-
-
-@compiled
-def _cross(a: Vector, b: Vector) -> Vector:
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-@compiled
-def _add_scaled(a: Vector, b: Vector, share: float) -> Vector:
-    return a[0] + share * b[0], a[1] + share * b[1], a[2] + share * b[2]
 
 
 @compiled
@@ -229,16 +207,16 @@ def _integrate(
         dv = _corrected_increment(correction[1], velocity[k])
         if k == 0:
             theta_before, dv_before = theta, dv
-        before = _add_scaled(alpha, theta_before, 1.0 / 6.0)
-        coning = _add_scaled(coning, _cross(before, theta), 0.5)
-        sculling = _add_scaled(sculling, _cross(before, dv), 0.5)
-        sculling = _add_scaled(sculling, _cross(_add_scaled(speed, dv_before, 1.0 / 6.0), theta), 0.5)
-        alpha, speed = _add_scaled(alpha, theta, 1.0), _add_scaled(speed, dv, 1.0)
+        before = add_scaled(alpha, theta_before, 1.0 / 6.0)
+        coning = add_scaled(coning, cross_product(before, theta), 0.5)
+        sculling = add_scaled(sculling, cross_product(before, dv), 0.5)
+        sculling = add_scaled(sculling, cross_product(add_scaled(speed, dv_before, 1.0 / 6.0), theta), 0.5)
+        alpha, speed = add_scaled(alpha, theta, 1.0), add_scaled(speed, dv, 1.0)
         summed += 1
         if has_sums:
             first, last = max(k - 1, 0), min(k + 1, count - 1)
             per_s = 1.0 / ((last - first) * interval_s)
-            cross = _cross(theta, dv)
+            cross = cross_product(theta, dv)
             square = theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2
             for i in range(3):
                 delayed[i] -= cross[i] / interval_s
@@ -250,12 +228,12 @@ def _integrate(
                 arms[i, (i + 2) % 3] += (angle[last, (i + 1) % 3] - angle[first, (i + 1) % 3]) * per_s
         if k + 1 != ends[epoch] and alpha[0] ** 2 + alpha[1] ** 2 + alpha[2] ** 2 < _MAX_SUM**2:
             continue
-        cross = _cross(alpha, speed)
-        force_sum = _add_scaled(
-            _add_scaled(_add_scaled(speed, sculling, 1.0), cross, 0.5), _cross(alpha, cross), 1.0 / 6.0
+        cross = cross_product(alpha, speed)
+        force_sum = add_scaled(
+            add_scaled(add_scaled(speed, sculling, 1.0), cross, 0.5), cross_product(alpha, cross), 1.0 / 6.0
         )
-        velocity_change = _multiply(half[summed], _multiply(C, force_sum))
-        set_turn(turn, _add_scaled(alpha, coning, 1.0))
+        velocity_change = multiply(half[summed], multiply(C, force_sum))
+        set_turn(turn, add_scaled(alpha, coning, 1.0))
         multiply_3x3(product, C, turn)
         multiply_3x3(C, earth[summed], product)
         for i in range(3):

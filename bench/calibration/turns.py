@@ -1,4 +1,4 @@
-"""Compiled functions for sequences of rotations."""
+"""Compiled arithmetic of vectors and rotations."""
 
 from __future__ import annotations
 
@@ -9,6 +9,28 @@ from gyrobench.bench.foundations.kernels import compiled, multiply_3x3
 
 #: Tuples stay in registers, while small arrays would be allocated for every sample.
 Vector = tuple[float, float, float]
+
+
+@compiled
+def multiply(a: FloatArray, b: Vector) -> Vector:
+    """Product of a matrix (3, 3) and a vector."""
+    return (
+        a[0, 0] * b[0] + a[0, 1] * b[1] + a[0, 2] * b[2],
+        a[1, 0] * b[0] + a[1, 1] * b[1] + a[1, 2] * b[2],
+        a[2, 0] * b[0] + a[2, 1] * b[1] + a[2, 2] * b[2],
+    )
+
+
+@compiled
+def cross_product(a: Vector, b: Vector) -> Vector:
+    """Cross product."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@compiled
+def add_scaled(a: Vector, b: Vector, share: float) -> Vector:
+    """``a + share * b``."""
+    return a[0] + share * b[0], a[1] + share * b[1], a[2] + share * b[2]
 
 
 @compiled

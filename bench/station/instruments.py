@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-import threading
 from collections.abc import Callable, Collection, Iterator, Mapping
-from concurrent.futures import Future, InvalidStateError, wait
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,7 +14,7 @@ from uuid import uuid4
 
 import can
 
-from gyrobench.bench.foundations.clock import Clock, Deadline
+from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import (
     ConnectionFailedError,
     DocumentError,
@@ -32,59 +30,13 @@ from gyrobench.bench.foundations.shipped import DEFAULT_WORLD, find_document, wo
 from gyrobench.bench.station.instrument_sections import DialectSection
 from gyrobench.bench.station.station import Station
 from gyrobench.bench.station.station_file import load_station_file
+from gyrobench.bench.station.time_limit import call_within
 from gyrobench.drivers.chamber import Chamber, ChamberDialect, ChamberReading, running_profile
 from gyrobench.drivers.chamber.software_ramp import SoftwareRamp
 from gyrobench.drivers.ins.can_bus import close_bus, open_bus
 from gyrobench.drivers.ins.can_ins import CanIns
 from gyrobench.drivers.rate_table import RateTable, TableDialect, TableReading
 from gyrobench.drivers.serial_line import SerialLine
-
-_POLL_S = 0.25
-
-_ResultT = TypeVar("_ResultT")
-
-
-def call_within(
-    clock: Clock,
-    limit_s: float,
-    instrument: str,
-    action: Callable[[], _ResultT],
-    discard: Callable[[_ResultT], None] = lambda _: None,
-    meanwhile: Callable[[], object] = lambda: None,
-) -> _ResultT:
-    """Call ``action`` with a time limit and return its result.
-
-    On a wall clock it runs in a separate thread, which is abandoned at the limit. In virtual time nothing can
-    hang, and the call is direct. ``limit_s`` is on the run's clock. ``discard`` receives a result that comes
-    too late, for instance to close a port; ``meanwhile`` is called repeatedly while waiting. Raises
-    ConnectionFailedError if the time is over. Errors of ``action`` are raised as they are.
-    """
-    if clock.is_virtual:
-        return action()
-    outcome: Future[_ResultT] = Future()
-
-    def perform() -> None:
-        try:
-            result = action()
-        except BaseException as error:  # noqa: BLE001 - raised again in the waiting thread
-            with contextlib.suppress(InvalidStateError):
-                outcome.set_exception(error)
-            return
-        try:
-            outcome.set_result(result)
-        except InvalidStateError:  # cancelled: too late
-            discard(result)
-
-    threading.Thread(target=perform, name=f"limited: {instrument}", daemon=True).start()
-    deadline = Deadline(clock, limit_s)
-    while not wait([outcome], timeout=min(_POLL_S, deadline.remaining_s())).done:
-        if deadline.expired() and outcome.cancel():
-            raise ConnectionFailedError(
-                instrument, f"its port did not respond within {limit_s:g} s. Check cable, adapter and power."
-            )
-        meanwhile()
-    return outcome.result()
-
 
 #: Names of the instruments in error messages and for :meth:`Instruments.reopen`.
 RATE_TABLE, CHAMBER = "rate table", "chamber"

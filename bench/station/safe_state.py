@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from gyrobench.bench.foundations.errors import ConnectionFailedError, InstrumentError, RefusedError
-from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE, Outputs, call_within
+from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE, Outputs
 from gyrobench.bench.station.station import Station
+from gyrobench.bench.station.time_limit import call_within
 from gyrobench.drivers.chamber import Chamber
 
 #: Time limits, far longer than healthy instruments need. A release waits until the table is at rest.

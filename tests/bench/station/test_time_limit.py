@@ -4,7 +4,7 @@ import pytest
 
 from gyrobench.bench.foundations.clock import VirtualClock, WallClock
 from gyrobench.bench.foundations.errors import ConnectionFailedError, NoReplyError
-from gyrobench.bench.station.instruments import call_within
+from gyrobench.bench.station.time_limit import call_within
 
 
 def refuses():
