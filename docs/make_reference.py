@@ -109,11 +109,13 @@ def _command_section(name: str, command: Any) -> str:
 def _parameter(parameter: Any) -> tuple[str, str, str]:
     is_argument = parameter.param_type_name == "argument"
     name = (parameter.metavar or parameter.name.upper()) if is_argument else ", ".join(parameter.opts)
+    name += "..." * (is_argument and parameter.nargs == -1)
     default = parameter.default
     is_shown = not callable(default) and default not in (None, "", (), [], False)
     shown = f"`{default}`" if is_shown else ""
     values = ", ".join(_choices(parameter.type_descriptor.annotation))
-    meaning = f"{parameter.help or ''}{f' Values: {values}.' * bool(values)}"
+    are_in_help = all(value in (parameter.help or "") for value in values.split(", "))
+    meaning = f"{parameter.help or ''}{f' Values: {values}.' * (not are_in_help)}"
     return f"`{name}`", meaning, "required" if parameter.required else shown
 
 
