@@ -136,10 +136,10 @@ def judge(
     planned = list(planned)
     missing = _not_measured(valid, compared, planned, limits)
     measured = {each.position for each in planned} | {row.position for row in in_time}
-    apart = [_unconnected(measured, gyro_plateaus) for gyro_plateaus in compared]
-    lacking = {each.gyro for each in missing}
-    lacking |= {gyro for gyro, groups in zip(AXES, apart, strict=True) if len(groups) > 1}
-    gyros = {gyro: _gyro_verdict(gyro, judgements, gyro in lacking) for gyro in AXES}
+    groups = [_connected_positions(measured, gyro_plateaus) for gyro_plateaus in compared]
+    incomplete = {each.gyro for each in missing}
+    incomplete |= {gyro for gyro, each in zip(AXES, groups, strict=True) if len(each) > 1}
+    gyros = {gyro: _gyro_verdict(gyro, judgements, gyro in incomplete) for gyro in AXES}
     return Acceptance(
         verdict=_run_verdict(gyros),
         limits=limits,
@@ -147,7 +147,7 @@ def judge(
         plateaus=max(map(len, compared)),
         judgements=judgements,
         not_measured=missing,
-        unconnected=max(apart, key=len) if max(map(len, apart)) > 1 else [],
+        unconnected=max(groups, key=len) if max(map(len, groups)) > 1 else [],
     )
 
 
@@ -304,8 +304,8 @@ def _outside_largest(planned: Sequence[PlannedDwell], plateaus: Iterable[_Platea
     return [dwell for dwell in planned if dwell not in largest]
 
 
-def _unconnected(positions: Iterable[str], plateaus: Iterable[_Plateau]) -> list[list[str]]:
-    """Positions in groups between which no plateau compares, neither directly nor by way of others."""
+def _connected_positions(positions: Iterable[str], plateaus: Iterable[_Plateau]) -> list[list[str]]:
+    """Groups of positions that plateaus compare, directly or through other positions."""
     groups = [{name} for name in POSITIONS if name in positions]
     for plateau in plateaus:
         together = {row.position for row in plateau}
@@ -315,11 +315,11 @@ def _unconnected(positions: Iterable[str], plateaus: Iterable[_Plateau]) -> list
     return sorted(in_order, key=lambda names: list(POSITIONS).index(names[0]))
 
 
-def _gyro_verdict(gyro: str, judgements: Iterable[Judgement], is_lacking: bool) -> GyroVerdict:
+def _gyro_verdict(gyro: str, judgements: Iterable[Judgement], is_incomplete: bool) -> GyroVerdict:
     verdicts = {each.verdict for each in judgements if each.gyro == gyro}
     if "fail" in verdicts:
         return "fail"
-    if not verdicts or is_lacking:
+    if not verdicts or is_incomplete:
         return "not measured"
     return "marginal" if "marginal" in verdicts else "pass"
 

@@ -84,10 +84,10 @@ def dwell_at_rest(marks: DwellMarks, navigation: NavigationData, setup: Measurem
 
 
 def turn_fault(dwell: Dwell, setup: MeasurementSetup) -> str:
-    """That the INS turned by another angle than the table between two windows; empty where it did not.
+    """Message that the INS turned by another angle than the table between two windows; empty if it did not.
 
-    The angle of a rotation is the same in all axes: mounting, azimuth and tilt of the table do not show. An
-    INS that aligns again has another heading error after it, by twice the bias East over the Earth's rate.
+    The angle of a rotation does not depend on the axes, so mounting, azimuth and tilt of the table have no
+    effect. An INS that aligns again changes its heading error by twice the bias East over the Earth rate.
     """
     for number, (earlier, later) in enumerate(itertools.pairwise(dwell.windows), 2):
         table = angle_between(dwell.C_nb_table[number - 1], dwell.C_nb_table[number - 2])

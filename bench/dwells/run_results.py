@@ -105,7 +105,7 @@ def evaluate(
         Of the run's check dwells.
     """
     noise = _pooled_noise([dwell for dwell in dwells if not dwell.is_disturbed], setup)
-    dwells = _without_held_heading(dwells, setup)
+    dwells = _flag_held_heading(dwells, setup)
     good = [dwell for dwell in dwells if dwell.estimate and not dwell.row.flags]
     joint = [solve_jointly(plateau, setup.prior) for plateau in group_plateaus(_joint_dwells(good))]
     rate = pooled_up_rate(joint, setup.prior)
@@ -212,10 +212,10 @@ def _pooled_noise(dwells: Sequence[MeasuredDwell], setup: MeasurementSetup) -> N
         return None
 
 
-def _without_held_heading(
+def _flag_held_heading(
     dwells: Sequence[MeasuredDwell], setup: MeasurementSetup
 ) -> Sequence[MeasuredDwell]:
-    """The dwells, all flagged if an aid of the INS holds the heading: vertical gyros seem to have no bias."""
+    """Flag all dwells if an aid of the INS holds the heading, which hides the biases of vertical gyros."""
     windows = [window for dwell in dwells for window in dwell.windows]
     held_s = held_heading_s(windows, setup.heading_lsb_rad)
     if held_s is None:
