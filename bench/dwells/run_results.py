@@ -212,9 +212,7 @@ def _pooled_noise(dwells: Sequence[MeasuredDwell], setup: MeasurementSetup) -> N
         return None
 
 
-def _flag_held_heading(
-    dwells: Sequence[MeasuredDwell], setup: MeasurementSetup
-) -> Sequence[MeasuredDwell]:
+def _flag_held_heading(dwells: Sequence[MeasuredDwell], setup: MeasurementSetup) -> Sequence[MeasuredDwell]:
     """Flag all dwells if an aid of the INS holds the heading, which hides the biases of vertical gyros."""
     windows = [window for dwell in dwells for window in dwell.windows]
     held_s = held_heading_s(windows, setup.heading_lsb_rad)
