@@ -123,10 +123,10 @@ def test_rests_and_rotations_are_in_the_journal_and_their_frames_in_the_log(job,
     assert (snapshot.finished_dwells, live.finished_dwells) == (2, 2)
     # The rotations have left the position.
     assert (snapshot.attitude.position, live.attitude.position) == ("", "")
-    for took in read_run(folder).took:
-        if took.kind in ("rotate", "spin"):
-            assert took.count == 1
-            assert took.took_s == pytest.approx(took.planned_s, rel=0.1)  # a small table's moves are short
+    for each in read_run(folder).step_durations:
+        if each.kind in ("rotate", "spin"):
+            assert each.count == 1
+            assert each.actual_s == pytest.approx(each.planned_s, rel=0.1)  # a small table's moves are short
 
 
 @pytest.mark.parametrize("kind", ["rotate", "spin"])
