@@ -91,8 +91,7 @@ def white_rows(
     lengths_s : ndarray, shape (n,)
         Of the epochs.
     whole_turns : float, optional
-        Standard uncertainty, rad, of the table's return after whole turns; without it spins are treated as
-        any other rotation.
+        Standard uncertainty, rad, of the table's return after whole turns; without it spins are rotations.
     heading : float, optional
         Standard uncertainty, rad, of the change of heading in the table's rotations about Up; without it
         these are not used.
@@ -327,9 +326,8 @@ def attitudes(
     angle: FloatArray, interval_s: float, ends: IntArray, C_nb: FloatArray, latitude: float
 ) -> FloatArray:
     """Attitudes (n + 1, 3, 3) at the start and the ends of epochs, from increments of angle."""
-    return integrate_increments(
-        angle, np.zeros_like(angle), interval_s, ends, C_nb, latitude, 0.0, ()
-    ).attitude
+    velocity = np.zeros_like(angle)
+    return integrate_increments(angle, velocity, interval_s, ends, C_nb, latitude, 0.0, ()).attitude
 
 
 def epoch_steps(

@@ -30,8 +30,7 @@ from gyrobench.bench.foundations.text import WRITE_POINT, did_you_mean, has_deci
 KeyPath = tuple[str | int, ...]
 
 MAX_DOCUMENT_BYTES = 1_000_000
-_MAX_VALUES = 50_000
-_MAX_DEPTH = 50
+_MAX_VALUES, _MAX_DEPTH = 50_000, 50
 _TOO_LARGE = f"more than {_MAX_VALUES} values or deeper than {_MAX_DEPTH} levels"
 _MAX_QUOTED_CHARACTERS = 60
 _NUMBER_WITH_UNIT = re.compile(r"[-+]?\d+(\.\d+)?\s*[^\d\s.,_].*")
@@ -306,15 +305,14 @@ _START_TOKENS = ("'<block sequence start>'", "'<block mapping start>'", "'-'", "
 def _describe_yaml_error(error: yaml.MarkedYAMLError, text: str) -> str:
     """Describe a YAML error by its probable cause, with the line where the list, key or bracket begins."""
     problem, begin, mark = str(error.problem or error.context), error.context_mark, error.problem_mark
-    if mark is not None and text.splitlines()[mark.line : mark.line + 1]:
-        line = text.splitlines()[mark.line]
-        if "cannot start any token" in problem and line[mark.column : mark.column + 1] == "\t":
-            return "found a tab. Indent with spaces"
+    lines = text.splitlines()
+    at_mark = "" if mark is None else "".join(lines[mark.line : mark.line + 1])[mark.column :]
+    if "cannot start any token" in problem and at_mark.startswith("\t"):
+        return "found a tab. Indent with spaces"
     if begin is None:
         return problem
     if problem.startswith(_NO_COLON):
-        key = _quote(text.splitlines()[begin.line].strip())
-        return f"no colon after the key {key}, or an item without '-'"
+        return f"no colon after the key {_quote(lines[begin.line].strip())}, or an item without '-'"
     if problem.startswith("expected <block end>") and problem.endswith(_START_TOKENS):
         return f"the indentation differs from that of line {begin.line + 1}, where the list or the keys begin"
     if problem.startswith(("expected ',' or '}'", "expected ',' or ']'")):
@@ -493,8 +491,7 @@ def _quote(key: str) -> str:
 
 def _excerpt(value: Any) -> str:
     text = json.dumps(value, default=str, ensure_ascii=False)
-    if not text.isprintable():
-        text = json.dumps(value, default=str)
+    text = text if text.isprintable() else json.dumps(value, default=str)
     return text if len(text) <= _MAX_QUOTED_CHARACTERS else f"{text[:_MAX_QUOTED_CHARACTERS]}..."
 
 

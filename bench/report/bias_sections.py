@@ -98,12 +98,8 @@ def _gyro_box(gyro: str, bins: Sequence[BiasBin]) -> Box:
         power_cycle_sentence(bins),
         scatter_sentence(bins),
     ]
-    return Box(
-        colour,
-        f"{gyro_label(gyro)}.",
-        position_comparison_sentence(comparisons),
-        [note for note in notes if note],
-    )
+    sentence = position_comparison_sentence(comparisons)
+    return Box(colour, f"{gyro_label(gyro)}.", sentence, [note for note in notes if note])
 
 
 def gyro_section(gyro: str, bins: Sequence[BiasBin], figures: Mapping[str, Path]) -> Section | None:
