@@ -105,7 +105,7 @@ def evaluate(
         Of the run's check dwells.
     """
     noise = _pooled_noise([dwell for dwell in dwells if not dwell.is_disturbed], setup)
-    dwells = _flag_held_heading(dwells, setup)
+    dwells = _flag_wrong_setup(_flag_held_heading(dwells, setup))
     good = [dwell for dwell in dwells if dwell.estimate and not dwell.row.flags]
     joint = [solve_jointly(plateau, setup.prior) for plateau in group_plateaus(_joint_dwells(good))]
     rate = pooled_up_rate(joint, setup.prior)
@@ -210,6 +210,15 @@ def _pooled_noise(dwells: Sequence[MeasuredDwell], setup: MeasurementSetup) -> N
         return estimate_noise([window for dwell in dwells for window in dwell.windows], setup.site.gravity)
     except MeasurementError:
         return None
+
+
+def _flag_wrong_setup(dwells: Sequence[MeasuredDwell]) -> Sequence[MeasuredDwell]:
+    """Flag the other dwells too if most dwells contradict the set-up, which is the same for all."""
+    faults = [dwell.setup_fault for dwell in dwells if dwell.setup_fault]
+    if 2 * len(faults) <= len(dwells):
+        return dwells
+    flag = f"most dwells of the run contradict the station file: {faults[0]}"
+    return [dwell if dwell.setup_fault else dwell.with_flag(flag) for dwell in dwells]
 
 
 def _flag_held_heading(dwells: Sequence[MeasuredDwell], setup: MeasurementSetup) -> Sequence[MeasuredDwell]:

@@ -126,6 +126,19 @@ def test_a_heading_that_the_ins_holds_flags_all_dwells(measured, results, time_c
     assert not any(dwell.flags for dwell in results.dwells)
 
 
+@pytest.mark.parametrize(("contradicting", "are_flagged"), [(0.5, False), (0.75, True)])
+def test_a_dwell_that_fits_by_chance_is_flagged_where_most_contradict_the_set_up(
+    measured, contradicting, are_flagged
+):
+    dwells, setup = measured
+    count = round(contradicting * len(dwells))
+    wrong = [replace(dwell.with_flag("a"), setup_fault="wrong latitude") for dwell in dwells[:count]]
+    others = evaluate([*wrong, *dwells[count:]], setup, 5.0).dwells[count:]
+    assert [any("wrong latitude" in flag for flag in dwell.flags) for dwell in others] == [are_flagged] * len(
+        others
+    )
+
+
 def test_dwells_without_a_result_are_left_out(measured):
     dwells, setup = measured
     lost = replace(
