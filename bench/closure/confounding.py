@@ -1,4 +1,4 @@
-"""Effects that the design of a campaign can't distinguish, whatever the biases."""
+"""Effects that the design of a campaign can't distinguish, for any biases."""
 
 from __future__ import annotations
 

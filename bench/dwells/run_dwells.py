@@ -151,9 +151,9 @@ def _rate_record(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup)
     increments = increments_from_navigation(setup.decode(frames), setup.site)
     first, end = marks.span
     inside = (increments.row > first) & (increments.row < end)
-    angle, follows = increments.angle[inside], increments.is_consecutive[inside]
+    angle, is_consecutive = increments.angle[inside], increments.is_consecutive[inside]
     every = int(np.ceil(max(len(angle), 1) / _MAX_NOISE_SAMPLES))
-    pieces = np.split(angle, np.flatnonzero(~follows[1:]) + 1)
+    pieces = np.split(angle, np.flatnonzero(~is_consecutive[1:]) + 1)
     segments = [np.vstack([np.zeros(3), np.cumsum(piece, axis=0)])[::every] for piece in pieces]
     return RateRecord(increments.interval_s * every, segments)
 

@@ -1,7 +1,7 @@
 """Compares the change of the measured biases with the change that the loaded compensation should make.
 
 If the INS does not apply the compensation, or applies it with the wrong sign, twice or to another gyro, the
-measured change differs from the loaded one, whatever the residual is.
+measured change differs from the loaded one, for any residual.
 """
 
 from __future__ import annotations
