@@ -180,9 +180,8 @@ class _Start:
     folder: RunFolder | Path | None
     #: Writes to the locked folder before anything moves, and returns the units of the run.
     prepare: Callable[[RunFolder, Mapping[str, str]], tuple[UnitRun, ...]]
-    expected_identities: Mapping[str, str] = field(
-        default_factory=dict
-    )  #: Identities that table and chamber must have.
+    #: Identities that table and chamber must have.
+    expected_identities: Mapping[str, str] = field(default_factory=dict)
 
     def open_folder(self) -> RunFolder:
         """Return the run folder; that of a new run is created."""
