@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gyrobench.bench.cli.options import OperatorOption, OptionalRunArgument
+from gyrobench.bench.cli.options import OperatorOption, OptionalRunArgument, complete_list
 from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, print_json, print_unfinished
 from gyrobench.bench.foundations.errors import DocumentError
 
@@ -17,7 +17,12 @@ if TYPE_CHECKING:
 
 def certificate(
     run_folder: OptionalRunArgument = None,
-    formats: Annotated[str, typer.Option("--format", help="dcc, pdf, or both with a comma.")] = "dcc,pdf",
+    formats: Annotated[
+        str,
+        typer.Option(
+            "--format", help="dcc, pdf, or both with a comma.", autocompletion=complete_list(("dcc", "pdf"))
+        ),
+    ] = "dcc,pdf",
     out: Annotated[Path | None, typer.Option(help="Output folder; default: certificate in the run.")] = None,
     number: Annotated[str, typer.Option(help="Number; default: from unit, run and seal.")] = "",
     authorised_by: Annotated[

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from gyrobench.bench.cli.options import complete_run
+from gyrobench.bench.cli.options import complete_quantity, complete_run
 from gyrobench.bench.cli.output import JsonOption, console, print_json, print_unfinished
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
 
@@ -55,6 +55,7 @@ def close(
             metavar="NAME",
             help="Coefficient to search in place of the gyro biases: gyro_scale_factor, gyro_misalignment_xy,"
             " accelerometer_bias, ...; those of all three sensors are searched together.",
+            autocompletion=complete_quantity,
         ),
     ] = "gyro_bias",
     compose: Annotated[

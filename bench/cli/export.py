@@ -7,21 +7,28 @@ from typing import Annotated
 
 import typer
 
-from gyrobench.bench.cli.options import RunArgument
+from gyrobench.bench.cli.options import RunArgument, complete_list
 from gyrobench.bench.foundations.errors import DocumentError
 
-_DATA_KINDS = "dwells, bins, joint, verification, telemetry, navigation, can, compensation"
+_DATA_KINDS = ("dwells", "bins", "joint", "verification", "telemetry", "navigation", "can", "compensation")
+_FORMATS = ("parquet", "csv", "blf", "mf4")
 
 
 def export(
     run_folder: RunArgument,
     what: Annotated[
-        str, typer.Option(help=f"Comma-separated list of {_DATA_KINDS}; default: all but navigation.")
+        str,
+        typer.Option(
+            help=f"Comma-separated list of {', '.join(_DATA_KINDS)}; default: all but navigation.",
+            autocompletion=complete_list(_DATA_KINDS),
+        ),
     ] = "",
     formats: Annotated[
         str,
         typer.Option(
-            "--format", help="Comma-separated list of parquet, csv, blf, mf4; default: parquet,blf."
+            "--format",
+            help=f"Comma-separated list of {', '.join(_FORMATS)}; default: parquet,blf.",
+            autocompletion=complete_list(_FORMATS),
         ),
     ] = "",
     dwell: Annotated[

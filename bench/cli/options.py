@@ -60,6 +60,23 @@ def complete_chamber(incomplete: str) -> list[str]:
     return _matching(incomplete, installed(CHAMBERS))
 
 
+def complete_quantity(incomplete: str) -> list[str]:
+    """Coefficients in which effects can be searched."""
+    from gyrobench.bench.closure.quantity import QUANTITIES
+
+    return _matching(incomplete, (each.name for each in QUANTITIES))
+
+
+def complete_list(names: Iterable[str]) -> Callable[[str], list[str]]:
+    """Completion of the last name of a list with commas."""
+
+    def complete(incomplete: str) -> list[str]:
+        earlier, comma, last = incomplete.rpartition(",")
+        return [earlier + comma + name for name in _matching(last, names)]
+
+    return complete
+
+
 def complete_run(incomplete: str) -> list[str]:
     """Run folders under ``runs``, or under the typed folder, newest first."""
     from gyrobench.bench.runs.folder import RUNS, RunFolder

@@ -5,6 +5,7 @@ import sys
 
 import pytest
 
+from gyrobench.bench.exchange.run_export import DataKind, Format
 from tests.bench.command_line import gyrobench
 
 
@@ -49,12 +50,21 @@ def offered(typed, cwd):
         ("validate --as fau", {"faults"}),
         ("new station x --chamber wat", {"watlow_f4"}),
         ("new station x --table acu", {"acutrol3000"}),
+        ("close r --coefficient gyro_s", {"gyro_scale_factor"}),
+        ("export r --what dwells,ca", {"dwells,can"}),
+        ("export r --format bl", {"blf"}),
+        ("certificate r --format dcc,p", {"dcc,pdf"}),
     ],
 )
 def test_bash_is_offered_commands_and_shipped_names(typed, expected, tmp_path):
     found = set(offered(typed, tmp_path))
     assert expected <= found
     assert all(each.startswith(typed.split()[-1]) for each in found)
+
+
+def test_all_kinds_and_formats_of_an_export_are_offered(tmp_path):
+    assert set(offered("export r --what ", tmp_path)) == set(DataKind)
+    assert set(offered("export r --format ", tmp_path)) == set(Format)
 
 
 def test_run_folders_are_offered_wherever_they_are(tmp_path):
