@@ -7,6 +7,7 @@ import itertools
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.effects.effect import same_for_all_gyros
 from gyrobench.bench.closure.problem import declared_problem
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 
@@ -32,7 +33,7 @@ def confounding(campaign: Campaign, searched: BoolArray) -> tuple[str, ...]:
         )
     elif len(set(searched_part.position)) == 1:
         sentences.append("All dwells are in one attitude: no effect of attitude can be seen or excluded.")
-    elif _stretch_count(searched_part.position) == len(set(searched_part.position)):
+    elif len(list(itertools.groupby(searched_part.position))) == len(set(searched_part.position)):
         sentences.append(
             "Each attitude was measured once, in one stretch of time: attitude cannot be distinguished from "
             "drift, except by the form assumed for the drift."
@@ -72,14 +73,10 @@ def confounding(campaign: Campaign, searched: BoolArray) -> tuple[str, ...]:
     return tuple(sentences)
 
 
-def _stretch_count(positions: tuple[str, ...]) -> int:
-    return len(list(itertools.groupby(positions)))
-
-
 def _independent_share(
     campaign: Campaign, searched: BoolArray, terms: FloatArray, others: FloatArray
 ) -> float:
     """Largest share of terms (n, k) that is independent of others (n, l), without the declared model."""
     problem = declared_problem(campaign, searched)
-    with_others = problem.with_columns(np.repeat(others[:, np.newaxis], 3, axis=1))
-    return with_others.independent_share(np.repeat(terms[:, np.newaxis], 3, axis=1))
+    with_others = problem.with_columns(same_for_all_gyros(others))
+    return with_others.independent_share(same_for_all_gyros(terms))

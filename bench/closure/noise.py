@@ -15,6 +15,7 @@ import numpy as np
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, stack
+from gyrobench.bench.closure.effects.effect import same_for_all_gyros
 from gyrobench.bench.closure.problem import SCALE_C, Problem, declared_problem
 from gyrobench.bench.closure.validation import LackOfFit, lack_of_fit
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
@@ -209,9 +210,7 @@ def _fit_columns(
 
 
 def _smooth_columns(campaign: Campaign) -> FloatArray:
-    shared = np.repeat(
-        np.hstack([campaign.slow_time(_TIME_DEGREE), campaign.up_body])[:, np.newaxis], 3, axis=1
-    )
+    shared = same_for_all_gyros(np.hstack([campaign.slow_time(_TIME_DEGREE), campaign.up_body]))
     by_attitude = campaign.up_body[:, np.newaxis] * campaign.gyro_c[:, :, np.newaxis] / SCALE_C
     return np.concatenate([shared, by_attitude, campaign.rate_c_per_h[:, :, np.newaxis]], axis=2)
 

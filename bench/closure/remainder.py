@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.effects.effect import same_for_all_gyros
 from gyrobench.bench.closure.problem import Problem
 from gyrobench.bench.foundations.arrays import FloatArray
 
@@ -80,23 +81,19 @@ def _products(first: FloatArray, second: FloatArray) -> FloatArray:
     return product.reshape(*product.shape[:-2], -1)
 
 
-def _for_each_gyro(columns: FloatArray) -> FloatArray:
-    return np.repeat(columns[:, np.newaxis, :], 3, axis=1)
-
-
 def _time(campaign: Campaign, count: int, length: float) -> FloatArray:
-    return _for_each_gyro(_cosines(campaign.middle_s, count, length))
+    return same_for_all_gyros(_cosines(campaign.middle_s, count, length))
 
 
 def _power_law(campaign: Campaign, exponent: float) -> FloatArray:
     """Bias noise whose spectrum falls as a power of frequency: 1 for flicker, 2 for random walk."""
     fraction = (campaign.middle_s - campaign.middle_s.min()) / max(float(np.ptp(campaign.middle_s)), 1e-9)
     order = np.arange(1, _ORDERS + 1)
-    return _for_each_gyro(np.cos(np.pi * order * fraction[:, np.newaxis]) / order ** (0.5 * exponent))
+    return same_for_all_gyros(np.cos(np.pi * order * fraction[:, np.newaxis]) / order ** (0.5 * exponent))
 
 
 def _attitude(campaign: Campaign) -> FloatArray | None:
-    up = _for_each_gyro(campaign.up_body)
+    up = same_for_all_gyros(campaign.up_body)
     return np.concatenate([up, np.abs(up)], axis=2) if len(set(campaign.position)) > 1 else None
 
 
@@ -129,7 +126,7 @@ def _chamber(campaign: Campaign) -> FloatArray | None:
         return None
     return np.concatenate(
         [
-            _for_each_gyro(_cosines(outside_c, 8, 0.3)),
+            same_for_all_gyros(_cosines(outside_c, 8, 0.3)),
             _cosines(outside_c[:, np.newaxis] - campaign.gyro_c, 6, 0.5),
         ],
         axis=2,
@@ -145,7 +142,7 @@ def _chamber_state(campaign: Campaign) -> FloatArray | None:
     moves = [slopes_c < -_MIN_SLOPE_C, slopes_c > _MIN_SLOPE_C, np.abs(slopes_c) <= _MIN_SLOPE_C]
     shares = np.stack([np.mean(each, axis=1) for each in moves], axis=1)
     waves = _add_constant(_cosines(path_c.mean(axis=1), 8, 0.2))
-    return _products(_for_each_gyro(shares), _for_each_gyro(waves))
+    return _products(same_for_all_gyros(shares), same_for_all_gyros(waves))
 
 
 def _branch(campaign: Campaign) -> FloatArray:
@@ -164,7 +161,7 @@ _PROCESSES: dict[str, Callable[[Campaign], FloatArray | None]] = {
     "time irregularly": lambda campaign: _time(campaign, _ORDERS, 0.1),
     "time as a random walk": lambda campaign: _power_law(campaign, 2.0),
     "time as flicker noise": lambda campaign: _power_law(campaign, 1.0),
-    "time since power-on": lambda campaign: _for_each_gyro(
+    "time since power-on": lambda campaign: same_for_all_gyros(
         _cosines(np.log(campaign.since_power_on_s + 900.0), 10, 0.5)
     ),
     "temperature": lambda campaign: _temperatures(campaign, 24, 0.1),

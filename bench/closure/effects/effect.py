@@ -199,8 +199,8 @@ def time_constant(low_s: float, *starts_s: float, lengths: float = 1.0) -> Param
 
 
 def same_for_all_gyros(terms: FloatArray) -> FloatArray:
-    """Terms (n, k) repeated for each gyro: (n, 3, k)."""
-    return np.repeat(terms[:, None, :], 3, axis=1)
+    """Terms (n, k) or values (n,) repeated for each gyro: (n, 3, k) or (n, 3)."""
+    return np.repeat(terms[:, np.newaxis], 3, axis=1)
 
 
 def above_optics_c(campaign: Campaign) -> FloatArray:

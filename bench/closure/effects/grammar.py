@@ -27,6 +27,7 @@ from gyrobench.bench.closure.effects.effect import (
     heat_flow_terms,
     needs_electronics,
     needs_positions,
+    same_for_all_gyros,
 )
 from gyrobench.bench.closure.temperature_record import followed_with_play, lag
 from gyrobench.bench.foundations.arrays import S_PER_DAY, S_PER_H, FloatArray
@@ -57,7 +58,7 @@ class Law:
             terms = self._nonlinear_means(campaign, apply_shape)
         elif self.driver in EVENTS:
             mean = mean_decay(campaign, EVENTS[self.driver](campaign), *values[count:])
-            terms = apply_shape(np.repeat(mean[:, np.newaxis], 3, axis=1))
+            terms = apply_shape(same_for_all_gyros(mean))
         else:
             record = campaign.record
             state = MEMORIES[self.memory](course_of(self.driver, campaign), record.time_s, *values[count:])
@@ -186,10 +187,6 @@ _FACTORS: Mapping[str, tuple[int, ...]] = MappingProxyType(
 )
 
 
-def _for_each_gyro(values: FloatArray) -> FloatArray:
-    return np.repeat(values[:, np.newaxis], 3, axis=1)
-
-
 def _from_column(campaign: Campaign, name: str) -> FloatArray:
     missing = np.full(len(campaign), np.nan)
     names = [name.replace("{axis}", axis) for axis in AXES]
@@ -221,12 +218,14 @@ DRIVERS: Mapping[str, Driver] = MappingProxyType(
         "case_c": Driver(
             "case temperature",
             "c",
-            lambda campaign: _for_each_gyro(campaign.case_c),
+            lambda campaign: same_for_all_gyros(campaign.case_c),
             "a temperature sensor at the case",
         ),
-        "chamber_c": Driver("chamber air", "c", lambda campaign: _for_each_gyro(campaign.air_c), _CHAMBER),
+        "chamber_c": Driver(
+            "chamber air", "c", lambda campaign: same_for_all_gyros(campaign.air_c), _CHAMBER
+        ),
         "chamber_set_c": Driver(
-            "chamber set point", "c", lambda campaign: _for_each_gyro(campaign.set_c), _CHAMBER
+            "chamber set point", "c", lambda campaign: same_for_all_gyros(campaign.set_c), _CHAMBER
         ),
         "supply_w": Driver(
             "supply power",
@@ -243,12 +242,12 @@ DRIVERS: Mapping[str, Driver] = MappingProxyType(
         "time_days": Driver(
             "time",
             "days",
-            lambda campaign: _for_each_gyro((campaign.middle_s - campaign.middle_s[0]) / S_PER_DAY),
+            lambda campaign: same_for_all_gyros((campaign.middle_s - campaign.middle_s[0]) / S_PER_DAY),
         ),
         "since_power_on_h": Driver(
             "time since power-on",
             "h",
-            lambda campaign: _for_each_gyro(
+            lambda campaign: same_for_all_gyros(
                 (campaign.since_power_on_s + 0.5 * (campaign.end_s - campaign.start_s)) / S_PER_H
             ),
         ),
