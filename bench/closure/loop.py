@@ -19,12 +19,11 @@ from gyrobench.bench.closure.files import holds_search, read_held_out_cycles, re
 from gyrobench.bench.closure.held_out import HeldOutTest, held_out_test, is_confirmed
 from gyrobench.bench.closure.inputs import read_campaign
 from gyrobench.bench.closure.outcome import CandidateResult, Closure, FoundEffect, HeldOutCycle, OtherForm
-from gyrobench.bench.closure.posterior import CLEAN, EXPLAINED, Posterior
-from gyrobench.bench.closure.problem import DEGREE, Problem, Solution, declared_problem
-from gyrobench.bench.closure.search import Search
+from gyrobench.bench.closure.posterior import CLEAN, EXPLAINED
+from gyrobench.bench.closure.problem import DEGREE, Solution, declared_problem
 from gyrobench.bench.closure.selection import Selected, select
 from gyrobench.bench.closure.uncertainty import Draws, draw, interval
-from gyrobench.bench.closure.validation import LackOfFit, lack_of_fit, leave_out_cycles, measured_minus_model
+from gyrobench.bench.closure.validation import lack_of_fit, leave_out_cycles, measured_minus_model
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, nan_rms, rms
 from gyrobench.bench.foundations.errors import MeasurementError, RunFolderError
 from gyrobench.bench.foundations.text import counted, listed
@@ -72,13 +71,7 @@ def without_search(campaign: Campaign) -> Closure:
 def _search_and_test(campaign: Campaign, searched: BoolArray, candidates: Sequence[Effect]) -> Closure:
     """Search the dwells ``searched`` (n,) and test the others; errors are NaN if no dwells are held out."""
     selected = select(campaign, searched, candidates)
-    search, accepted, posterior, residual_test = (
-        selected.search,
-        selected.accepted,
-        selected.posterior,
-        selected.residual_test,
-    )
-    problem = search.problem
+    problem, accepted = selected.search.problem, selected.accepted
     declared, model = (solve_with(problem, each) for each in ((), accepted.candidates))
     declared_draws, model_draws = (draw(problem, each) for each in ((), accepted.candidates))
     errors_dph = [measured_minus_model(campaign, searched, each) for each in (declared, model)]
@@ -97,9 +90,7 @@ def _search_and_test(campaign: Campaign, searched: BoolArray, candidates: Sequen
         campaign=campaign,
         searched=searched,
         verdict=_verdict(
-            accepted,
-            residual_test,
-            posterior,
+            selected,
             held_out,
             is_confirmed=bool(accepted.candidates)
             and not searched.all()
@@ -107,13 +98,13 @@ def _search_and_test(campaign: Campaign, searched: BoolArray, candidates: Sequen
             and is_confirmed(before_dph, after_dph, noise_dph),
         ),
         circular=circular,
-        posterior=posterior,
+        posterior=selected.posterior,
         not_accepted=selected.not_accepted,
         detectable_dph=detectable_dph(selected.problem_with_effects),
-        effects=_describe_effects(search, accepted, model, model_draws, posterior),
+        effects=_describe_effects(selected, model, model_draws),
         evidence=_candidate_results(selected),
         before=lack_of_fit(problem, 0),
-        after=residual_test,
+        after=selected.residual_test,
         held_out=held_out,
         declared=declared,
         model=model,
@@ -217,15 +208,9 @@ def _dwells_to_search(campaign: Campaign, hold_out_cycles: Sequence[int]) -> Boo
     return searched
 
 
-def _verdict(
-    accepted: Hypothesis,
-    residual_test: LackOfFit,
-    posterior: Posterior,
-    held_out: HeldOutTest,
-    *,
-    is_confirmed: bool,
-) -> str:
-    if residual_test.is_significant or posterior.unlisted_probability > 0.5:
+def _verdict(selected: Selected, held_out: HeldOutTest, *, is_confirmed: bool) -> str:
+    accepted, posterior = selected.accepted, selected.posterior
+    if selected.residual_test.is_significant or posterior.unlisted_probability > 0.5:
         return "unexplained"
     if not accepted.candidates:
         if held_out.is_significant:
@@ -244,14 +229,12 @@ def _is_circular(effect: Effect, held_out: Campaign) -> bool:
     return not {held_out.run_names[run] for run in held_out.run}.isdisjoint(effect.composed_from)
 
 
-def _describe_effects(
-    search: Search, accepted: Hypothesis, model: Solution, draws: Draws, posterior: Posterior
-) -> tuple[FoundEffect, ...]:
+def _describe_effects(selected: Selected, model: Solution, draws: Draws) -> tuple[FoundEffect, ...]:
+    search, accepted, posterior = selected.search, selected.accepted, selected.posterior
     problem, quantity = search.problem, search.problem.campaign.quantity
     result = []
     for index, each in enumerate(accepted.candidates):
         sizes = model.sizes[index]
-        left_out_cycles = leave_out_cycles(problem, accepted.without(each), accepted.candidates)
         effect_dph = np.einsum("ngk,gk->ng", each.columns(problem.campaign), sizes)[problem.searched]
         effect_dph = effect_dph - effect_dph.mean(axis=0)
         values, sizes_drawn = (drawn[each.effect.name] for drawn in (draws.values, draws.sizes_dph))
@@ -270,7 +253,7 @@ def _describe_effects(
                 p_value=search.p_value(accepted, index),
                 candidate_fits=search.candidate_fits(each.effect),
                 rms_dph=rms(effect_dph),
-                gains={cycle: left_out.gain for cycle, left_out in left_out_cycles.items()},
+                gains=leave_out_cycles(problem, accepted.without(each), accepted.candidates),
                 tied_with=posterior.tied_with(accepted.names, each.effect.name),
                 probability=posterior.joint_probability([each.effect.name], has_remainder=None),
                 sizes_sigma_dph=draws.sigma(sizes_drawn, sizes),
@@ -282,18 +265,16 @@ def _describe_effects(
                 weights=weights,
                 weighted_sigma_dph=draws.sigma(sizes_drawn * weights_drawn[:, None, :], sizes * weights),
                 quantity=quantity,
-                other_forms=tuple(_describe_other_forms(problem, accepted, each, posterior)),
+                other_forms=tuple(_describe_other_forms(selected, each)),
             )
         )
     return tuple(sorted(result, key=lambda each: -each.rms_dph))
 
 
-def _describe_other_forms(
-    problem: Problem, accepted: Hypothesis, candidate: Candidate, posterior: Posterior
-) -> Iterator[OtherForm]:
-    for probability, candidates in posterior.other_forms(accepted.names, candidate):
+def _describe_other_forms(selected: Selected, candidate: Candidate) -> Iterator[OtherForm]:
+    for probability, candidates in selected.posterior.other_forms(selected.accepted.names, candidate):
         [other] = [each for each in candidates if each.effect.name == candidate.effect.name]
-        drawn = draw(problem, candidates)
+        drawn = draw(selected.search.problem, candidates)
         values = drawn.values[other.effect.name]
         ranges = tuple(map(interval, other.form.parameters, other.values, values.T))
         yield OtherForm(other, probability, drawn.sigma(values, np.array(other.values)), ranges)

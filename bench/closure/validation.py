@@ -17,6 +17,7 @@ import numpy as np
 from gyrobench.bench.bias.statistics import chi2_p_value, f_p_value
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, solve_with
+from gyrobench.bench.closure.effects.effect import same_for_all_gyros
 from gyrobench.bench.closure.problem import SCALE_C, Problem, Solution, declared_problem
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, b_splines
 
@@ -115,7 +116,7 @@ def _spline(values: FloatArray, knots: int) -> FloatArray:
 
 def _time(campaign: Campaign) -> FloatArray:
     knots = min(max(len(campaign) // _DWELLS_A_TIME_KNOT, 4), _MAX_TIME_KNOTS)
-    return np.repeat(_spline(campaign.middle_s, knots)[:, None, :], 3, axis=1)
+    return same_for_all_gyros(_spline(campaign.middle_s, knots))
 
 
 def _temperature(campaign: Campaign) -> FloatArray:
@@ -128,7 +129,7 @@ def _positions(campaign: Campaign) -> FloatArray:
     names = sorted(set(campaign.position))
     flags = np.array([[name == each for name in names] for each in campaign.position], dtype=np.float64)
     scaled = campaign.gyro_c[:, :, None] / SCALE_C
-    return np.concatenate([np.repeat(flags[:, None, :], 3, axis=1), flags[:, None, :] * scaled], axis=2)
+    return np.concatenate([same_for_all_gyros(flags), flags[:, None, :] * scaled], axis=2)
 
 
 def _rate(campaign: Campaign) -> FloatArray:
@@ -168,26 +169,13 @@ _STRUCTURES: dict[str, Callable[[Campaign], FloatArray]] = {
 _MIN_LENGTH = 0.1
 
 
-@dataclass(frozen=True)
-class LeftOut:
-    """chi2 of one cycle for two models that were fitted to the other cycles."""
-
-    chi2_fewer: float
-    chi2_more: float
-
-    @property
-    def gain(self) -> float:
-        """Share of chi2 that the larger model explains: 1 is all; negative if chi2 rises."""
-        return 1.0 - self.chi2_more / self.chi2_fewer
-
-
 def leave_out_cycles(
     problem: Problem, fewer: Sequence[Candidate], more: Sequence[Candidate]
-) -> dict[int, LeftOut]:
-    """chi2 of each cycle with fewer and with more effects, whose sizes are fitted to the other cycles.
+) -> dict[int, float]:
+    """Gain by cycle: share of its chi2 that more effects explain, with sizes fitted to the other cycles.
 
-    A cycle is omitted if the others do not determine the sizes, as of a warm-up without a power-on in them.
-    ``problem`` has the declared model alone.
+    1 is all; negative if chi2 is larger than with fewer effects. A cycle is omitted if the others do not
+    determine the sizes, as of a warm-up without a power-on in them. ``problem`` has the declared model alone.
     """
     campaign = problem.campaign
     result = {}
@@ -200,8 +188,10 @@ def leave_out_cycles(
                 measured_minus_model(campaign, rest.searched, solve_with(rest, each))
                 for each in (fewer, more)
             )
-            squares = (np.nansum((each[left_out] / campaign.sigma_dph[left_out]) ** 2) for each in errors)
-            result[int(cycle)] = LeftOut(*map(float, squares))
+            chi2_fewer, chi2_more = (
+                float(np.nansum((each[left_out] / campaign.sigma_dph[left_out]) ** 2)) for each in errors
+            )
+            result[int(cycle)] = 1.0 - chi2_more / chi2_fewer
     return result
 
 
@@ -211,19 +201,13 @@ def measured_minus_model(campaign: Campaign, searched: BoolArray, model: Solutio
     NaN where nothing was measured. The mean of each power cycle that was not searched is removed.
     """
     errors_dph = np.where(campaign.is_measured, campaign.bias_dph - model.bias_dph, np.nan)
-    return without_unseen_constants(campaign, searched, errors_dph)
-
-
-def without_unseen_constants(campaign: Campaign, searched: BoolArray, errors_dph: FloatArray) -> FloatArray:
-    """Remove the mean of each power cycle that was not searched from errors (n, 3)."""
-    centred = errors_dph.copy()
     for run in np.unique(campaign.run[~searched]):
         if not np.any(campaign.run[searched] == run):
             in_run = campaign.run == run
-            is_measured = ~np.isnan(centred[in_run])
-            sums = np.where(is_measured, centred[in_run], 0.0).sum(axis=0)
-            centred[in_run] -= sums / np.maximum(is_measured.sum(axis=0), 1)
-    return centred
+            is_measured = ~np.isnan(errors_dph[in_run])
+            sums = np.where(is_measured, errors_dph[in_run], 0.0).sum(axis=0)
+            errors_dph[in_run] -= sums / np.maximum(is_measured.sum(axis=0), 1)
+    return errors_dph
 
 
 def _is_determined(rest: Problem, candidate: Candidate, left_out: BoolArray) -> bool:
