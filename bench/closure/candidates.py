@@ -37,6 +37,10 @@ class Candidate:
         """Terms (n, 3, k) in all dwells."""
         return _terms(self.form, campaign, self.values)
 
+    def with_value(self, index: int, value: float) -> Candidate:
+        """The effect with one parameter changed."""
+        return replace(self, values=(*self.values[:index], value, *self.values[index + 1 :]))
+
     @property
     def beyond_open_end(self) -> Candidate | None:
         """The effect with parameters that are at an open end moved far beyond; None if there are none.
@@ -57,8 +61,7 @@ class Candidate:
         for index, each in enumerate(self.form.parameters):
             for factor in _OTHER_SCALES if each.is_scale else ():
                 value = min(max(self.values[index] * factor, each.low), each.high)
-                values = (*self.values[:index], value, *self.values[index + 1 :])
-                scaled.append(replace(self, values=values))
+                scaled.append(self.with_value(index, value))
         return scaled
 
     @property

@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -368,8 +368,8 @@ def _log_parameter_volume(
             value = each.values[index]
             width = prior_width(problem, parameter, value)
             step = _STEP * width if value + _STEP * width <= parameter.high else -_STEP * width
-            values = (*each.values[:index], value + step, *each.values[index + 1 :])
-            change = replace(each, values=values).columns(problem.campaign) - each.columns(problem.campaign)
+            moved = each.with_value(index, value + step)
+            change = moved.columns(problem.campaign) - each.columns(problem.campaign)
             own = terms.owner == owner_index
             visible, _ = problem.project_out(change[problem.searched] * (width / step))
             slopes.append((visible / terms.rms[:, None, own], own))

@@ -373,9 +373,5 @@ def _at_bounds(candidates: Sequence[Candidate]) -> Iterator[list[Candidate]]:
         for parameter_index, parameter in enumerate(each.form.parameters):
             bounds = (parameter.low, parameter.high if parameter.is_open_end else -np.inf)
             for bound in filter(np.isfinite, bounds):
-                values = (*each.values[:parameter_index], bound, *each.values[parameter_index + 1 :])
-                yield [
-                    *candidates[:candidate_index],
-                    replace(each, values=values),
-                    *candidates[candidate_index + 1 :],
-                ]
+                at_bound = each.with_value(parameter_index, bound)
+                yield [*candidates[:candidate_index], at_bound, *candidates[candidate_index + 1 :]]

@@ -254,7 +254,7 @@ def _parameter_slopes(
             for sign in (-1.0, 1.0):
                 value = each.values[index] + sign * step
                 value = float(np.clip(value, parameter.low, parameter.high))
-                values = (*each.values[:index], value, *each.values[index + 1 :])
+                values = each.with_value(index, value).values
                 end_points.append(
                     (value, np.einsum("ngk,gk->gn", each.form.columns(campaign, values), own_sizes))
                 )
