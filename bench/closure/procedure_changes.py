@@ -117,7 +117,6 @@ def _leave_on(steps: Steps) -> Steps | None:
 def _measure_on_ramps(steps: Steps) -> Steps | None:
     """Measure two positions between each ramp and its soak, while the temperature changes."""
     changed = copy.deepcopy(steps)
-    is_changed = False
     for entries in [changed, *(loop["steps"] for loop in _loops(changed))]:
         for index in range(len(entries) - 3, -1, -1):
             ramp, soak, measurement = entries[index : index + 3]
@@ -127,8 +126,7 @@ def _measure_on_ramps(steps: Steps) -> Steps | None:
                 moving = copy.deepcopy(measurement)
                 moving[_REPEAT]["over"]["position"] = positions[:2]
                 entries.insert(index + 1, moving)
-                is_changed = True
-    return changed if is_changed else None
+    return None if changed == steps else changed
 
 
 def _return_to_first_position(steps: Steps) -> Steps | None:
@@ -153,44 +151,41 @@ def _change_positions(steps: Steps, lengthen: Callable[[list[str]], list[str]]) 
 
 def _middle_temperature_again(steps: Steps) -> Steps | None:
     """Repeat the middle temperature of each cycle at its end, approached from the other side."""
-    changed = list(_by_cycle(copy.deepcopy(steps)))
+    unchanged = list(_by_cycle(steps))
+    changed = copy.deepcopy(unchanged)
     loops_by_cycle: dict[int, list[tuple[dict[str, Any], str]]] = {}
     for entry in changed:
         cycle = _cycle(entry)
         variable = _temperature_variable(entry) if cycle is not None else None
         if cycle is not None and variable is not None:
             loops_by_cycle.setdefault(cycle, []).append((entry[_REPEAT]["over"], variable))
-    is_changed = False
     for loops in loops_by_cycle.values():
         temperatures_c = [value for over, variable in loops for value in over[variable]]
         over, variable = loops[-1]
         others_c = sorted(set(temperatures_c) - {temperatures_c[-1]})
         if others_c and all(len(values) == 1 for name, values in over.items() if name != variable):
             over[variable] = [*over[variable], others_c[len(others_c) // 2 if len(others_c) > 2 else 0]]
-            is_changed = True
-    return changed if is_changed else None
+    return None if changed == unchanged else changed
 
 
 def _half_the_ramp_rate(steps: Steps) -> Steps | None:
     """Run every second cycle at half the ramp rate."""
-    changed = list(_by_cycle(copy.deepcopy(steps)))
+    unchanged = list(_by_cycle(steps))
+    changed = copy.deepcopy(unchanged)
     cycles = sorted({cycle for entry in changed if (cycle := _cycle(entry)) is not None})
-    is_changed = False
     for entry in changed:
         if _cycle(entry) not in cycles[1::2]:
             continue
         for loop in _loops([entry]):
             for name in _ramp_variables(loop["steps"]) & set(loop["over"]):
                 loop["over"][name] = [0.5 * value for value in loop["over"][name]]
-                is_changed = True
             for inner in loop["steps"]:
                 rate = (
                     inner[SetChamber.name]["ramp_c_per_min"] if _step_name(inner) == SetChamber.name else None
                 )
                 if isinstance(rate, int | float):
                     inner[SetChamber.name]["ramp_c_per_min"] = 0.5 * rate
-                    is_changed = True
-    return changed if is_changed else None
+    return None if changed == unchanged else changed
 
 
 _RETURN_TO_FIRST = ProcedureChange(

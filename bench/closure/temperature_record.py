@@ -272,7 +272,7 @@ def set_point_path(
     is_equal = np.abs(np.diff(set_c)) < _SAME_C
     is_hold[:-1] |= is_equal
     is_hold[1:] |= is_equal
-    ramps = _ramps(is_hold)
+    ramps = [(begin, end - 1) for begin, end in true_spans(~is_hold)]  # first and last dwell
     rates = {ramp: rate for ramp in ramps if (rate := _ramp_rate(start_s, end_s, set_c, *ramp)) > 0.0}
     for first, last in ramps if rates else ():
         rate = rates.get((first, last)) or rates[min(rates, key=lambda ramp: abs(ramp[0] - first))]
@@ -283,11 +283,6 @@ def set_point_path(
             to_c = set_c[after] if dwell == last < count - 1 else None
             path[dwell] = _set_point_in_dwell(set_c[dwell], from_c, to_c, fall)
     return path
-
-
-def _ramps(is_hold: BoolArray) -> list[tuple[int, int]]:
-    """First and last dwell of each interval without a hold."""
-    return [(begin, end - 1) for begin, end in true_spans(~is_hold)]
 
 
 def _ramp_rate(start_s: FloatArray, end_s: FloatArray, set_c: FloatArray, first: int, last: int) -> float:

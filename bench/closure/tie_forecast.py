@@ -99,11 +99,11 @@ def tie_forecasts(closure: Closure, planned: Campaign) -> list[TieForecast]:
     for tied_effect in closure.effects:
         others = [each for each in found if each is not tied_effect.candidate]
         for name in dict.fromkeys(tied_effect.tied_with):
-            probabilities = [
-                closure.posterior.set_probability(each)
+            present, other = (
+                max(closure.posterior.set_probability(each), _MIN_PROBABILITY)
                 for each in (names, names - {tied_effect.effect.name} | {name})
-            ]
-            tie = TieForecast(tied_effect.effect.name, name, _ratio(*probabilities))
+            )
+            tie = TieForecast(tied_effect.effect.name, name, present / other)
             alternative = _alternative(problem, others, effects[name])
             missing_input = effects[name].missing_input(planned)
             if alternative is not None:
@@ -171,7 +171,3 @@ def _odds(
         fitted = [each for each in rivals if each is not None] or [fit_hypothesis(predicted_problem, shared)]
         logarithms.append(0.5 * min(evidences.log_odds(present_fit, each) for each in fitted))
     return math.exp(float(np.clip(np.mean(logarithms), -_MAX_LOG_ODDS, _MAX_LOG_ODDS)))
-
-
-def _ratio(first: float, second: float) -> float:
-    return max(first, _MIN_PROBABILITY) / max(second, _MIN_PROBABILITY)
