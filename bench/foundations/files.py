@@ -9,6 +9,7 @@ import contextlib
 import errno
 import hashlib
 import json
+import math
 import os
 import re
 import stat
@@ -80,6 +81,15 @@ def parse_json(text: str | bytes) -> Any:
         return data
     except RecursionError:
         raise ValueError("nested too deeply") from None
+
+
+def with_nan_as_none(value: Any) -> Any:
+    """Value for JSON: numbers that are not finite become None."""
+    if isinstance(value, dict):
+        return {key: with_nan_as_none(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [with_nan_as_none(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def write_whole(path: Path, data: bytes | Iterable[bytes | bytearray], *, is_synced: bool = True) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-import math
 import os
 import sys
 import threading
@@ -19,7 +18,13 @@ from filelock import lock_descriptor
 
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.foundations.files import parse_json, read_lines, sync_folder, write_error
+from gyrobench.bench.foundations.files import (
+    parse_json,
+    read_lines,
+    sync_folder,
+    with_nan_as_none,
+    write_error,
+)
 
 #: A few hundred times the size of the journal of a 1000 h run.
 MAX_JOURNAL_BYTES = 500_000_000
@@ -83,7 +88,7 @@ class Journal:
     def _write(self, content: dict[str, Any]) -> None:
         entry = {"time_s": round(self._clock.now(), 6), "utc": self._clock.utc().isoformat()}
         link = {_LINK_KEY: _sha256(self._last_line) if self._last_line else ""}
-        text = json.dumps(_with_nan_as_none(entry | content | link), allow_nan=False).encode()
+        text = json.dumps(with_nan_as_none(entry | content | link), allow_nan=False).encode()
         line = text + b"\n"
         try:
             self._remove_partial_line()
@@ -220,15 +225,6 @@ def _parse(path: str | Path, lines: Iterable[bytes]) -> Iterator[tuple[dict[str,
 
 def _excerpt(line: bytes) -> str:
     return line[:_MAX_EXCERPT_CHARACTERS].decode(errors="replace")
-
-
-def _with_nan_as_none(value: Any) -> Any:
-    """Value for JSON: numbers that are not finite become None."""
-    if isinstance(value, dict):
-        return {key: _with_nan_as_none(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_with_nan_as_none(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 #: No run lasts longer; an entry with a later time is damaged.

@@ -227,8 +227,8 @@ def _seal_as_json(root: Path, seal: Seal, previous: Mapping[str, SealedFile]) ->
 
 def edited_tables(folder: RunFolder) -> list[str]:
     """Names of tables that differ from their seal though nothing was measured since; empty without a seal."""
-    paths = sorted((folder.path / _SEALS).glob("*.jsonl"))
-    sealed = _read_seal(paths[-1], None).files if paths else {}
+    last = _last_seal(folder)
+    sealed = last.files if last else {}
     if JOURNAL not in sealed or _differs(folder.journal, sealed[JOURNAL]):
         return []
     return [each.name for each in folder.tables if each.name in sealed and _differs(each, sealed[each.name])]
@@ -262,8 +262,7 @@ def require_sealed_inputs(folder: RunFolder) -> None:
 
     Called before a run resumes, since its report could not be sealed at its end.
     """
-    paths = sorted((folder.path / _SEALS).glob("*.jsonl"))
-    last = _read_seal(paths[-1], None) if paths else None
+    last = _last_seal(folder)
     changed = [
         path
         for path in _EVIDENCE
@@ -362,7 +361,7 @@ def _paths_to_seal(root: Path, prefix: str = "") -> Iterator[str]:
         elif is_evidence or not (each / _SEALS).exists():
             yield from _paths_to_seal(root, f"{path}/")
         elif prefix == f"{UNITS_FOLDER}/":
-            yield from (f"{path}/{_SEALS}/{seal.name}" for seal in sorted((each / _SEALS).glob("*.jsonl")))
+            yield from (f"{path}/{_SEALS}/{seal.name}" for seal in _seal_paths(each))
         # Other runs inside the folder have their own seals.
 
 
@@ -407,7 +406,17 @@ def _finding(root: Path, path: str, sealed: SealedFile, seals: Sequence[Seal]) -
 
 def _read_seals(root: Path, trusted_key: Path | None = None) -> list[Seal]:
     trusted = _public_bytes(trusted_key) if trusted_key else None
-    return [_read_seal(path, trusted) for path in sorted((root / _SEALS).glob("*.jsonl"))]
+    return [_read_seal(path, trusted) for path in _seal_paths(root)]
+
+
+def _last_seal(folder: RunFolder) -> Seal | None:
+    paths = _seal_paths(folder.path)
+    return _read_seal(paths[-1], None) if paths else None
+
+
+def _seal_paths(root: Path) -> list[Path]:
+    """Seals of a folder, in their order."""
+    return sorted((root / _SEALS).glob("*.jsonl"))
 
 
 def _read_seal(path: Path, trusted: bytes | None) -> Seal:
@@ -422,8 +431,7 @@ def _read_seal(path: Path, trusted: bytes | None) -> Seal:
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise RunFolderError(f"{path}: this seal is damaged: {error}. Restore it from a copy") from error
     identity = f"Ed25519 key {hashlib.sha256(key).hexdigest()[:16]}" if key else ""
-    values = {name: getattr(seal, name) for name in seal.__dataclass_fields__}
-    return Seal(**{**values, "key": identity, "unsigned": signature.get("unsigned", ""), "problem": problem})
+    return replace(seal, key=identity, unsigned=signature.get("unsigned", ""), problem=problem)
 
 
 def _signature_problem(text: bytes, signature: Mapping[str, Any], key: bytes, trusted: bytes | None) -> str:

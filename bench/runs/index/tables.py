@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
@@ -17,6 +16,7 @@ from gyrobench.bench.bias.bins import BiasBin, parse_bins
 from gyrobench.bench.bias.dwell_table import SCALARS, DwellRow, columns_of, parse_dwells
 from gyrobench.bench.foundations.csv_tables import CsvTable
 from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.files import with_nan_as_none
 from gyrobench.bench.foundations.text import flag_text
 from gyrobench.bench.runs.folder import (
     ACCEPTANCE,
@@ -294,7 +294,7 @@ RUN_TABLES = ("runs", "bins", "dwells", "effects")
 
 def arrow_table(name: str, rows: Iterable[Mapping[str, Any]]) -> pa.Table:
     """Rows as an Arrow table; missing values and numbers that are not finite become null."""
-    return pa.Table.from_pylist([_without_nan(row) for row in rows], schema=SCHEMAS[name])
+    return pa.Table.from_pylist([with_nan_as_none(row) for row in rows], schema=SCHEMAS[name])
 
 
 def rows_by_table(records: Sequence[RunRecord]) -> dict[str, list[dict[str, Any]]]:
@@ -326,10 +326,3 @@ def _dwell_values(path: str, row: DwellRow) -> dict[str, Any]:
     scalar_names = ("run", "dwell", "cycle", "position", *SCALARS, "fit_p_value")
     scalars = {name: getattr(row, name) for name in scalar_names}
     return {"path": path, **scalars, **triples, "flags": flag_text(row.flags)}
-
-
-def _without_nan(row: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        name: None if isinstance(value, float) and not math.isfinite(value) else value
-        for name, value in row.items()
-    }
