@@ -68,22 +68,22 @@ class VerificationRow:
     #: Rms of the varying bias: without the mean of each gyro over the dwells that every run has, which
     #: includes the constant.
     varying_rms_dph: float
-    varying_p_value: float  #: p-value of the varying bias over all plateaus; NaN for one plateau.
+    varying_p_value: float = math.nan  #: p-value of the varying bias over all plateaus; NaN for one plateau.
     #: spread_dph, spread_noise_dph, velocity_east_mps, velocity_noise_mps: See
     #: :class:`gyrobench.bench.verification.run_residuals.ResidualCheck`.
-    spread_dph: float
-    spread_noise_dph: float
-    velocity_east_mps: float
-    velocity_noise_mps: float
+    spread_dph: float = math.nan
+    spread_noise_dph: float = math.nan
+    velocity_east_mps: float = math.nan
+    velocity_noise_mps: float = math.nan
     #: position_nmi, position_noise_nmi: Largest position error of a rotational INS with these biases within a
     #: day; NaN without all six positions.
-    position_nmi: float
-    position_noise_nmi: float
+    position_nmi: float = math.nan
+    position_noise_nmi: float = math.nan
     #: Rms standard uncertainty of the varying bias due to the compensation; NaN without one.
-    compensation_sigma_dph: float
+    compensation_sigma_dph: float = math.nan
     #: p-value of the varying bias, given the noise and that uncertainty, over all plateaus; NaN for one
     #: plateau.
-    agreement_p_value: float
+    agreement_p_value: float = math.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -377,7 +377,6 @@ def _plateau_row(
         bias_rms_dph=plateau.bias_rms_dph,
         bias_noise_dph=plateau.sigma_rms_dph,
         varying_rms_dph=rms(varying),
-        varying_p_value=math.nan,
         spread_dph=plateau.spread_dph,
         spread_noise_dph=plateau.spread_noise_dph,
         velocity_east_mps=plateau.velocity_east_mps,
@@ -385,7 +384,6 @@ def _plateau_row(
         position_nmi=plateau.day.error.max_nmi if plateau.day else math.nan,
         position_noise_nmi=plateau.day.noise_nmi if plateau.day else math.nan,
         compensation_sigma_dph=_sigma_dph(deviations),
-        agreement_p_value=math.nan,
     )
 
 
@@ -407,12 +405,6 @@ def _total_row(
         bias_noise_dph=rms(sigma),
         varying_rms_dph=rms(varying),
         varying_p_value=float(chi2.sf(np.sum((varying / sigma) ** 2), dof)) if dof > 0 else math.nan,
-        spread_dph=math.nan,
-        spread_noise_dph=math.nan,
-        velocity_east_mps=math.nan,
-        velocity_noise_mps=math.nan,
-        position_nmi=math.nan,
-        position_noise_nmi=math.nan,
         compensation_sigma_dph=_sigma_dph(deviations),
         agreement_p_value=_agreement_p_value(varying / sigma, deviations / sigma, dof)
         if len(deviations)
