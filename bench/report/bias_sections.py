@@ -242,10 +242,10 @@ def dwells_section(rows: Sequence[DwellRow], empty: str) -> Section:
     """Table of all dwells; the sentence ``empty`` if there are none."""
     if not rows:
         return Section("Dwells", [empty])
-    has_paper = any(map(_paper_rows, rows))
+    has_paper = bool(paper_rows(rows))
     scale = BiasScale.of(
-        (bias for row in rows for each in (row, *_paper_rows(row)) for bias in each.bias_dph),
-        (sigma for row in rows for each in (row, *_paper_rows(row)) for sigma in each.sigma_dph),
+        (bias for row in rows for each in (row, *paper_rows([row])) for bias in each.bias_dph),
+        (sigma for row in rows for each in (row, *paper_rows([row])) for sigma in each.sigma_dph),
     )
     lines: list[list[str]] = []
     marks: list[Mark] = []
@@ -263,13 +263,9 @@ def dwells_section(rows: Sequence[DwellRow], empty: str) -> Section:
     )
 
 
-def _paper_rows(row: DwellRow) -> list[DwellRow]:
-    return paper_rows([row])
-
-
 def _dwell_cells(row: DwellRow, scale: BiasScale) -> list[str]:
     biases = _dwell_biases(row, scale)
-    for paper_row in _paper_rows(row):
+    for paper_row in paper_rows([row]):
         biases = [
             f"{bias}\n{paper_bias}".rstrip()
             for bias, paper_bias in zip(biases, _dwell_biases(paper_row, scale), strict=True)
@@ -490,8 +486,5 @@ def _largest_difference_cells(comparisons: Sequence[PositionComparison], scale: 
     if not comparisons:
         return _NOT_COMPARABLE
     largest = max(comparisons, key=lambda each: each.largest_difference_dph)
-    return [
-        bin_label(largest.bin_low_c, largest.bin_high_c),
-        " above ".join(map(position_label, largest.largest_pair)),
-        scale.with_sigma(largest.largest_difference_dph, largest.largest_difference_sigma_dph),
-    ]
+    pair, _, size = _comparison_cells(largest, scale)
+    return [bin_label(largest.bin_low_c, largest.bin_high_c), pair, size]

@@ -145,17 +145,8 @@ def forecast_sentence(investigation: Investigation) -> str:
 
 def closing_sentences(investigation: Investigation) -> list[str]:
     """How the investigation ended, the result of its test, and what to check."""
-    return [
-        *filter(
-            None,
-            [
-                _end_sentence(investigation),
-                _calibration_sentence(investigation),
-                test_sentence(investigation),
-                forecast_sentence(investigation),
-            ],
-        )
-    ]
+    sentences = (_end_sentence, _calibration_sentence, test_sentence, forecast_sentence)
+    return [text for sentence in sentences if (text := sentence(investigation))]
 
 
 def block_rows(investigation: Investigation) -> list[list[str]]:

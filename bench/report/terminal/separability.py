@@ -107,11 +107,11 @@ def closure_forecast(
         for each in ties
         if each.missing_input
     ]
-    open_ties = [
-        (closure.label(each.found), closure.label(each.other)) for each in ties if not each.is_settled
-    ]
+    open_ties = [(each.found, each.other) for each in ties if not each.is_settled]
     outcome = (
-        f"Still tied after the plan: {pairs_text(open_ties)}." if open_ties else "The plan settles all ties."
+        f"Still tied after the plan: {pairs_text(open_ties, closure.label)}."
+        if open_ties
+        else "The plan settles all ties."
     )
     return Group(
         *parts,
@@ -130,9 +130,9 @@ def _plan_odds_text(odds: float) -> str:
     return text if odds >= 1.0 else f"1 to {text.removesuffix(' to 1')}"
 
 
-def pairs_text(pairs: Collection[tuple[str, str]]) -> str:
+def pairs_text(pairs: Collection[tuple[str, str]], label: Callable[[str], str]) -> str:
     """Pairs, each once, grouped by the effect that occurs in most of them: "a from b and c; d from e"."""
-    remaining = set(pairs)
+    remaining = {(label(first), label(second)) for first, second in pairs}
     groups = []
     while remaining:
         names = sorted({name for pair in remaining for name in pair})
@@ -181,7 +181,7 @@ def _not_distinguished_lines(
 ) -> list[str]:
     not_found = separability.not_found(target_dph)
     undetected = [each.effect.display_name for each in observable if each.effect.name in not_found]
-    pairs = _pairs_of_labels(separability.not_distinguished(target_dph), separability.label)
+    pairs = separability.not_distinguished(target_dph)
     if not observable:
         return []
     if not (undetected or pairs):
@@ -190,14 +190,9 @@ def _not_distinguished_lines(
     if undetected:
         lines.append(f"Not found at {_size_text(target_dph)}: {listed(undetected)}.")
     if pairs:
-        lines.append(f"Not distinguished at {_size_text(target_dph)}: {pairs_text(pairs)}.")
+        text = pairs_text(pairs, separability.label)
+        lines.append(f"Not distinguished at {_size_text(target_dph)}: {text}.")
     return [*lines, ""]
-
-
-def _pairs_of_labels(
-    pairs: Collection[tuple[str, str]], label: Callable[[str], str]
-) -> list[tuple[str, str]]:
-    return [(label(first), label(second)) for first, second in pairs]
 
 
 def _advice_sentence(advice: Advice, label: Callable[[str], str]) -> str:
@@ -208,15 +203,11 @@ def _advice_sentence(advice: Advice, label: Callable[[str], str]) -> str:
             f"finds {listed([*map(label, advice.found)])} and distinguishes {pronoun} from all others"
         )
     if advice.pairs:
-        benefits.append(f"distinguishes {pairs_text(_pairs_of_labels(advice.pairs, label))}")
+        benefits.append(f"distinguishes {pairs_text(advice.pairs, label)}")
     if not advice.instructions:
         return f"No known change {', or '.join(benefits)}."
     hours = f"{abs(advice.added_h):.1f} h {'less' if advice.added_h < 0.0 else 'more'}"
-    loss = (
-        f", but does not distinguish {pairs_text(_pairs_of_labels(advice.lost, label))}"
-        if advice.lost
-        else ""
-    )
+    loss = f", but does not distinguish {pairs_text(advice.lost, label)}" if advice.lost else ""
     return f"With {hours}: {listed(advice.instructions)}. This {', and '.join(benefits)}{loss}."
 
 

@@ -125,5 +125,5 @@ def test_advice_is_a_sentence(result: Separability, advice: Advice, sentence: st
 
 
 def test_pairs_are_gathered_by_the_effect_that_most_of_them_have() -> None:
-    assert pairs_text([("a", "c"), ("b", "c"), ("c", "d"), ("e", "f")]) == "c from a, b and d; e from f"
-    assert pairs_text([]) == ""
+    assert pairs_text([("a", "c"), ("b", "c"), ("c", "d"), ("e", "f")], str) == "c from a, b and d; e from f"
+    assert pairs_text([], str) == ""
