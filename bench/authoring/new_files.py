@@ -73,7 +73,7 @@ class _TemplateWriter:
 
     def _lines_of_key(self, key: str, schema: Schema, value: Any, indent: str) -> Iterator[str]:
         resolved = self._resolve(schema, value)
-        if isinstance(value, Mapping) and "properties" in resolved and not self._has_short_form(schema):
+        if isinstance(value, Mapping) and "properties" in resolved and not _allows(schema, "string"):
             if not indent:
                 yield ""
             yield from self._with_comment(f"{indent}{key}:", _description_of(schema, resolved), indent)
@@ -85,7 +85,7 @@ class _TemplateWriter:
 
     def _lines_of_optional_key(self, key: str, schema: Schema, indent: str) -> Iterator[str]:
         resolved = self._resolve(schema, {})
-        is_section = "properties" in resolved and not self._may_be_null(schema)
+        is_section = "properties" in resolved and not _allows(schema, "null")
         if is_section and not resolved.get("required"):
             yield from self._with_comment(f"{indent}#{key}:", _description_of(schema, resolved), indent)
             for line in self._section(resolved, {}, ""):
@@ -119,12 +119,6 @@ class _TemplateWriter:
             return (matching or sections or options)[0]
         return options[0]
 
-    def _has_short_form(self, schema: Schema) -> bool:
-        return any(each.get("type") == "string" for each in schema.get("anyOf", ()))
-
-    def _may_be_null(self, schema: Schema) -> bool:
-        return any(each.get("type") == "null" for each in schema.get("anyOf", ()))
-
     def key_comment(self, schema: Schema) -> str:
         """Meaning of a key, its allowed values, and its keys."""
         resolved = self._resolve(schema, {})
@@ -148,6 +142,11 @@ def _inline(value: Any) -> str:
 def _comment(text: str, lead: str = "# ", then: str = "") -> list[str]:
     """Lines of a comment, each after ``lead``; ``then`` indents all but the first."""
     return textwrap.wrap(text, _WIDTH, initial_indent=lead, subsequent_indent=lead + then)
+
+
+def _allows(schema: Schema, kind: str) -> bool:
+    """Whether a value may instead be of a simple type, such as "string" for a short form."""
+    return any(each.get("type") == kind for each in schema.get("anyOf", ()))
 
 
 def _description_of(schema: Schema, resolved: Schema) -> str:

@@ -93,13 +93,6 @@ def planned_profile(plan: Plan) -> PlannedProfile:
     return PlannedProfile(time_s, chamber_c, gyro_c, spans)
 
 
-def _measured_profile(rows: Sequence[tuple[float, ...]]) -> MeasuredProfile:
-    """Profile from rows in the order of its series."""
-    return (
-        MeasuredProfile(*(tuple(series) for series in zip(*rows, strict=True))) if rows else MeasuredProfile()
-    )
-
-
 def profile_of_telemetry(telemetry: Mapping[str, FloatArray]) -> MeasuredProfile:
     """Profile of a run from its telemetry, whose columns have the names of its series."""
     return MeasuredProfile(
@@ -332,7 +325,7 @@ class SnapshotRecorder(RunObserver):
             reason=self._reason,
             question=self._question,
             planned=self._planned,
-            measured=_measured_profile(self._readings.rows()),
+            measured=MeasuredProfile(*zip(*self._readings.rows(), strict=True)),
             bench=_bench_readings(bench) if is_read else None,
             attitude=_attitude_of(bench, self._position, self._azimuth_deg) if is_read else None,
             step=self._step,

@@ -65,9 +65,9 @@ class Canvas:
         return Text.assemble(*parts)
 
     def _character(self, cell: tuple[int, int]) -> str:
-        return self._letters.get(cell) or self._mark(self._bits.get(cell, 0))
-
-    def _mark(self, bits: int) -> str:
+        if letter := self._letters.get(cell):
+            return letter
+        bits = self._bits.get(cell, 0)
         if self._is_ascii:
             return _ASCII[bits]
         return chr(_BRAILLE_BLANK + bits) if bits else " "
