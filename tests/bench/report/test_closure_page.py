@@ -1,15 +1,24 @@
 """The page of a search for effects: complete, self-contained, figures beside it."""
 
+import io
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.report.closure_page import closure_sections, write_closure_page
+from gyrobench.bench.report.closure_page import (
+    closure_findings,
+    closure_sections,
+    effect_table,
+    evidence_table,
+    write_closure_page,
+)
+from gyrobench.bench.report.terminal.tables import section_view
 from tests.bench.report.made_up_closure import (
     ambiguous,
     clean,
@@ -17,6 +26,7 @@ from tests.bench.report.made_up_closure import (
     faint,
     made_up_rows,
     quiet,
+    quiet_unexplained,
     unexplained,
     without_boards,
 )
@@ -142,3 +152,91 @@ def test_a_folder_that_cannot_be_written_is_reported(tmp_path):
     (tmp_path / "figures").write_text("in the way")
     with pytest.raises(RunFolderError, match="figures"):
         write_closure_page(tmp_path, clean(), "dwells.csv")
+
+
+def test_an_effect_has_its_gyros_size_and_probability():
+    table = effect_table(ambiguous())
+    [row] = [dict(zip(table.header, row, strict=True)) for row in table.rows]
+    assert row["effect"] == "temperature rate"
+    assert row["gyros"] == "x and y"
+    assert row["tied with"] == "twin"
+    [effect] = ambiguous().effects
+    assert row["size"] == f"{1000.0 * effect.rms_dph:.2f} ± {1000.0 * effect.rms_sigma_dph:.2f}"
+    assert row["P"] == "0.50"
+
+
+def test_an_effect_without_alternatives_is_not_tied():
+    table = effect_table(explained())
+    [row] = table.rows
+    assert row[table.header.index("tied with")] == "none"
+
+
+def test_every_fitted_effect_has_a_row():
+    table = evidence_table(ambiguous())
+    marks = {row[0]: row[1] for row in table.rows}
+    assert table.header == ["effect", "status", "share", "p", "odds"]
+    assert len(table.rows) == len(ambiguous().evidence)
+    assert (marks["temperature rate"], marks["twin"], marks["bias jump"]) == ("found", "tied", "")
+
+
+def test_effects_with_a_missing_input_have_no_row():
+    names = [row[0] for row in evidence_table(without_boards()).rows]
+    assert "thermal gradient" not in names
+    assert "time drift" in names
+
+
+def test_columns_that_would_be_empty_are_left_out():
+    table = evidence_table(clean())
+    assert table.header == ["effect", "p"]
+    assert all(len(row) == len(table.header) for row in table.rows)
+    assert "share" not in table.caption
+    assert "odds" not in table.caption
+    assert "odds" in evidence_table(explained()).caption
+
+
+def printed(closure):
+    stream = io.StringIO()
+    Console(file=stream, width=80).print(section_view(closure_findings(closure).chapter))
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize(
+    "search", [clean, explained, ambiguous, faint, unexplained, quiet, quiet_unexplained, without_boards]
+)
+def test_it_fits_a_terminal_without_colour_and_nothing_is_cut_off(search):
+    text = printed(search())
+    assert max(map(len, text.splitlines())) <= 80
+    assert "…" not in text
+    assert "\x1b" not in text
+    assert "nan" not in text.split()
+
+
+def test_it_begins_with_the_verdict():
+    assert printed(explained()).splitlines()[1].startswith("Explained. One effect explains the residual")
+    assert printed(clean()).splitlines()[1].startswith("Clean. ")
+
+
+def test_effects_and_candidates_are_tables():
+    lines = [line.split() for line in printed(explained()).splitlines()]
+    assert ["temperature", "rate", "x", "and", "y", "none"] in [line[:6] for line in lines]
+    assert ["bias", "jump", "17", "%", "<1e-9", ">10^12", "to", "1"] in lines
+
+
+def test_the_error_stands_beside_its_noise():
+    rows = {line[:22].strip(): line[22:].split() for line in printed(explained()).splitlines()}
+    for name, error_dph in (
+        ("declared model", explained().error_before_dph),
+        ("with the effects found", explained().error_after_dph),
+        ("noise", 0.002),
+    ):
+        assert float(rows[name][3]) == pytest.approx(1000.0 * error_dph, abs=0.005)
+
+
+def test_without_effects_there_is_one_error():
+    text = printed(clean())
+    assert "with the effects found" not in text
+    assert "declared model " in text
+
+
+def test_the_measurement_that_resolves_a_tie_is_stated():
+    assert "separate the twins" in " ".join(printed(ambiguous()).split())

@@ -35,7 +35,7 @@ from gyrobench.bench.runs.journal import Journal
 from gyrobench.bench.runs.tables.calibration_check_table import write_calibration_check
 from tests.bench.report.made_up_closure import clean
 from tests.bench.report.made_up_verification import confirmed
-from tests.bench.report.test_calibration_check import ALIGNMENT, ROW
+from tests.bench.report.test_calibration_check_section import ALIGNMENT, ROW
 
 
 @dataclass
