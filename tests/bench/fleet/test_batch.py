@@ -5,9 +5,12 @@ from datetime import datetime
 import numpy as np
 import pytest
 
-from gyrobench.bench.fleet.batch import EffectSize, fit_batch, outliers
+from gyrobench.bench.fleet.batch import EffectSize, fit_batch, outliers, read_batch
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.runs.index.run_biases import LEVEL, BiasQuantity, RunBias
+from gyrobench.bench.runs.index.run_index import RunIndex, Selection, find_runs
+from gyrobench.bench.runs.index.store import open_store
+from tests.bench.runs.index.sample_runs import copy_run, write_verdict
 
 SPREAD_DPH, BETWEEN_RUNS_DPH = 0.003, 0.001
 POSITIONS = ("z_up", "y_up", "x_up")
@@ -101,3 +104,21 @@ def test_the_size_of_an_effect_that_one_unit_alone_has_stands_out():
 def test_too_few_units_are_no_batch():
     with pytest.raises(MeasurementError, match="at least 4 units"):
         fit_batch(batch(np.random.default_rng(7), units=3))
+
+
+def test_effects_count_as_absent_only_where_a_search_could_show(sample, tmp_path):
+    verdicts = {
+        "a": ("explained", [("thermal_lag", 0.004)]),
+        "b": ("clean", []),
+        "c": ("unexplained", [("thermal_lag", 0.002)]),
+    }
+    for name, (verdict, effects) in verdicts.items():
+        write_verdict(copy_run(sample, tmp_path / name, unit=name), verdict, effects)
+    compensated = copy_run(sample, tmp_path / "d", unit="d")
+    compensated.compensation.write_text("{}")
+    index = RunIndex(open_store(str(tmp_path)))
+    index.update()
+    values = read_batch(index, find_runs(index, Selection()))
+    sizes = {run.unit: run.bias_dph for run in values.pop(EffectSize("thermal_lag"))}
+    assert sizes == {"a": 0.004, "b": 0.0}
+    assert all({run.unit for run in runs} == {"a", "b", "c"} for runs in values.values())

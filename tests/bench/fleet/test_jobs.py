@@ -1,11 +1,20 @@
-"""One job with one run: done, failed or left out, and nothing else is touched."""
+"""One job with one run, and the record that shows what is left to do."""
 
 import json
 
 import pytest
 
-from gyrobench.bench.fleet.jobs import JobKind, JobState, do_job, inputs_of
+from gyrobench.bench.fleet.jobs import (
+    FleetRecord,
+    JobKind,
+    JobResult,
+    JobState,
+    do_job,
+    inputs_of,
+    read_record,
+)
 from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.station.locks import RunLock
 from tests.bench.runs.index.sample_runs import copy_run
@@ -60,3 +69,37 @@ def test_the_inputs_of_a_job_are_not_what_it_writes(run):
     with (run / "journal.jsonl").open("a") as journal:
         journal.write("{}\n")
     assert all(inputs_of(kind, run) != before[kind] for kind in JobKind)
+
+
+@pytest.fixture
+def runs(tmp_path):
+    paths = [tmp_path / name for name in ("a", "b", "c", "d")]
+    for path in paths:
+        path.mkdir()
+        (path / "journal.jsonl").write_text("{}\n")
+    return paths
+
+
+def test_what_failed_was_left_out_is_new_or_has_changed_is_left(runs, tmp_path):
+    record = FleetRecord(JobKind.BINS, tmp_path / "record")
+    for path, state in zip(runs, (JobState.DONE, JobState.FAILED, JobState.SKIPPED), strict=False):
+        record.add(JobResult(str(path), state, "why", 1.0))
+    record.write()
+    again = read_record(JobKind.BINS, tmp_path / "record")
+    assert again.runs == record.runs
+    assert again.pending(runs) == runs[1:]
+    (runs[0] / "journal.jsonl").write_text("{}\n{}\n")
+    assert again.pending(runs) == runs
+
+
+def test_no_record_is_an_empty_one(runs, tmp_path):
+    assert read_record(JobKind.CLOSE, tmp_path / "none").pending(runs) == runs
+
+
+def test_a_damaged_record_and_one_of_another_job_are_refused(tmp_path):
+    FleetRecord(JobKind.BINS, tmp_path).write()
+    with pytest.raises(RunFolderError, match=r"record of `gyrobench fleet bins`"):
+        read_record(JobKind.CLOSE, tmp_path)
+    (tmp_path / "fleet.json").write_text("{")
+    with pytest.raises(RunFolderError, match=r"damaged.*--again"):
+        read_record(JobKind.CLOSE, tmp_path)
