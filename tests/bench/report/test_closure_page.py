@@ -1,12 +1,10 @@
 """The page of a search for effects: complete, self-contained, figures beside it."""
 
-import io
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.loop import close_loop
@@ -30,6 +28,7 @@ from tests.bench.report.made_up_closure import (
     unexplained,
     without_boards,
 )
+from tests.bench.report.plain_terminal import printed
 
 SEARCHES = [
     *(clean, explained),
@@ -194,36 +193,30 @@ def test_columns_that_would_be_empty_are_left_out():
     assert "odds" in evidence_table(explained()).caption
 
 
-def printed(closure):
-    stream = io.StringIO()
-    Console(file=stream, width=80).print(section_view(closure_findings(closure).chapter))
-    return stream.getvalue()
+def on_terminal(closure):
+    return printed(section_view(closure_findings(closure).chapter))
 
 
 @pytest.mark.parametrize(
     "search", [clean, explained, ambiguous, faint, unexplained, quiet, quiet_unexplained, without_boards]
 )
 def test_it_fits_a_terminal_without_colour_and_nothing_is_cut_off(search):
-    text = printed(search())
-    assert max(map(len, text.splitlines())) <= 80
-    assert "…" not in text
-    assert "\x1b" not in text
-    assert "nan" not in text.split()
+    assert "nan" not in on_terminal(search()).split()
 
 
 def test_it_begins_with_the_verdict():
-    assert printed(explained()).splitlines()[1].startswith("Explained. One effect explains the residual")
-    assert printed(clean()).splitlines()[1].startswith("Clean. ")
+    assert on_terminal(explained()).splitlines()[1].startswith("Explained. One effect explains the residual")
+    assert on_terminal(clean()).splitlines()[1].startswith("Clean. ")
 
 
 def test_effects_and_candidates_are_tables():
-    lines = [line.split() for line in printed(explained()).splitlines()]
+    lines = [line.split() for line in on_terminal(explained()).splitlines()]
     assert ["temperature", "rate", "x", "and", "y", "none"] in [line[:6] for line in lines]
     assert ["bias", "jump", "17", "%", "<1e-9", ">10^12", "to", "1"] in lines
 
 
 def test_the_error_stands_beside_its_noise():
-    rows = {line[:22].strip(): line[22:].split() for line in printed(explained()).splitlines()}
+    rows = {line[:22].strip(): line[22:].split() for line in on_terminal(explained()).splitlines()}
     for name, error_dph in (
         ("declared model", explained().error_before_dph),
         ("with the effects found", explained().error_after_dph),
@@ -233,10 +226,10 @@ def test_the_error_stands_beside_its_noise():
 
 
 def test_without_effects_there_is_one_error():
-    text = printed(clean())
+    text = on_terminal(clean())
     assert "with the effects found" not in text
     assert "declared model " in text
 
 
 def test_the_measurement_that_resolves_a_tie_is_stated():
-    assert "separate the twins" in " ".join(printed(ambiguous()).split())
+    assert "separate the twins" in " ".join(on_terminal(ambiguous()).split())

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import io
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from rich.console import Console, RenderableType
+from rich.console import RenderableType
 
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.planned_campaign import UnitProperties, planned_campaign
@@ -16,6 +15,7 @@ from gyrobench.bench.closure.procedure_changes import Advice
 from gyrobench.bench.closure.separability import Separability, searched_dwells, separability
 from gyrobench.bench.report.terminal.separability import pairs_text, separability_summary
 from tests.bench.closure.plans import shipped
+from tests.bench.report.plain_terminal import printed
 
 UNIT = UnitProperties(0.0006, "declared by the station")
 TARGET_DPH = 0.002
@@ -27,18 +27,13 @@ def result() -> Separability:
     return separability(searched_dwells(planned_campaign(plan, UNIT)), all_effects())
 
 
-def printed(renderable: RenderableType) -> str:
+def one_line(view: RenderableType) -> str:
     """Text as a plain terminal of 80 columns shows it, in one line."""
-    stream = io.StringIO()
-    Console(width=80, file=stream, force_terminal=False, color_system=None).print(renderable)
-    lines = [line.rstrip() for line in stream.getvalue().splitlines()]
-    assert max(map(len, lines)) <= 80
-    assert not any("…" in line or "\x1b" in line for line in lines)
-    return " ".join(" ".join(lines).split())
+    return " ".join(printed(view).split())
 
 
 def test_every_effect_has_its_sizes_and_nearest_alternative(result: Separability) -> None:
-    text = printed(separability_summary(result, 60, UNIT, TARGET_DPH, []))
+    text = one_line(separability_summary(result, 60, UNIT, TARGET_DPH, []))
     shown = [each for each in result.detections if each.missing_input is None]
     assert len(shown) > 8
     for each in shown:
@@ -52,17 +47,17 @@ def test_every_effect_has_its_sizes_and_nearest_alternative(result: Separability
 
 
 def test_it_states_dwells_and_uncertainty(result: Separability) -> None:
-    text = printed(separability_summary(result, 60, UNIT, TARGET_DPH, []))
+    text = one_line(separability_summary(result, 60, UNIT, TARGET_DPH, []))
     assert "The search uses 30 of 60 dwells; the last cycle is held out." in text
     assert (
         "Standard uncertainty of a bias: ±1.04, from an angle random walk of 0.0006 deg/sqrt(h), declared by "
         "the station" in text
     )
     undeclared = replace(UNIT, noise_source=UnitProperties().noise_source)
-    assert "a typical value, none is declared" in printed(
+    assert "a typical value, none is declared" in one_line(
         separability_summary(result, 30, undeclared, TARGET_DPH, [])
     )
-    assert "There is one cycle of 30 dwells" in printed(
+    assert "There is one cycle of 30 dwells" in one_line(
         separability_summary(result, 30, undeclared, TARGET_DPH, [])
     )
 
@@ -70,30 +65,30 @@ def test_it_states_dwells_and_uncertainty(result: Separability) -> None:
 def test_it_states_where_there_are_too_few_dwells_to_search(result: Separability) -> None:
     campaign = result.campaign
     few = replace(result, campaign=campaign.part(np.arange(len(campaign)) < 6))
-    text = printed(separability_summary(few, 12, UNIT, TARGET_DPH, []))
+    text = one_line(separability_summary(few, 12, UNIT, TARGET_DPH, []))
     assert "Too few for gyrobench close: a cubic in temperature leaves" in text
-    assert "Too few" not in printed(separability_summary(result, 60, UNIT, TARGET_DPH, []))
+    assert "Too few" not in one_line(separability_summary(result, 60, UNIT, TARGET_DPH, []))
 
 
 def test_it_lists_effects_not_found_and_not_distinguished(result: Separability) -> None:
-    text = printed(separability_summary(result, 60, UNIT, TARGET_DPH, []))
+    text = one_line(separability_summary(result, 60, UNIT, TARGET_DPH, []))
     assert "Not found at 2.00: chamber state." in text
     assert "Not distinguished at 2.00: " in text
-    large = printed(separability_summary(result, 60, UNIT, 0.9, []))
+    large = one_line(separability_summary(result, 60, UNIT, 0.9, []))
     assert "Not found" not in large
     # At any size, an effect that can't be fitted may take the place of one that it imitates.
     assert (
         "Not distinguished at 900.00: daily course of the room from time drift; g-sensitivity from" in large
     )
     seen = replace(result, distinguished_dph=dict.fromkeys(result.distinguished_dph, 0.5))
-    assert "At 900.00 all effects are found and distinguished." in printed(
+    assert "At 900.00 all effects are found and distinguished." in one_line(
         separability_summary(seen, 60, UNIT, 0.9, [])
     )
 
 
 def test_effects_not_observable_are_grouped_by_missing_input(result: Separability) -> None:
     blind = replace(result.campaign, set_c=np.full(len(result.campaign), np.nan))
-    text = printed(separability_summary(separability(blind, all_effects()), 60, UNIT, TARGET_DPH, []))
+    text = one_line(separability_summary(separability(blind, all_effects()), 60, UNIT, TARGET_DPH, []))
     assert "Not observable: chamber state. Missing input: the chamber's set point." in text
     assert "Not found" not in text
 
@@ -121,7 +116,7 @@ def test_effects_not_observable_are_grouped_by_missing_input(result: Separabilit
     ],
 )
 def test_advice_is_a_sentence(result: Separability, advice: Advice, sentence: str) -> None:
-    assert sentence in printed(separability_summary(result, 60, UNIT, TARGET_DPH, [advice]))
+    assert sentence in one_line(separability_summary(result, 60, UNIT, TARGET_DPH, [advice]))
 
 
 def test_pairs_are_gathered_by_the_effect_that_most_of_them_have() -> None:

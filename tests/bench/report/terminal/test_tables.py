@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 import re
 from dataclasses import replace
@@ -10,7 +9,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from rich.console import Console, RenderableType
 
 from gyrobench.bench.bias.acceptance import judge
 from gyrobench.bench.bias.bins import BiasBin
@@ -24,16 +22,7 @@ from gyrobench.bench.report.bias_sections import acceptance_summary, bins_summar
 from gyrobench.bench.report.journal_sections import KindDuration, durations_section
 from gyrobench.bench.report.terminal.tables import preflight_report, section_view, timeline_table
 from gyrobench.bench.station.check_result import Check
-
-
-def printed(renderable: RenderableType, width: int = 80) -> list[str]:
-    """Lines as a plain terminal shows them."""
-    stream = io.StringIO()
-    Console(width=width, file=stream, force_terminal=False, color_system=None).print(renderable)
-    lines = [line.rstrip() for line in stream.getvalue().splitlines()]
-    assert max(map(len, lines)) <= width
-    assert not any("…" in line or "\x1b" in line for line in lines)
-    return lines
+from tests.bench.report.plain_terminal import printed, printed_lines
 
 
 def coldest_of_x(bins: list[BiasBin]) -> list[BiasBin]:
@@ -41,14 +30,14 @@ def coldest_of_x(bins: list[BiasBin]) -> list[BiasBin]:
 
 
 def test_papers_method_is_explained_where_it_is_shown(bins: list[BiasBin]) -> None:
-    lines = printed(section_view(bins_summary(bins)))
+    lines = printed_lines(section_view(bins_summary(bins)))
     assert sum(line.startswith("Second line: result of the paper's method") for line in lines) == 1
     assert sum(line.startswith("The paper's method disagrees") for line in lines) == 3
 
 
 def test_run_without_the_papers_method_says_why(bins: list[BiasBin]) -> None:
     alone = [replace(each, paper_bias_dph=math.nan, paper_sigma_dph=math.nan) for each in bins]
-    lines = printed(section_view(bins_summary(alone)))
+    lines = printed_lines(section_view(bins_summary(alone)))
     assert not any(line.startswith("Second line") for line in lines)
     assert (
         sum(line.startswith("The paper's method needs two windows half a turn apart") for line in lines) == 1
@@ -56,7 +45,7 @@ def test_run_without_the_papers_method_says_why(bins: list[BiasBin]) -> None:
 
 
 def test_bins_table_shows_bias_and_p_value(bins: list[BiasBin]) -> None:
-    lines = [line.replace(" ± ", "±") for line in printed(section_view(bins_summary(bins)))]
+    lines = [line.replace(" ± ", "±") for line in printed_lines(section_view(bins_summary(bins)))]
     assert lines[0] == "X gyro"
     head = lines.index("Bias±standard uncertainty in 0.001 deg/h by gyro temperature") + 1
     assert " ".join(lines[head + 1].split()) == "bin / °C Z-Up Z-Down Y-Up Y-Down X-Up X-Down equal"
@@ -82,7 +71,7 @@ def test_bins_table_shows_bias_and_p_value(bins: list[BiasBin]) -> None:
 
 
 def test_sentences_of_a_run_without_differences_say_so(equal_bins: list[BiasBin]) -> None:
-    lines = printed(section_view(bins_summary(equal_bins)))
+    lines = printed_lines(section_view(bins_summary(equal_bins)))
     assert sum(line.startswith("No significant difference between positions") for line in lines) == 3
     assert all(line.startswith(" ") for line in lines if line.endswith("*"))
     assert any(line.endswith("*") for line in lines)
@@ -97,13 +86,13 @@ def test_wide_numbers_put_the_uncertainty_below(
         for each in bins
         if each.gyro == "x"
     ]
-    lines = printed(section_view(bins_summary(wide)))
+    lines = printed_lines(section_view(bins_summary(wide)))
     assert sum(line.count("±") for line in lines if not line.startswith(("X gyro", "Largest"))) >= 36
 
 
 @pytest.mark.parametrize("width", [60, 50])
 def test_a_narrow_terminal_shows_the_bin_of_each_row_of_biases(bins: list[BiasBin], width: int) -> None:
-    lines = printed(section_view(bins_summary(bins)), width)
+    lines = printed_lines(section_view(bins_summary(bins)), width)
     first_words = [line.split(" ")[0] for line in lines if line and not line.startswith(" ")]
     assert "bin" in first_words
     lows = [
@@ -115,7 +104,7 @@ def test_a_narrow_terminal_shows_the_bin_of_each_row_of_biases(bins: list[BiasBi
 def test_p_values_are_beside_the_biases_that_they_are_of_where_uncertainties_are_below(
     bins: list[BiasBin],
 ) -> None:
-    lines = printed(section_view(bins_summary(bins)), 60)
+    lines = printed_lines(section_view(bins_summary(bins)), 60)
     first = next(number for number, line in enumerate(lines) if line.startswith("-25..-20"))
     assert [line.endswith("<1e-9*") for line in lines[first : first + 4]] == [True, False, True, False]
     assert ["±" in line for line in lines[first : first + 4]] == [False, True, False, True]
@@ -123,26 +112,26 @@ def test_p_values_are_beside_the_biases_that_they_are_of_where_uncertainties_are
 
 def test_single_position_is_not_compared_and_that_is_said_once(bins: list[BiasBin]) -> None:
     alone = [each for each in bins if each.position == "z_up"]
-    lines = printed(section_view(bins_summary(alone)))
+    lines = printed_lines(section_view(bins_summary(alone)))
     assert sum(line.startswith("Nothing to compare") for line in lines) == 1
     assert not any("p equal" in line for line in lines)
 
 
 def test_a_gyro_without_anything_to_compare_says_so_beside_the_others(bins: list[BiasBin]) -> None:
     some = [each for each in bins if each.position == "z_up" or each.gyro == "y"]
-    lines = printed(section_view(bins_summary(some)))
+    lines = printed_lines(section_view(bins_summary(some)))
     assert sum(line.startswith("Nothing to compare") for line in lines) == 2
 
 
 def test_run_without_biases_says_so() -> None:
-    assert printed(section_view(bins_summary([])))[0].startswith("No dwell gave a bias")
+    assert printed_lines(section_view(bins_summary([])))[0].startswith("No dwell gave a bias")
 
 
 @pytest.mark.parametrize("name", ["six_position_fig7", "ten_minute_check", "three_temperature_shift"])
 def test_timeline_shows_all_rows_and_the_total(name: str) -> None:
     plan = expand(*load_procedure(find_document("procedures", name)))
     rows = timeline_rows(plan)
-    lines = printed(timeline_table(rows, plan.duration_s))
+    lines = printed_lines(timeline_table(rows, plan.duration_s))
     starts = [line.split()[0] for line in lines if line[:5].strip()]
     assert [row.start for row in rows] == [start for start in starts if start[0].isdigit()]
     assert lines[-1].split()[0] == "all"
@@ -150,7 +139,7 @@ def test_timeline_shows_all_rows_and_the_total(name: str) -> None:
 
 
 def test_durations_by_kind_end_with_all() -> None:
-    lines = printed(
+    lines = printed_lines(
         section_view(
             durations_section(
                 [KindDuration("go to", 60, 1380.0, 1500.0), KindDuration("soak", 1, 5400.0, 3700.0)]
@@ -162,7 +151,7 @@ def test_durations_by_kind_end_with_all() -> None:
 
 
 def test_nothing_done_says_so() -> None:
-    assert printed(section_view(durations_section([]))) == [
+    assert printed_lines(section_view(durations_section([]))) == [
         "Planned and actual duration",
         "No step was finished.",
     ]
@@ -176,15 +165,8 @@ CHECKS = [
 ]
 
 
-def printed_checks(checks):
-    text = io.StringIO()
-    Console(file=text, width=80, markup=False, highlight=False).print(preflight_report(checks))
-    return text.getvalue()
-
-
 def test_every_check_is_stated_in_80_columns_with_what_to_do_where_it_did_not_pass():
-    text = printed_checks(CHECKS)
-    assert max(map(len, text.splitlines())) <= 80
+    text = printed(preflight_report(CHECKS))
     lines = [line.split() for line in text.splitlines()]
     assert ["pass", "answers", "Acutrol"] in lines
     assert lines.index(["rate", "table"]) < lines.index(["chamber"]) < lines.index(["disk"])
@@ -195,20 +177,14 @@ def test_every_check_is_stated_in_80_columns_with_what_to_do_where_it_did_not_pa
 
 
 def test_the_sum_says_whether_the_bench_is_ready():
-    assert "1 passed, 1 failed, 1 skipped: not ready for a run." in printed_checks(CHECKS)
-    assert "1 passed, 0 failed, 1 skipped: ready for a run as far as checked." in printed_checks(
-        [CHECKS[0], CHECKS[2]]
+    assert "1 passed, 1 failed, 1 skipped: not ready for a run." in printed(preflight_report(CHECKS))
+    assert "1 passed, 0 failed, 1 skipped: ready for a run as far as checked." in printed(
+        preflight_report([CHECKS[0], CHECKS[2]])
     )
 
 
 def printed_acceptance(acceptance):
-    stream = io.StringIO()
-    Console(width=80, file=stream, force_terminal=False, color_system=None).print(
-        section_view(acceptance_summary(acceptance))
-    )
-    lines = [line.rstrip() for line in stream.getvalue().splitlines()]
-    assert all(len(line) <= 80 for line in lines)
-    return lines
+    return printed_lines(section_view(acceptance_summary(acceptance)))
 
 
 @pytest.mark.parametrize(
