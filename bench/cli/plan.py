@@ -219,7 +219,7 @@ def _read_search(folder: Path) -> Closure:
 def _print_separability(job: Job, target_dph: float, closure: Closure | None) -> None:
     from gyrobench.bench.closure.effects import all_effects
     from gyrobench.bench.closure.planned_campaign import planned_campaign
-    from gyrobench.bench.closure.procedure_changes import advise, advise_ties
+    from gyrobench.bench.closure.procedure_changes import ChangeablePlan, advise, advise_ties
     from gyrobench.bench.closure.separability import searched_dwells, separability
     from gyrobench.bench.closure.tie_forecast import measured_properties, tie_forecasts
     from gyrobench.bench.report.figures.separability import separability_figure
@@ -236,16 +236,13 @@ def _print_separability(job: Job, target_dph: float, closure: Closure | None) ->
         return
     effects = [each.effect for each in closure.evidence] if closure else all_effects(job.document.path)
     result = separability(searched_dwells(campaign), effects, closure.effects if closure else ())
-    planner = job.station.plan_document
+    unchanged = ChangeablePlan(job.document, job.plan, job.station.plan_document, unit)
+    advice = [] if closure else advise(unchanged, result, target_dph)
+    console().print(separability_summary(result, len(campaign), unit, target_dph, advice))
     if closure:
-        advice = advise_ties(job.document, job.plan, planner, unit, closure)
-    else:
-        advice = advise(job.document, job.plan, planner, unit, result, target_dph)
-    console().print(separability_summary(result, len(campaign), unit, target_dph, [] if closure else advice))
-    if closure:
-        console().print(
-            closure_forecast(closure, unit, result.expected_dph, tie_forecasts(closure, campaign), advice)
-        )
+        ties = tie_forecasts(closure, campaign)
+        advice = advise_ties(unchanged, closure, ties)
+        console().print(closure_forecast(closure, unit, result.expected_dph, ties, advice))
     path = Path(f"separability_{name}.png")
     save_figure(separability_figure(result, target_dph, name), path)
     typer.echo(f"Figure   {path}")

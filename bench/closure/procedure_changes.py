@@ -7,14 +7,14 @@ it does not apply. The result is checked and planned like any other file.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.planned_campaign import UnitProperties, planned_campaign
 from gyrobench.bench.closure.separability import Separability, searched_dwells, separability
-from gyrobench.bench.closure.tie_forecast import tie_forecasts
+from gyrobench.bench.closure.tie_forecast import TieForecast, tie_forecasts
 from gyrobench.bench.foundations.arrays import S_PER_H
 from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.errors import DocumentError
@@ -281,10 +281,35 @@ def _ramp_variables(entries: Steps) -> set[str]:
     return {name for ramp in ramps if (name := variable_in(ramp)) is not None}
 
 
-#: Checks and plans a changed procedure for the same station.
-ProcedurePlanner = Callable[[Document], Plan]
-
 _ADD_SENSORS = ("measure the temperature of each gyro's electronics",)
+
+
+@dataclass(frozen=True)
+class ChangeablePlan:
+    """A planned procedure of a unit."""
+
+    document: Document
+    plan: Plan
+    #: Plans a changed procedure for the same station; raises a DocumentError if it can't be run.
+    planner: Callable[[Document], Plan]
+    unit: UnitProperties
+
+    def changed(self) -> list[tuple[tuple[str, ...], float, Plan, UnitProperties]]:
+        """Instructions, added hours, plan and unit of each change, shortest added time first."""
+        result = []
+        for change in CHANGES:
+            steps = change.apply(self.document.data["steps"])
+            if steps is None:
+                continue
+            try:
+                plan = self.planner(replace(self.document, data=self.document.data | {"steps": steps}))
+            except DocumentError:  # the station can't run it
+                continue
+            added_h = (plan.duration_s - self.plan.duration_s) / S_PER_H
+            result.append((change.instructions, added_h, plan, self.unit))
+        if not self.unit.has_boards:
+            result.append((_ADD_SENSORS, 0.0, self.plan, replace(self.unit, has_boards=True)))
+        return sorted(result, key=lambda each: each[1])
 
 
 @dataclass(frozen=True)
@@ -302,36 +327,20 @@ class Advice:
     lost: tuple[tuple[str, str], ...] = ()  #: Pairs that are distinguished only without the change.
 
 
-def advise(
-    document: Document,
-    plan: Plan,
-    planner: ProcedurePlanner,
-    unit: UnitProperties,
-    present: Separability,
-    target_dph: float,
-) -> list[Advice]:
+def advise(unchanged: ChangeablePlan, present: Separability, target_dph: float) -> list[Advice]:
     """Find the smallest change for each effect not found and each pair not distinguished at a target size.
 
     Returns the changes with the shortest added time first; effects and pairs that no known change resolves
-    are in the last item.
-
-    Parameters
-    ----------
-    planner : callable
-        Plans a changed procedure; raises a DocumentError if it can't be run.
-    present : Separability
-        Separability of the unchanged plan.
-    target_dph : float
-        Target size, deg/h rms.
+    are in the last item. ``present``: separability of the unchanged plan. ``target_dph``: target size, rms.
     """
     effects = [each.effect for each in present.detections]
     not_found = set(present.not_found(target_dph))
     pairs = set(present.not_distinguished(target_dph))
     advice = []
-    for instructions, added_h, changed_plan, changed_unit in _planned_changes(document, plan, planner, unit):
+    for instructions, added_h, plan, unit in unchanged.changed():
         if not (not_found or pairs):
             break
-        campaign = planned_campaign(changed_plan, changed_unit)
+        campaign = planned_campaign(plan, unit)
         if campaign.cycle.min() == campaign.cycle.max():  # a search holds out one cycle
             continue
         with_change = separability(searched_dwells(campaign), effects)
@@ -353,44 +362,19 @@ def advise(
     return advice
 
 
-def advise_ties(
-    document: Document, plan: Plan, planner: ProcedurePlanner, unit: UnitProperties, closure: Closure
-) -> list[Advice]:
+def advise_ties(unchanged: ChangeablePlan, closure: Closure, present: Sequence[TieForecast]) -> list[Advice]:
     """Find the smallest change after which each tie of a closure is expected to be resolved.
 
-    Like :func:`advise`, with the dwells of the closure included.
+    Like :func:`advise`, with the dwells of the closure included. ``present``: ties after the unchanged plan.
     """
-    open_ties = {
-        (each.found, each.other)
-        for each in tie_forecasts(closure, planned_campaign(plan, unit))
-        if not each.is_settled
-    }
+    open_ties = {(each.found, each.other) for each in present if not each.is_settled}
     advice = []
-    for instructions, added_h, changed_plan, changed_unit in _planned_changes(document, plan, planner, unit):
+    for instructions, added_h, plan, unit in unchanged.changed():
         if not open_ties:
             break
-        forecasts = tie_forecasts(closure, planned_campaign(changed_plan, changed_unit))
+        forecasts = tie_forecasts(closure, planned_campaign(plan, unit))
         resolved = {(each.found, each.other) for each in forecasts if each.is_settled} & open_ties
         if resolved:
             advice.append(Advice(instructions, added_h, (), tuple(sorted(resolved))))
             open_ties -= resolved
     return [*advice, Advice((), 0.0, (), tuple(sorted(open_ties)))] if open_ties else advice
-
-
-def _planned_changes(
-    document: Document, plan: Plan, planner: ProcedurePlanner, unit: UnitProperties
-) -> list[tuple[tuple[str, ...], float, Plan, UnitProperties]]:
-    """Instructions, added hours, plan and unit of each change, shortest added time first."""
-    result = []
-    for change in CHANGES:
-        steps = change.apply(document.data["steps"])
-        if steps is None:
-            continue
-        try:
-            changed = planner(replace(document, data=document.data | {"steps": steps}))
-        except DocumentError:  # the station can't run it
-            continue
-        result.append((change.instructions, (changed.duration_s - plan.duration_s) / S_PER_H, changed, unit))
-    if not unit.has_boards:
-        result.append((_ADD_SENSORS, 0.0, plan, replace(unit, has_boards=True)))
-    return sorted(result, key=lambda each: each[1])

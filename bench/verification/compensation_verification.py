@@ -204,7 +204,18 @@ def compare_runs(
         for dwell in plateau_compared
     }
     measured = [
-        _measured_rows(index, run, plateaus, compared, in_all_runs, site, fitted_c)
+        _measured_rows(
+            run,
+            {
+                number: check_plateau(plateau[index], plateau_compared, site)
+                for number, (plateau, plateau_compared) in enumerate(
+                    zip(plateaus, compared, strict=True), start=1
+                )
+                if plateau[index]
+            },
+            in_all_runs,
+            fitted_c,
+        )
         for index, run in enumerate(runs)
     ]
     rows = [each.rows for each in measured]
@@ -237,38 +248,21 @@ def _changes_from(
 
 
 def _measured_rows(
-    index: int,
-    run: MeasuredRun,
-    plateaus: Sequence[Sequence[Sequence[AnyDwell]]],
-    compared: Sequence[Collection[int]],
-    in_all_runs: Collection[int],
-    site: Site,
-    fitted_c: FloatArray,
+    run: MeasuredRun, checks: Mapping[int, ResidualCheck], in_all_runs: Collection[int], fitted_c: FloatArray
 ) -> CompensationResult:
-    """Rows of one run; the total is without maxima, see :func:`_with_largest`."""
+    """Rows of one run with its plateaus by number; the total is without maxima, see :func:`_with_largest`."""
     usable = [row for row in run.dwells if not row.flags]
     counts = np.array([row.dwell in in_all_runs for row in usable], dtype=bool)
     varying = _varying_bias(usable, np.array([row.bias_dph for row in usable]).reshape(-1, 3), counts)
     deviations = _compensation_deviations(usable, run, counts)
-    checks, rows = [], []
-    for number, (plateau, plateau_compared) in enumerate(zip(plateaus, compared, strict=True), start=1):
-        if plateau[index]:
-            check = check_plateau(plateau[index], plateau_compared, site)
-            is_included = [row.dwell in check.dwells for row in usable]
-            checks.append(check)
-            rows.append(
-                _plateau_row(
-                    run.compensation,
-                    number,
-                    check,
-                    varying[is_included],
-                    deviations[:, is_included],
-                    fitted_c,
-                )
-            )
+    rows = []
+    for number, check in checks.items():
+        is_included = [row.dwell in check.dwells for row in usable]
+        of_plateau = varying[is_included], deviations[:, is_included]
+        rows.append(_plateau_row(run.compensation, number, check, *of_plateau, fitted_c))
     total_rows = [row for row, is_counted in zip(usable, counts, strict=True) if is_counted]
     total = _total_row(run.compensation, total_rows, varying[counts], deviations[:, counts])
-    return CompensationResult(run.compensation, tuple(checks), tuple(rows), total)
+    return CompensationResult(run.compensation, tuple(checks.values()), tuple(rows), total)
 
 
 def is_worse(after: VerificationRow, before: VerificationRow) -> bool:

@@ -8,7 +8,7 @@ import pytest
 from gyrobench.bench.cli.plan import declared_properties
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.planned_campaign import UnitProperties, planned_campaign
-from gyrobench.bench.closure.procedure_changes import CHANGES, advise
+from gyrobench.bench.closure.procedure_changes import CHANGES, ChangeablePlan, advise
 from gyrobench.bench.closure.separability import searched_dwells, separability
 from gyrobench.bench.foundations.documents import DocumentProblem
 from gyrobench.bench.navigation.positions import POSITIONS
@@ -138,7 +138,7 @@ def fig7_now():
 @pytest.fixture(scope="module")
 def advice(fig7_now):
     document, plan, unit, now = fig7_now
-    return advise(document, plan, station().plan_document, unit, now, TARGET_DPH)
+    return advise(ChangeablePlan(document, plan, station().plan_document, unit), now, TARGET_DPH)
 
 
 def test_every_unresolved_effect_and_pair_gets_one_advice(fig7_now, advice):
@@ -167,7 +167,7 @@ def test_no_advice_if_all_effects_are_distinguished(fig7_now):
     # The others take a second power cycle, another heading, or something that is logged.
     possible = [each for each in EFFECTS if each.missing_input(campaign) is None]
     now = separability(campaign, possible)
-    assert advise(document, plan, station().plan_document, unit, now, target_dph=0.1) == []
+    assert advise(ChangeablePlan(document, plan, station().plan_document, unit), now, target_dph=0.1) == []
 
 
 def test_a_station_that_can_not_run_any_change_leaves_all_open(fig7_now):
@@ -176,7 +176,7 @@ def test_a_station_that_can_not_run_any_change_leaves_all_open(fig7_now):
     def refuse(changed):
         raise changed.error([DocumentProblem((), "the mount is in the way")])
 
-    [open_] = advise(document, plan, refuse, unit, now, TARGET_DPH)
+    [open_] = advise(ChangeablePlan(document, plan, refuse, unit), now, TARGET_DPH)
     assert open_.instructions == ()
     assert list(open_.pairs) == now.not_distinguished(TARGET_DPH)
 
@@ -186,7 +186,7 @@ def test_sensors_cost_no_time(fig7_now):
     blind = replace(unit, has_boards=False, has_case=False)
     shown_by_sensors = [each for each in EFFECTS if each.name in {"thermal_gradient", "attitude_thermal"}]
     now = now_of(plan, blind, shown_by_sensors)
-    first = advise(document, plan, station().plan_document, blind, now, TARGET_DPH)[0]
+    first = advise(ChangeablePlan(document, plan, station().plan_document, blind), now, TARGET_DPH)[0]
     assert first.instructions == ("measure the temperature of each gyro's electronics",)
     assert first.added_h == 0.0
     assert "attitude_thermal" in first.found or "thermal_gradient" in first.found
