@@ -1,4 +1,4 @@
-"""Held-out dwells that differ from the model: no verdict "clean" or "explained", and few false alarms."""
+"""Held-out dwells that differ from the model or confirm it: no wrong verdict, and few false alarms."""
 
 import json
 from dataclasses import replace
@@ -9,6 +9,7 @@ import pytest
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.effects.laws import BIAS_JUMP, G_SENSITIVITY, TEMPERATURE_RATE, TIME_DRIFT
 from gyrobench.bench.closure.files import closure_document
+from gyrobench.bench.closure.held_out import is_confirmed
 from gyrobench.bench.closure.loop import close_loop, composed
 from gyrobench.bench.report.closure_page import closure_sections
 from gyrobench.bench.report.closure_text import (
@@ -181,3 +182,63 @@ def test_clean_units_with_outliers_and_understated_noise_do_not_differ_from_the_
         for seed in range(120)
     ]
     assert np.sum(np.array(found) < 1e-3) <= 2
+
+
+@pytest.mark.parametrize(
+    ("held_out", "is_so"),
+    [
+        (lambda true, noise: true + noise, True),
+        (lambda true, noise: true + noise + 30.0 * (np.arange(40) == 7)[:, None], True),
+        (lambda true, noise: noise, False),
+        (lambda true, noise: 40.0 * noise, False),
+        (lambda true, noise: true + 5.0 * noise, False),
+        (lambda true, noise: -true + noise, False),
+        (lambda true, noise: true[::-1] + noise, False),
+    ],
+    ids=["as predicted", "an outlier", "absent", "garbage", "larger noise", "reversed", "in another order"],
+)
+def test_effects_are_confirmed_by_held_out_dwells_that_follow_them(held_out, is_so):
+    random = np.random.default_rng(3)
+    true = 2.0 * random.standard_normal((40, 3))
+    measured = held_out(true, random.standard_normal((40, 3)))
+    assert is_confirmed(measured, measured - true, np.ones((40, 3))) == is_so
+
+
+def test_an_effect_that_predicts_nothing_in_the_held_out_dwells_is_not_confirmed():
+    measured = np.random.default_rng(3).standard_normal((40, 3))
+    assert not is_confirmed(measured, measured, np.ones((40, 3)))
+
+
+def share_confirmed(predicted, size, *, outliers=0.0):
+    """Share of 50 held-out cycles that confirm a prediction (n, 3) of this true size, or one per gyro."""
+    random = np.random.default_rng(5)
+    confirmed = 0
+    for _ in range(50):
+        noise = random.standard_normal(predicted.shape)
+        noise += 30.0 * (random.random(predicted.shape) < outliers)
+        measured = size * predicted + noise
+        confirmed += is_confirmed(measured, measured - predicted, np.ones(predicted.shape))
+    return confirmed / 50.0
+
+
+@pytest.mark.parametrize(
+    "sigmas",
+    [2.0, 30.0, pytest.param(8.0, marks=pytest.mark.long), pytest.param(1000.0, marks=pytest.mark.long)],
+)
+@pytest.mark.parametrize("shown", ["by all gyros", "by one gyro", "in few dwells"])
+def test_effects_of_any_size_are_refuted_if_absent_or_reversed_and_confirmed_beside_outliers(sigmas, shown):
+    predicted = sigmas * np.random.default_rng(4).standard_normal((45, 3))
+    if shown == "by one gyro":
+        predicted[:, 1:] = 0.0
+    elif shown == "in few dwells":
+        predicted[12:] = 0.0
+    assert share_confirmed(predicted, 0.0) < 0.01
+    assert share_confirmed(predicted, -1.0) < 0.01
+    assert share_confirmed(predicted, 3.0) < 0.01
+    assert share_confirmed(predicted, 1.0) > 0.95
+    assert share_confirmed(predicted, 1.0, outliers=0.02) > 0.95
+
+
+def test_an_effect_that_one_of_three_gyros_refutes_is_not_confirmed():
+    predicted = 4.0 * np.random.default_rng(4).standard_normal((45, 3))
+    assert share_confirmed(predicted, np.array([1.0, 1.0, 0.0])) < 0.01
