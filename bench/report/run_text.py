@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from statistics import median
 from types import MappingProxyType
 
 from gyrobench.bench.bias.bins import BiasBin, PositionComparison, disconnected_bins
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.statistics import uniformity_p_value
-from gyrobench.bench.bias.verdicts import Acceptance, RunVerdict
+from gyrobench.bench.bias.verdicts import Acceptance, JudgedQuantity, RunVerdict
 from gyrobench.bench.foundations.text import counted, listed, plural
 from gyrobench.bench.navigation.positions import AXES, gyro_label, position_label
 from gyrobench.bench.report.number_format import dph_with_sigma, p_phrase, size_text, temperature_ranges
@@ -155,10 +155,47 @@ _UNCONNECTED = (
     "No plateau compares {}, so the unit can't be accepted. Measure a position of each group on one plateau."
 )
 _MAX_NAMED_PLATEAUS = 3
+#: A limit this many times what the data allow, or smaller than their uncertainty, has probably another unit.
+#: One of the bias itself may be loose, as a rotational INS averages a constant bias out.
+_MAX_LIMIT_RATIO, _MAX_BIAS_LIMIT_RATIO = 100.0, 1000.0
+_LIMIT_NAMES: Mapping[JudgedQuantity, str] = MappingProxyType(
+    {
+        "position difference": "differences between positions",
+        "vertical difference": "differences between a gyro's axis up and down",
+        "bias": "biases",
+    }
+)
 
 
 def acceptance_sentence(acceptance: Acceptance) -> str:
-    """Reason for the verdict on the unit."""
+    """Reason for the verdict on the unit, and limits that seem to be in a wrong unit."""
+    return " ".join([_verdict_sentence(acceptance), *_limits_in_doubt(acceptance)])
+
+
+def _limits_in_doubt(acceptance: Acceptance) -> Iterator[str]:
+    """Sentences on limits far beyond the values measured or far below their uncertainties."""
+    for quantity, name in _LIMIT_NAMES.items():
+        judged = [each for each in acceptance.judgements if each.quantity == quantity]
+        if not judged:
+            continue
+        limit_dph = judged[0].limit_dph
+        at_most_dph = max(each.at_most_dph for each in judged)
+        sigma_dph = min(each.sigma_dph for each in judged)
+        max_ratio = _MAX_BIAS_LIMIT_RATIO if quantity == "bias" else _MAX_LIMIT_RATIO
+        if limit_dph > max_ratio * at_most_dph > 0.0:
+            yield (
+                f"The limit of {limit_dph:g} deg/h for {name} is {limit_dph / at_most_dph:.0f} times the "
+                f"largest value that the data allow, {size_text(at_most_dph)} deg/h. Check its unit, deg/h."
+            )
+        elif sigma_dph > _MAX_LIMIT_RATIO * limit_dph:
+            yield (
+                f"The limit of {limit_dph:g} deg/h for {name} is {sigma_dph / limit_dph:.0f} times smaller "
+                f"than the smallest uncertainty, {size_text(sigma_dph)} deg/h: no unit can pass. Check its "
+                "unit, deg/h."
+            )
+
+
+def _verdict_sentence(acceptance: Acceptance) -> str:
     if acceptance.limits is None:
         return _NO_LIMITS
     limit = _limits_text(acceptance)

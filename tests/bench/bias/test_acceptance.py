@@ -252,3 +252,22 @@ def test_no_number_of_cycles_decides_where_an_error_common_to_all_is_too_large()
 
 def test_no_number_of_cycles_decides_a_difference_at_the_limit():
     assert judged(campaign({"y_up": 0.006})).deciding("x").cycles_to_decide > 1000
+
+
+@pytest.mark.parametrize(
+    ("limits", "sentence"),
+    [
+        ({"position_difference_dph": 6.0}, "6 deg/h for differences between positions is 2"),
+        ({"position_difference_dph": 0.006 / 3600}, "for differences between positions is 8"),
+        ({"position_difference_dph": 0.006, "bias_dph": 10.0}, "10 deg/h for biases is 6"),
+    ],
+)
+def test_a_limit_in_another_unit_than_deg_per_h_is_in_doubt(limits, sentence):
+    text = acceptance_sentence(judged(campaign(), AcceptanceLimits(**limits)))
+    assert sentence in text and text.endswith("Check its unit, deg/h.")
+
+
+@pytest.mark.parametrize("largest_dph", [0.0, 0.002, 0.006, 0.05])
+def test_a_limit_of_the_size_of_the_data_is_not_in_doubt(largest_dph):
+    limits = AcceptanceLimits(position_difference_dph=0.008, vertical_difference_dph=0.006, bias_dph=0.2)
+    assert "unit, deg/h" not in acceptance_sentence(judged(campaign({"y_up": largest_dph}), limits))
