@@ -23,6 +23,7 @@ from gyrobench.bench.calibration.strapdown import (
     integrate_increments,
 )
 from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import rotation_vectors
 from gyrobench.bench.navigation.error_model import Site
 
@@ -81,12 +82,20 @@ class IncrementSection:
         return cls(recording.interval_s, angle, velocity, rests[0].end - offset, epochs)
 
     def initial_attitude(self, errors: SensorErrors) -> FloatArray:
-        """Initial attitude (3, 3), determined by gravity and the Earth's rate in the first rest."""
+        """Initial attitude (3, 3), determined by gravity and the Earth's rate in the first rest.
+
+        Raises MeasurementError if the rate in the first rest has no horizontal part.
+        """
         resting = self.angle[: self.first_rest_count], self.velocity[: self.first_rest_count]
         rate, force = (each.mean(axis=0) for each in errors.corrected(*resting, self.interval_s))
         up = force / np.linalg.norm(force)
         east = np.cross(rate, up)
-        east /= np.linalg.norm(east)
+        if not (norm := np.linalg.norm(east)) > 0.0:
+            raise MeasurementError(
+                "in the first rest the gyros read no rate about a horizontal axis, as where the Earth's "
+                "rotation is below their resolution. Log them with a finer one, best as increments"
+            )
+        east /= norm
         return np.stack([east, np.cross(up, east), up])
 
     def corrected_increments(

@@ -5,6 +5,7 @@ With a section ``calibration`` the log can also be used for a calibration, which
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -48,6 +49,47 @@ def _require_one(model: Any, *names: str) -> None:
         quoted = ", ".join(f"'{name}'" for name in names)
         given_text = " and ".join(f"'{name}'" for name in given) or "none of them"
         raise ValueError(f"give exactly one of {quoted}; there is {given_text}")
+
+
+# fmt: off
+GyroUnit = Literal[
+    "rad/s", "mrad/s", "urad/s", "deg/s", "mdeg/s", "dps", "mdps", "deg/h", "mdeg/h", "arcsec/s",
+    "rad", "mrad", "urad", "deg", "mdeg", "arcsec",
+]
+# fmt: on
+ForceUnit = Literal["m/s2", "g", "mg", "m/s", "mm/s"]
+
+#: Unit in brackets at the end of the name of a column, as in "gx [deg/s]", and one after an underscore.
+_UNIT_IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
+_UNIT_SUFFIX = re.compile(r"_(m?dps|radps|dph|(deg|rad)_(per_)?[sh]|mps2|m_s2|(?<=time_)(s|ms|us|ns))$")
+# fmt: off
+_SPELLINGS = (
+    ("°|degrees?", "deg"), ("[µμ]", "u"), ("²", "2"), (r"\^", ""), ("sec(ond)?s?$", "s"), ("/hr$", "/h"),
+)
+_SYNONYMS = {"dps": "deg/s", "mdps": "mdeg/s", "radps": "rad/s", "dph": "deg/h", "mps2": "m/s2"}
+# fmt: on
+_KELVIN_OR_FAHRENHEIT = ("k", "kelvin", "f", "degf", "fahrenheit")
+
+
+def _unit_in_name(column: Column) -> str:
+    """Unit at the end of a column's name, in the spelling of the maps' units; empty if there is none."""
+    name = str(column).lower()
+    bracketed, suffix = _UNIT_IN_BRACKETS.search(name), _UNIT_SUFFIX.search(name)
+    unit = bracketed[1] if bracketed else suffix[1].replace("_per_", "/").replace("_", "/") if suffix else ""
+    if not unit.startswith("arc"):
+        for pattern, spelling in _SPELLINGS:
+            unit = re.sub(pattern, spelling, unit)
+    return _SYNONYMS.get(unit, unit)
+
+
+def _check_named_unit(column: Column, unit: str, known: Sequence[str]) -> None:
+    """Raise ValueError if the name of a column states another of the ``known`` units."""
+    named = _unit_in_name(column)
+    if named in known and named != _SYNONYMS.get(unit, unit):
+        raise ValueError(
+            f"column '{column}' is in {named} by its name, and in {unit} by the map. Correct 'unit', or map "
+            "a column whose name is wrong by its number"
+        )
 
 
 class TextFormat(StrictModel):
@@ -112,6 +154,8 @@ class TimeRule(StrictModel):
     @model_validator(mode="after")
     def _one_source(self) -> Self:
         _require_one(self, "column", "sample_rate_hz")
+        if self.column is not None:
+            _check_named_unit(self.column, self.unit, ("s", "ms", "us", "ns", "min", "h"))
         return self
 
 
@@ -148,6 +192,13 @@ class AxisColumns(StrictModel):
     y: AxisColumn = Field(description="column of the y sensor, with its sign")
     z: AxisColumn = Field(description="column of the z sensor, with its sign")
 
+    @model_validator(mode="after")
+    def _check_named_units(self) -> Self:
+        for axis in (self.x, self.y, self.z):
+            if (unit := getattr(self, "unit", None)) and axis.scale == 1.0:
+                _check_named_unit(axis.column, unit, (*get_args(GyroUnit), *get_args(ForceUnit)))
+        return self
+
     def by_quantity(self, names: Sequence[str], unit: float = 1.0) -> dict[str, ScaledColumn]:
         """Column, scale and offset of each sensor by name; ``unit``: factor on the scales."""
         axes = zip(names, (self.x, self.y, self.z), strict=True)
@@ -157,24 +208,9 @@ class AxisColumns(StrictModel):
 class GyroColumns(AxisColumns):
     """Which column measures the rate about which body axis."""
 
-    unit: Literal[
-        "rad/s",
-        "mrad/s",
-        "urad/s",
-        "deg/s",
-        "mdeg/s",
-        "dps",
-        "mdps",
-        "deg/h",
-        "mdeg/h",
-        "arcsec/s",
-        "rad",
-        "mrad",
-        "urad",
-        "deg",
-        "mdeg",
-        "arcsec",
-    ] = Field(description="unit of the rates; an angle: increments since the sample before, to calibrate")
+    unit: GyroUnit = Field(
+        description="unit of the rates; an angle: increments since the sample before, to calibrate"
+    )
     full_scale: Positive | None = Field(
         default=None, description="measuring range of the gyros, in the unit above"
     )
@@ -231,6 +267,14 @@ class TemperatureColumns(StrictModel):
                 single = getattr(self, f"{sensor}_{axis}")
                 columns[f"{sensor}_{axis}_c"] = single if single is not None else common
         return {name: self._converted(column) for name, column in columns.items() if column is not None}
+
+    @model_validator(mode="after")
+    def _check_named_units(self) -> Self:
+        for column, scale, offset_c in self.by_quantity().values():
+            if (unit := _unit_in_name(column)) in _KELVIN_OR_FAHRENHEIT and (scale, offset_c) == (1.0, 0.0):
+                example = "offset_c: -273.15" if unit[0] == "k" else "scale: 0.55556, offset_c: -17.7778"
+                raise ValueError(f"column '{column}' is not in degC by its name. Convert it, as '{example}'")
+        return self
 
     def _converted(self, source: Column | TemperatureColumn) -> ScaledColumn:
         if not isinstance(source, TemperatureColumn):
@@ -311,9 +355,7 @@ class EarthRate(StrictModel):
 class CalibrationAccelerometers(AxisColumns):
     """Specific force or its increments; positive up at rest."""
 
-    unit: Literal["m/s2", "g", "mg", "m/s", "mm/s"] = Field(
-        description="unit; a velocity: increments since the sample before"
-    )
+    unit: ForceUnit = Field(description="unit; a velocity: increments since the sample before")
 
 
 class CalibrationNoise(StrictModel):

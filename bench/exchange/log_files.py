@@ -188,23 +188,34 @@ class TextLog:
         """Error that lists wrong cells, found line by line; ``reason``: message if none is found."""
         problems: dict[str, str] = {}
         repeats: Counter[str] = Counter()
+        problem_lines: Counter[int] = Counter()
+        first_line = 0
 
         def add(kind: str, line: int, text: str) -> None:
             repeats[kind] += kind in problems
+            problem_lines[line] += 1
             problems.setdefault(kind, f"{self._path}:{line}: {text}")
 
         for line, cells in self._numbered_samples():
+            first_line = first_line or line
             if len(cells) != len(self.columns):
                 add("", line, f"{len(cells)} cells instead of {len(self.columns)}")
                 continue
             for column in numbers:
                 name, cell = self.columns[indices[column]], cells[indices[column]]
                 if not _is_number(cell, self._layout.decimal):
-                    add(name, line, f"column {name}: expected a number; found '{cell[:60]}'")
+                    other = "." if self._layout.decimal == "," else ","
+                    hint = f" (is 'text.decimal' '{other}'?)" if _is_number(cell, other) else ""
+                    add(name, line, f"column {name}: expected a number; found '{cell[:60]}'{hint}")
         messages = [
             f"{text} (and in {repeats[kind]} more lines)" if repeats[kind] else text
             for kind, text in problems.items()
         ]
+        if self._layout.header and not repeats.total() and problem_lines == {first_line: len(set(numbers))}:
+            messages.append(
+                "If that line has the units of the columns, give 'text: {header: false, skip_lines: "
+                f"{first_line}}}' and map the columns by their numbers"
+            )
         return DocumentError("\n".join(messages) or f"{self._path}: can't be read: {reason}")
 
 
@@ -287,7 +298,9 @@ def _separator(head: list[str], layout: TextFormat) -> str:
 
 
 def _is_number(cell: str, decimal: str) -> bool:
-    return cell in _NOT_MEASURED or _NUMBER.fullmatch(cell.replace(decimal, ".")) is not None
+    if cell in _NOT_MEASURED:
+        return True
+    return (decimal == "." or "." not in cell) and bool(_NUMBER.fullmatch(cell.replace(decimal, ".")))
 
 
 _BATCH_RECORDS = 100_000

@@ -47,6 +47,8 @@ _SIGNATURE_BYTES = 1024
 _TO_DPH = {"rad/s": RADPS_TO_DPH, "deg/s": 3600.0, "dps": 3600.0, "deg/h": 1.0, "arcsec/s": 1.0}
 _PREFIXES = {"m": 1e-3, "u": 1e-6}
 _TO_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "iso8601": 1.0}
+#: Times after which the clocks of loggers and of GPS restart.
+_CLOCK_PERIODS = ((86400.0, "day"), (604800.0, "week"))
 #: Exceeds the rounding of a calendar time in float64; a sample this close before a window belongs to it.
 _TIME_RESOLUTION_S = 1e-6
 
@@ -211,10 +213,13 @@ class SampleReader:
         steps = np.diff(time_s, prepend=last_s)
         backward = np.flatnonzero(steps < 0.0)
         if backward.size:
+            back_s, end_s = -float(steps[backward[0]]), float(time_s[backward[0]])
+            period = next((name for length_s, name in _CLOCK_PERIODS if abs(back_s - length_s) < 10.0), "")
             raise MeasurementError(
-                f"{self._path}: time goes back by {-steps[backward[0]]:g} s at {time_s[backward[0]]:.3f} s "
-                "after the first sample. Cut the log there, or, if only its clock is wrong, give "
-                "'time: {sample_rate_hz: ...}' in the import map"
+                f"{self._path}: time goes back by {back_s:g} s, from {end_s + back_s:.3f} to {end_s:.3f} s "
+                f"after the first sample{period and f', as of a clock that restarts each {period}'}. Cut the "
+                "log there, or, if only its clock is wrong, give 'time: {sample_rate_hz: ...}' in the import "
+                "map"
             )
 
 

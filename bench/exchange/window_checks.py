@@ -14,6 +14,7 @@ from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.exchange.import_map import EarthRate, LogMap
 from gyrobench.bench.exchange.log_windows import BLOCKS, MIN_WINDOW_SAMPLES, Window, full_scale_dph
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, FloatArray
+from gyrobench.bench.foundations.csv_tables import COLDEST_C, HOTTEST_C
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.earth import earth_rate_enu
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
@@ -59,6 +60,8 @@ _MAX_STUCK_SHARE = 0.5
 _FINE_RESOLUTION_C, _STUCK_WINDOWS, _STUCK_S = 0.05, 3, 300.0
 #: Coarser steps of a temperature cause a warning; a swing of fewer steps is rejected.
 _COARSE_RESOLUTION_C, _MIN_STEPS = 0.25, 8
+#: Temperatures above are more likely in kelvin than in degC.
+_MIN_KELVIN = 200.0
 
 _GYRO_TEMPERATURES = tuple(f"gyro_{axis}_c" for axis in AXES)
 
@@ -107,6 +110,12 @@ def temperature_warnings(rows: Sequence[DwellRow], windows: Sequence[Window], lo
     if log_map.averages.temperatures.constant_c is not None:
         return ["all rows have the constant temperature of the import map: no curve over temperature"]
     warnings = []
+    gyro_c = np.array([row.gyro_c for row in rows])
+    if gyro_c.min() > _MIN_KELVIN:
+        warnings.append(
+            f"the gyros are at {gyro_c.min():.1f} to {gyro_c.max():.1f} degC. If they are in kelvin, give "
+            "'temperatures: {offset_c: -273.15}' in the import map"
+        )
     for index, (axis, name) in enumerate(zip(AXES, _GYRO_TEMPERATURES, strict=True)):
         temperatures = np.array([row.gyro_c[index] for row in rows])
         swing = float(np.ptp(temperatures))
@@ -169,7 +178,7 @@ def _temperature_problem(window: Window, log_map: LogMap, is_stuck: bool) -> str
     if log_map.averages.temperatures.constant_c is not None:
         return ""
     if any(np.isnan(window.slopes_per_h[name]) for name in _GYRO_TEMPERATURES):
-        return "no temperature"
+        return f"no temperature from {COLDEST_C:g} to {HOTTEST_C:g} degC"
     return "temperature stuck" if is_stuck else ""
 
 

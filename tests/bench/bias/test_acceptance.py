@@ -264,7 +264,8 @@ def test_no_number_of_cycles_decides_a_difference_at_the_limit():
 )
 def test_a_limit_in_another_unit_than_deg_per_h_is_in_doubt(limits, sentence):
     text = acceptance_sentence(judged(campaign(), AcceptanceLimits(**limits)))
-    assert sentence in text and text.endswith("Check its unit, deg/h.")
+    assert sentence in text
+    assert text.endswith("Check its unit, deg/h.")
 
 
 @pytest.mark.parametrize("largest_dph", [0.0, 0.002, 0.006, 0.05])

@@ -577,6 +577,14 @@ def test_angles_in_a_smaller_unit_than_declared_are_refused(scale):
         calibrate([recorded((angle * scale, velocity), 13)], SITE)
 
 
+def test_gyros_that_do_not_resolve_the_earths_rotation_are_named():
+    log = recorded(eighteen(), 13)
+    angle = log.angle.copy()
+    angle[: int(60.0 / log.interval_s)] = 0.0
+    with pytest.raises(MeasurementError, match="Earth's rotation is below their resolution"):
+        calibrate([replace(log, angle=angle)], SITE)
+
+
 def test_a_scale_factor_that_no_sensor_has_is_refused():
     angle, velocity = eighteen()
     with pytest.raises(MeasurementError, match=r"accelerometer scale factor z is 0\.4.*'calibration\.acc"):

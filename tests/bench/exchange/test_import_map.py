@@ -50,6 +50,41 @@ def test_mistakes_are_shown_with_their_place(log, changes, message):
         load_log_map(Path(log.mapping(**changes)))
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("gyro", "{unit: rad/s, x: 'gx [deg/s]', y: gy, z: gz}", r"4:1: column 'gx \[deg/s\]' is in deg/s"),
+        ("gyro", "{unit: rad/s, x: gx, y: 'gy (°/sec)', z: gz}", r"in deg/s by its name, and in rad/s by"),
+        ("gyro", "{unit: deg/s, x: gx, y: gy, z: gyro_z_rad_s}", r"in rad/s by its name"),
+        ("gyro", "{unit: deg/s, x: gx_mdps, y: gy, z: gz}", r"in mdeg/s by its name"),
+        ("gyro", "{unit: deg/s, x: 'ax [m/s²]', y: gy, z: gz}", r"in m/s2 by its name"),
+        ("time", "{column: time_ms}", r"3:1: column 'time_ms' is in ms by its name, and in s by the map"),
+        ("time", "{column: 't [µs]', unit: ms}", r"in us by its name"),
+        ("temperatures", "{gyros: 'temperature [K]'}", r"not in degC by its name.*offset_c: -273.15"),
+        ("temperatures", "{gyros: 'temperature (°F)'}", r"not in degC by its name.*scale: 0.55556"),
+    ],
+)
+def test_a_column_whose_name_states_another_unit_is_refused(log, key, value, message):
+    with pytest.raises(DocumentError, match=message):
+        load_log_map(Path(log.mapping(**{key: value})))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("gyro", "{unit: dps, x: 'gx [deg/s]', y: gy_dps, z: 'gyro_rad[0]'}"),
+        ("gyro", "{unit: rad/s, x: {column: 'gx [deg/s]', scale: 0.0174532925}, y: 3, z: gyro_rad_per_s}"),
+        ("time", "{column: timestamp, unit: us}"),
+        ("time", "{column: 't (sec)'}"),
+        ("time", "{column: gps_ms, unit: s}"),
+        ("temperatures", "{gyros: 'temperature [K]', offset_c: -273.15}"),
+        ("temperatures", "{gyros: 'temperature [°C]'}"),
+    ],
+)
+def test_a_column_whose_name_states_its_unit_or_none_is_accepted(log, key, value):
+    assert load_log_map(Path(log.mapping(**{key: value}))).unit == "A7"
+
+
 def test_the_former_key_of_the_temperature_swing_is_accepted(log, caplog):
     log_map = load_log_map(Path(log.mapping(temperatures="{gyros: t, least_swing_c: 3}")))
     assert log_map.temperatures.min_swing_c == 3.0

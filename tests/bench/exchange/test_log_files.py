@@ -61,6 +61,24 @@ def test_a_large_log_comes_in_batches(tmp_path, monkeypatch):
     np.testing.assert_array_equal(np.concatenate([batch["a"] for batch in batches]), np.arange(5000.0))
 
 
+def test_a_line_of_units_below_the_header_is_shown_with_what_reads_it(tmp_path):
+    content = "a,b\ns,deg/s\n1,2\n3,4\n"
+    with pytest.raises(DocumentError, match=r"found 'deg/s'\nIf that line .*header: false, skip_lines: 2}"):
+        read(tmp_path, content)
+    assert read(tmp_path, content, numbers=(1, 2), header=False, skip_lines=2)[1][1].tolist() == [1.0, 3.0]
+    with pytest.raises(DocumentError) as error:
+        read(tmp_path, "a,b\n1,2\na,b\n3,4\n")
+    assert "skip_lines" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("decimal", "other", "content"), [(",", ".", "a;b\n1.5;2\n"), (".", ",", "a;b\n1,5;2\n")]
+)
+def test_the_other_decimal_point_is_shown_with_its_place(tmp_path, decimal, other, content):
+    with pytest.raises(DocumentError, match=rf"log\.txt:2: column a: .* \(is 'text.decimal' '\{other}'\?\)"):
+        read(tmp_path, content, decimal=decimal)
+
+
 def test_a_missing_column_is_shown_with_those_that_exist(tmp_path):
     with pytest.raises(DocumentError, match=r"log\.txt: there is no column 'c'. It has 2: a, b"):
         read(tmp_path, "a,b\n1,2\n", numbers=("c",))

@@ -13,6 +13,8 @@ from gyrobench.bench.exchange.log_import import import_logs, write_import
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 from tests.bench.exchange.sample_log import NOISE_DPH, RATE_HZ, bias_dph
 
+NO_TEMPERATURE = "no temperature from -273.15 to 1000 degC"
+
 
 def imported(log, **changes):
     return import_logs([log.write()], log.mapping(**changes))
@@ -134,7 +136,7 @@ def test_what_nothing_measures_counts_as_no_number(log, value):
 @pytest.mark.parametrize("value_c", [-300.0, 1200.0])
 def test_a_temperature_that_no_gyro_reaches_is_none(log, value_c):
     log.columns["temp"][600:900] = value_c
-    assert imported(log).left_out == {"no temperature": 1}
+    assert imported(log).left_out == {NO_TEMPERATURE: 1}
 
 
 def test_a_gyro_whose_rate_never_changes_is_shown_with_its_log(log):
@@ -185,7 +187,7 @@ def test_a_temperature_that_stands_still_to_the_last_digit_is_left_out(log):
 
 def test_windows_without_a_temperature_are_left_out(log):
     log.columns["temp"][3000:3600] = np.nan
-    assert imported(log).left_out == {"no temperature": 2}
+    assert imported(log).left_out == {NO_TEMPERATURE: 2}
 
 
 def test_a_temperature_that_is_logged_less_often_than_the_rates_is_used(log):
@@ -201,6 +203,14 @@ def test_whole_degrees_are_shown_with_what_they_cost(log):
     assert "in steps of 1 K" in warning
     cost = float(re.search(r"off its curve by ([0-9.e+-]+) deg/h", warning)[1])
     assert cost == pytest.approx(2.0 / np.sqrt(12.0), rel=0.1)
+
+
+def test_temperatures_in_kelvin_are_shown(log):
+    log.columns["temp"] += 273.15
+    (warning,) = (each for each in imported(log).warnings if "offset_c" in each)
+    assert "283.9 to 312.4 degC. If they are in kelvin" in warning
+    in_celsius = imported(log, temperatures="{gyros: temp, offset_c: -273.15}")
+    assert not any("kelvin" in each for each in in_celsius.warnings)
 
 
 def test_too_few_steps_of_temperature_are_refused(log):
@@ -220,7 +230,12 @@ def test_a_small_swing_is_refused_unless_it_is_allowed(log):
 
 def test_time_that_goes_back_is_shown_with_its_place(log):
     log.columns["time"][500:] -= 10.0
-    with pytest.raises(MeasurementError, match=r"time goes back by 9\.8 s at 90\.000 s.*sample_rate_hz"):
+    with pytest.raises(
+        MeasurementError, match=r"goes back by 9\.8 s, from 99\.800 to 90\.000 s after .*sample_rate_hz"
+    ):
+        imported(log)
+    log.columns["time"] = (log.time_s + 86400.0 - 100.0) % 86400.0
+    with pytest.raises(MeasurementError, match=r"from 99\.800 to -86300\.000 .* restarts each day"):
         imported(log)
 
 
