@@ -28,7 +28,14 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.clock import WallClock, parse_utc
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
 from gyrobench.bench.foundations.files import file_sha256
-from gyrobench.bench.foundations.text import capitalised, counted, hours_minutes, listed, plain_name
+from gyrobench.bench.foundations.text import (
+    capitalised,
+    counted,
+    hours_minutes,
+    listed,
+    plain_name,
+    with_sigma,
+)
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.report.run_content import RunContent, read_run
 from gyrobench.bench.report.run_report import instruments_of, serial_number_of
@@ -103,6 +110,7 @@ class Order:
     order: str = ""
     item: str = ""
     number: str = ""  #: Number of the certificate.
+    replaces: str = ""  #: Number of the certificate that it replaces.
     authorised_by: str = ""
     ambient: str = ""  #: Conditions in the room.
     recalibration: str = ""  #: Date until which the biases stay within a limit agreed with the customer.
@@ -174,6 +182,7 @@ class Certificate:
         identity = instruments_of(self.run).get("INS", "")
         facts = {
             "certificate": self.number,
+            "replaces the certificate": self.order.replaces,
             "item": f"inertial navigation system, serial number {self.unit}",
             "identification": identity,
             "customer": self.order.customer,
@@ -401,8 +410,15 @@ def _model_numbers(folder: RunFolder, run: RunContent) -> tuple[list[ModelNumber
     ]
     rows = [_with_power_unit(row) for row in rows]
     notes = f" Notes: {'; '.join(model.notes)}." if model.notes else ""
-    effects = ", ".join(map(closure.label, model.effects)) or "none"
-    return rows, f"{_LOADABLE} Effects found beyond the temperature: {effects}.{notes}"
+    sizes = {
+        each.candidate.effect.name: with_sigma(each.rms_dph, NORMAL_K * each.rms_sigma_dph)
+        for each in closure.effects
+    }
+    effects = "; ".join(
+        f"{closure.label(name)} (in all {sizes[name]} deg/h rms, k = {NORMAL_K:.2f})"
+        for name in model.effects
+    )
+    return rows, f"{_LOADABLE} Effects found beyond the temperature: {effects or 'none'}.{notes}"
 
 
 def _elements(name: str, values: FloatArray, sigmas: FloatArray) -> Iterator[tuple[str, float, float]]:

@@ -236,6 +236,7 @@ class _Document:
             ("Statement of conformity", sentence, rule, status),
             ("Deviations from the procedure", " ".join(certificate.deviations), "", ""),
             ("Recalibration", certificate.order.recalibration, "", ""),
+            ("Replaced certificate", certificate.order.replaces, "ISO/IEC 17025:2017, 7.8.8", ""),
         ]
         return self._dcc("statements", *(self._statement(*each) for each in statements if each[1]))
 

@@ -9,6 +9,7 @@ from gyrobench.bench.certificate.content import Certificate
 from gyrobench.bench.certificate.dcc import certificate_dcc, validate_dcc
 from gyrobench.bench.certificate.pdf import certificate_pdf
 from gyrobench.bench.certificate.signatures import SigningKey, sign_dcc, sign_pdf
+from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.files import make_folder, write_whole
 from gyrobench.bench.runs.provenance import SIMULATED
 
@@ -28,9 +29,16 @@ def issue_certificate(
     """Write a certificate into the folder ``out`` after all its files were created; returns their paths.
 
     ``formats``: some of :data:`FORMATS`. ``key``: signs the files, if given. ``schema``: folder of PTB's
-    schemas against which the DCC is validated, if given. Raises DocumentError if the DCC is not valid.
+    schemas against which the DCC is validated, if given. Raises DocumentError if the DCC is not valid, or the
+    folder holds a certificate: the one that a customer has must not be lost.
     """
     names = file_names(certificate, formats)
+    issued = [name for name in file_names(certificate, FORMATS).values() if (out / name).exists()]
+    if issued and not certificate.run.is_simulated:
+        raise DocumentError(
+            f"{out / issued[0]}: was issued before. Give --out for another certificate, and --replaces "
+            "NUMBER if it replaces that one"
+        )
     files: dict[str, bytes] = {}
     if "dcc" in formats:
         document = certificate_dcc(certificate)

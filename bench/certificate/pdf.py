@@ -13,7 +13,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from gyrobench.bench.certificate.content import BiasResult, Certificate, ModelNumber
-from gyrobench.bench.foundations.text import bin_label, decimals_of, with_sigma
+from gyrobench.bench.foundations.text import bin_label, decimals_of
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.figures.style import draw_watermark
 from gyrobench.bench.report.number_format import BiasScale
@@ -34,6 +34,8 @@ _VARIANT = "pdf/a-3a"
 _PLATEAUS_PER_TABLE = 5
 #: Numbers below this power of ten are written with it.
 _MIN_POWER = -4
+#: Digits of the numbers of a model beyond those of U.
+_MORE_DIGITS = 2
 _CAPTIONS = {
     "position_differences": (
         "Differences between positions",
@@ -156,7 +158,10 @@ def _model_section(certificate: Certificate) -> Section | None:
     rows = [
         [name, unit, *(by_gyro.get(gyro, "–") for gyro in AXES)] for (name, unit), by_gyro in table.items()
     ]
-    caption = f"Value ± U, {_coverage_text(certificate.model)}; the numbers of one gyro are correlated."
+    caption = (
+        f"Value ± U, {_coverage_text(certificate.model)}. The numbers of one gyro are correlated: U may exceed "
+        "a value although the effect is significant, and digits beyond U count."
+    )
     number_table = SectionTable(caption, header, rows, words=2)
     return Section("Bias model", [certificate.model_note], tables=[number_table])
 
@@ -189,11 +194,16 @@ def _coefficients_section(certificate: Certificate) -> Section | None:
 
 
 def _with_expanded(value: float, expanded: float) -> str:
-    """Value ± U with the significant digits of U; small numbers with a common power of ten."""
+    """Value ± U of a number of a model; small numbers with a common power of ten.
+
+    Numbers of a model are correlated: rounded to U, they would give another bias.
+    """
     power = min(math.floor(math.log10(max(abs(value), expanded))), 0)
-    if power > _MIN_POWER:
-        return with_sigma(value, expanded)
-    return f"({with_sigma(value / 10.0**power, expanded / 10.0**power)})e{power}"
+    power = 0 if power > _MIN_POWER else power
+    value, expanded = value / 10.0**power, expanded / 10.0**power
+    decimals = decimals_of(expanded) + _MORE_DIGITS
+    text = f"{value:z.{decimals}f} ± {expanded:.{decimals}f}"
+    return f"({text})e{power}" if power else text
 
 
 def _unit_text(unit: str) -> str:

@@ -25,6 +25,9 @@ def certificate(
     ] = "dcc,pdf",
     out: Annotated[Path | None, typer.Option(help="Output folder; default: certificate in the run.")] = None,
     number: Annotated[str, typer.Option(help="Number; default: from unit, run and seal.")] = "",
+    replaces: Annotated[
+        str, typer.Option(metavar="NUMBER", help="Number of the certificate that it replaces.")
+    ] = "",
     authorised_by: Annotated[
         str, typer.Option("--authorised-by", metavar="NAME", help="Who authorises it; required.")
     ] = "",
@@ -35,7 +38,7 @@ def certificate(
     limit_dph: Annotated[
         float | None,
         typer.Option(
-            min=0.0,
+            min=1e-9,
             help="Limit of the biases, agreed with the customer: the certificate states the date until which "
             "they stay within it, by the runs of the unit and of others beside this run (see runs --trend).",
         ),
@@ -103,7 +106,7 @@ def certificate(
         raise DocumentError(f"--format {formats}: is not dcc, pdf or dcc,pdf")
     folder = open_run_folder(run_folder)
     recalibration = _recalibration(folder, limit_dph) if limit_dph else ""
-    order_data = Order(customer, order, item, number, authorised_by, ambient, recalibration)
+    order_data = Order(customer, order, item, number, replaces, authorised_by, ambient, recalibration)
     content = certificate_of(folder, order_data, simulated=simulated)
     signing_key = load_signing_key(key) if key else None
     paths = issue_certificate(content, selected, out or folder.path / "certificate", signing_key, schema)

@@ -3,19 +3,21 @@
 import json
 import math
 import os
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from gyrobench.bench.bias.budget import NORMAL_K, Budget, Contribution, coverage_factor
 from gyrobench.bench.bias.dwell_table import read_dwells, write_dwells
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS
-from gyrobench.bench.certificate import content
-from gyrobench.bench.certificate.content import Order, certificate_of
+from gyrobench.bench.certificate import content, pdf
+from gyrobench.bench.certificate.content import ModelNumber, Order, certificate_of
 from gyrobench.bench.certificate.dcc import certificate_dcc, validate_dcc
-from gyrobench.bench.certificate.issue import file_names
+from gyrobench.bench.certificate.issue import file_names, issue_certificate
 from gyrobench.bench.certificate.signatures import load_signing_key, sign_dcc, sign_pdf, verify_file
 from gyrobench.bench.cli.output import EXIT_WRONG_INPUT
 from gyrobench.bench.closure.outcome import Closure
@@ -131,7 +133,31 @@ def test_an_effect_has_the_label_that_the_report_gives_it(measured_run, monkeypa
     monkeypatch.setattr(content, "repeat_search", lambda folder: explained())
     monkeypatch.setattr(Closure, "label", lambda self, name: f"label of {name}")
     note = certificate_of(measured_run, SIGNED_BY).model_note
-    assert "Effects found beyond the temperature: label of temperature_rate." in note
+    assert re.search(
+        r"temperature: label of temperature_rate \(in all 0\.\d+ ± 0\.\d+ deg/h rms, k = 1\.96\)\.", note
+    )
+
+
+def test_numbers_of_a_model_are_not_rounded_to_u():
+    number = ModelNumber("growing", "x", -2.74937e-5, 3.44e-5, 1.96, "deg/h/K")
+    numbers = [number, replace(number, value=5.801e-4, expanded=5.68e-3, axis="y")]
+    section = pdf._model_section(SimpleNamespace(model=numbers, model_note=""))
+    assert section.tables[0].rows == [["growing", "deg/h/K", "(-2.75 ± 3.44)e-5", "0.00058 ± 0.00568", "–"]]
+
+
+def test_a_certificate_is_not_overwritten_and_another_one_names_the_one_that_it_replaces(
+    measured_run, tmp_path
+):
+    certificate = certificate_of(measured_run, replace(SIGNED_BY, number="C-2", replaces="C-1"))
+    (first,) = issue_certificate(certificate, {"dcc"}, tmp_path / "first", None, None)
+    issued = first.read_bytes()
+    with pytest.raises(DocumentError, match=r"certificate\.xml: was issued before.*--replaces NUMBER"):
+        issue_certificate(certificate, {"pdf"}, tmp_path / "first", None, None)
+    assert first.read_bytes() == issued
+    assert certificate.item["replaces the certificate"] == "C-1"
+    names = texts(issued, ".//dcc:statement/dcc:name/dcc:content")
+    declarations = texts(issued, ".//dcc:statement/dcc:declaration/dcc:content")
+    assert dict(zip(names, declarations, strict=True))["Replaced certificate"] == "C-1"
 
 
 def test_a_run_that_changed_or_has_no_name_to_authorise_it_gets_none(measured_run):
