@@ -25,7 +25,7 @@ from gyrobench.bench.closure.files import holds_search
 from gyrobench.bench.closure.loadable_model import model_with_effects
 from gyrobench.bench.closure.loop import repeat_search
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.foundations.clock import WallClock, parse_utc
+from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
 from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import (
@@ -171,8 +171,7 @@ class Certificate:
     @cached_property
     def performed(self) -> tuple[date, date]:
         """First and last day of the measurement."""
-        started = parse_utc(self.run.provenance.get("started_utc") or self.run.facts.started_utc)
-        started = started or datetime(2000, 1, 1, tzinfo=UTC)
+        started = self.run.started or datetime(2000, 1, 1, tzinfo=UTC)
         return started.date(), (started + timedelta(seconds=self.run.facts.last_s)).date()
 
     @property

@@ -159,8 +159,8 @@ def _model_section(certificate: Certificate) -> Section | None:
         [name, unit, *(by_gyro.get(gyro, "–") for gyro in AXES)] for (name, unit), by_gyro in table.items()
     ]
     caption = (
-        f"Value ± U, {_coverage_text(certificate.model)}. The numbers of one gyro are correlated: U may exceed "
-        "a value although the effect is significant, and digits beyond U count."
+        f"Value ± U, {_coverage_text(certificate.model)}. The numbers of one gyro are correlated: U may "
+        "exceed a value although the effect is significant, and digits beyond U count."
     )
     number_table = SectionTable(caption, header, rows, words=2)
     return Section("Bias model", [certificate.model_note], tables=[number_table])

@@ -10,6 +10,7 @@ import typer
 
 from gyrobench.bench.cli.options import RunArgument, complete_run
 from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, console, print_unfinished
+from gyrobench.bench.foundations.errors import DocumentError
 
 
 class VectorFormat(StrEnum):
@@ -68,10 +69,13 @@ def report(
     is_single_unit = before is not None or out is not None or bool(mark_temperature)
     folder = open_run_folder(run_folder, may_have_units=not is_single_unit)
     earlier = open_run_folder(before) if before else None
+    if earlier and earlier.journal.read_bytes() == folder.journal.read_bytes():
+        raise DocumentError(f"{before}: is the same run, or a copy of it. Give the run before the change")
     formats = [each.value for each in vectors or ()]
     terminal = console()
     damage = [text for each in (folder, *folder.unit_folders) for text in damage_of(each).values()]
-    for text in damage:
+    earlier_damage = [*damage_of(earlier).values()] if earlier else []
+    for text in damage + earlier_damage:
         terminal.print(text, soft_wrap=True, style="bold red")
     print_unfinished([folder.path])
     if folder.unit_folders:
@@ -92,5 +96,5 @@ def report(
 
         terminal.print(f"PDF      {write_pdf(page, page.with_suffix('.pdf'))}", soft_wrap=True)
         update_seal(folder)
-    if damage:
+    if damage or earlier_damage:
         raise typer.Exit(EXIT_NOT_FINISHED)

@@ -436,8 +436,8 @@ _BEFORE_AFTER_TEXT = (
     "standard uncertainties."
 )
 _DIFFERENT_UNITS = "The runs are of different units: {} before, {} after."
+_BEGAN_LATER = "Run {} began later, {:%Y-%m-%d %H:%M} UTC, than this run, {:%Y-%m-%d %H:%M} UTC."
 _BEFORE_AFTER_CAPTION = "{}: bias by position, before and after."
-_NOT_COMPARABLE = ["", "nothing to compare", ""]
 
 
 def before_after_section(before: RunContent, after: RunContent, marked_c: Sequence[float] = ()) -> Section:
@@ -446,7 +446,10 @@ def before_after_section(before: RunContent, after: RunContent, marked_c: Sequen
     paragraphs = [_BEFORE_AFTER_TEXT.format(before.name, verdict)]
     units = [", ".join(sorted({row.unit for row in content.dwells})) for content in (before, after)]
     if units[0] != units[1]:
-        paragraphs.append(_DIFFERENT_UNITS.format(*(unit or "unknown" for unit in units)))
+        paragraphs.append(_DIFFERENT_UNITS.format(*(each or "unknown" for each in units)))
+    if before.started and after.started and before.started > after.started:
+        paragraphs.append(_BEGAN_LATER.format(before.name, before.started, after.started))
+    paragraphs += before.damage.values()
     figures = [
         SectionFigure(
             f"before_after_{gyro}",
@@ -484,7 +487,7 @@ def _before_after_table(before: Sequence[BiasBin], after: Sequence[BiasBin]) -> 
 
 def _largest_difference_cells(comparisons: Sequence[PositionComparison], scale: BiasScale) -> list[str]:
     if not comparisons:
-        return _NOT_COMPARABLE
+        return ["", "nothing to compare", ""]
     largest = max(comparisons, key=lambda each: each.largest_difference_dph)
     pair, _, size = _comparison_cells(largest, scale)
     return [bin_label(largest.bin_low_c, largest.bin_high_c), pair, size]

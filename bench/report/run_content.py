@@ -6,6 +6,7 @@ import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,6 +16,7 @@ from gyrobench.bench.bias.noise_estimate import NoiseEstimate
 from gyrobench.bench.bias.verdicts import Acceptance, read_acceptance
 from gyrobench.bench.characteristics.results import TestResult, read_characteristics
 from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.clock import parse_utc
 from gyrobench.bench.foundations.documents import read_document
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
 from gyrobench.bench.foundations.files import file_sha256
@@ -100,6 +102,11 @@ class RunContent:
     def reason(self) -> str:
         """Why the run did not finish; empty if :attr:`ending` states it."""
         return "" if self.facts.reason in self.ending else self.facts.reason
+
+    @property
+    def started(self) -> datetime | None:
+        """Calendar time of the start; None if it is not known."""
+        return parse_utc(self.provenance.get("started_utc") or self.facts.started_utc)
 
     @property
     def has_readings(self) -> bool:

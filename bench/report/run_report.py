@@ -18,7 +18,6 @@ from gyrobench.bench import __version__
 from gyrobench.bench.bias.bins import BiasBin, compare_positions
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.verdicts import Acceptance
-from gyrobench.bench.foundations.clock import parse_utc
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import file_sha256, make_folder, write_whole
 from gyrobench.bench.foundations.text import counted, hours_minutes, listed
@@ -388,7 +387,6 @@ def head_facts(content: RunContent) -> dict[str, str]:
     options = {**provenance.get("options", {}), **facts.options}
     resumed = f", resumed {counted(facts.resumes, 'time')}" if facts.resumes else ""
     is_end_known = JOURNAL not in content.damage
-    started = parse_utc(provenance.get("started_utc") or facts.started_utc)
     lines = {
         "unit": serial_number_of(content) or "serial number unknown",
         "procedure": facts.procedure or content.procedure.get("procedure"),
@@ -397,8 +395,10 @@ def head_facts(content: RunContent) -> dict[str, str]:
         "started by": " on ".join(
             str(provenance[name]) for name in ("operator", "host") if provenance.get(name)
         ),
-        "started": _utc_and_local(started, 0.0, provenance),
-        "ended": _utc_and_local(started, facts.last_s, provenance) if facts.ended and is_end_known else "",
+        "started": _utc_and_local(content.started, 0.0, provenance),
+        "ended": _utc_and_local(content.started, facts.last_s, provenance)
+        if facts.ended and is_end_known
+        else "",
         "duration": f"{hours_minutes(facts.last_s)} h{resumed}" if facts.last_s and is_end_known else "",
         "dwells": _dwell_counts(content),
         "options": ", ".join(f"{name} {value}" for name, value in options.items()),

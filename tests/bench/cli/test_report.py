@@ -137,7 +137,16 @@ def test_a_run_of_several_units_has_a_pdf_too(run, tmp_path):
 
 
 def test_a_run_before_a_change_is_set_beside_it(run, tmp_path):
-    done = gyrobench("report", run.path, "--before", run.path, cwd=tmp_path)
+    earlier = RunFolder(tmp_path / "earlier")
+    shutil.copytree(run.path, earlier.path)
+    copied = gyrobench("report", run.path, "--before", earlier.path, cwd=tmp_path)
+    assert copied.returncode == EXIT_WRONG_INPUT
+    assert f"{earlier.path}: is the same run, or a copy of it" in copied.stderr
+    earlier.journal.unlink()
+    with Journal(earlier.journal, VirtualClock()) as journal:
+        journal.record("run_started", procedure="six_position_fig7", station="emulated")
+        journal.record("run_ended", ended="stopped", reason="by the operator", safe_state=[])
+    done = gyrobench("report", run.path, "--before", earlier.path, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "Before and after" in run.report.read_text()
 

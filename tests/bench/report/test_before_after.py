@@ -45,6 +45,19 @@ def test_runs_of_two_units_are_stated_as_such(dwells, bins):
     assert section.paragraphs[1] == "The runs are of different units: 1001 before, 1002 after."
 
 
+def test_a_run_that_began_later_or_was_edited_is_stated_as_such(dwells, bins):
+    runs = [
+        replace(content(name, dwells, bins), provenance={"started_utc": f"{day}T08:30:00+00:00"})
+        for name, day in (("first", "2026-03-01"), ("second", "2026-03-02"))
+    ]
+    assert len(before_after_section(*runs).paragraphs) == 1
+    edited = replace(runs[1], damage={"dwells.csv": "dwells.csv: has changed since it was sealed."})
+    assert before_after_section(edited, runs[0]).paragraphs[1:] == [
+        "Run second began later, 2026-03-02 08:30 UTC, than this run, 2026-03-01 08:30 UTC.",
+        "dwells.csv: has changed since it was sealed.",
+    ]
+
+
 def test_a_run_without_bins_has_nothing_to_compare(dwells, bins):
     section = before_after_section(content("old", [], []), content("new", dwells, bins))
     assert section.tables[0].rows[0] == ["X gyro", "before", "", "nothing to compare", ""]
