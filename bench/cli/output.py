@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeVar
 import typer
 
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
+from gyrobench.bench.foundations.text import listed, plural
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -183,11 +184,19 @@ def print_end(
         console.print(safe_state, soft_wrap=True)
     record = _end_record(folder, outcome)
     shortcoming = outcome.shortcoming(fail_on)
-    rows = [dwell.row for dwell in outcome.results.dwells]
-    station = read_document(folder.station).data if rows else {}
-    plateaus = read_joint_plateaus(folder.joint) if folder.joint.exists() else []
-    findings = run_findings(rows, station, outcome.results.noise, plateaus, outcome.reason)
-    del rows
+    outcomes = outcome.units or {"": outcome}
+    rows_by_unit = {number: [each.row for each in unit.results.dwells] for number, unit in outcomes.items()}
+    station = read_document(folder.station).data if any(rows_by_unit.values()) else {}
+    # By text, as several units often have the same.
+    findings: dict[str, list[str]] = {}
+    for number, rows in rows_by_unit.items():
+        joint, unit = folder.unit(number).joint, outcomes[number]
+        plateaus = read_joint_plateaus(joint) if joint.exists() else []
+        for finding in run_findings(
+            rows, station, unit.results.noise, plateaus, unit.reason or outcome.reason
+        ).items():
+            findings.setdefault(" ".join(finding), []).append(number)
+    del rows_by_unit, rows
     outcome.release()
     free_memory()  # reused by the modules imported next
 
@@ -214,13 +223,16 @@ def print_end(
         print_tables(console, folder)
     if word := watermark_of(folder.path):
         console.print(f"{word}: {_EMULATED_BENCH}", soft_wrap=True, style="bold yellow")
-    for title, text in findings.items():
-        console.print(f"{title} {text}", style="bold red")
-    for number in outcome.units or [""]:
+    notes: dict[str, list[str]] = {}
+    for number in outcomes:
         journal = folder.unit(number).journal
         facts = facts_of(read_journal(journal) if journal.is_file() else ())
-        if text := signs_sentence(facts, station, station_name):
-            console.print(f"Unit {number}: {text}" if number else text, style="bold yellow")
+        notes.setdefault(signs_sentence(facts, station, station_name), []).append(number)
+    for style, numbers_by_text in (("bold red", findings), ("bold yellow", notes)):
+        for text, numbers in numbers_by_text.items():
+            unit_name = f"{plural(len(numbers), 'Unit', 'Units')} {listed(numbers)}: " if numbers[0] else ""
+            if text:
+                console.print(f"{unit_name}{text}", style=style)
     console.print(section_view(durations_section(step_durations(read_journal(folder.journal)))))
     if is_finished:
         console.print(safe_state, soft_wrap=True)

@@ -8,10 +8,12 @@ import typer
 from rich.console import Console
 
 from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, print_end
+from gyrobench.bench.dwells.run_results import RunResults
 from gyrobench.bench.engine.run_outcome import RunOutcome
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.report import run_findings
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
 from gyrobench.bench.station.safe_state import SafeAction, SafePart
@@ -45,6 +47,32 @@ def test_a_stopped_run_begins_with_who_stopped_it_and_how_to_continue(tmp_path, 
     resume = f"Resume   gyrobench resume {tmp_path}"
     assert lines[:2] == [sentence, resume]
     assert lines[-1] == resume
+
+
+def test_a_note_on_several_units_is_printed_once_with_their_numbers(tmp_path):
+    folder, numbers = RunFolder(tmp_path), ("7", "8", "9")
+    for number in numbers:
+        folder.unit(number).path.mkdir(parents=True)
+        with Journal(folder.unit(number).journal, VirtualClock()) as journal:
+            journal.record("run_started", procedure="ten_minute_check", station="emulated")
+            journal.record("dwell_finished", marks={"dwell": 1}, flags="", signs_tested=number == "8")
+    outcome = RunOutcome(ended="stopped", units={number: RunOutcome() for number in numbers})
+    printed = "\n".join(lines_of(folder, outcome))
+    assert printed.count("were not tested") == 1
+    assert "Units 7 and 9: Signs and axes of the signal map were not tested" in " ".join(printed.split())
+
+
+def test_what_is_doubtful_in_the_results_of_one_of_several_units_is_printed(tmp_path, monkeypatch):
+    monkeypatch.setattr(run_findings, "heading_sentence", lambda noise: "It jumps." if noise else "")
+    folder = RunFolder(tmp_path)
+    units = {
+        number: RunOutcome(results=RunResults(noise=noise)) for number, noise in (("7", None), ("8", Mock()))
+    }
+    for number in units:
+        folder.unit(number).path.mkdir(parents=True)
+        with Journal(folder.unit(number).journal, VirtualClock()) as journal:
+            journal.record("run_started", procedure="ten_minute_check", station="emulated")
+    assert "Unit 8: Held heading. It jumps." in lines_of(folder, RunOutcome(ended="stopped", units=units))
 
 
 def test_a_wrong_station_file_is_corrected_in_the_run_folder_before_the_run_resumes(tmp_path):
