@@ -207,7 +207,7 @@ def _with_expanded(value: float, expanded: float) -> str:
 
 
 def _unit_text(unit: str) -> str:
-    return unit.replace("ug", "µg").replace("K2", "K²").replace("K3", "K³")
+    return unit.replace("K2", "K²").replace("K3", "K³")
 
 
 def _coverage_text(numbers: Sequence[ModelNumber]) -> str:

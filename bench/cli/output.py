@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeVar
 import typer
 
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
-from gyrobench.bench.foundations.text import listed, plural
+from gyrobench.bench.foundations.text import listed, plural, with_micro_sign
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -232,7 +232,7 @@ def print_end(
         for text, numbers in numbers_by_text.items():
             unit_name = f"{plural(len(numbers), 'Unit', 'Units')} {listed(numbers)}: " if numbers[0] else ""
             if text:
-                console.print(f"{unit_name}{text}", style=style)
+                console.print(with_micro_sign(f"{unit_name}{text}"), style=style)
     console.print(section_view(durations_section(step_durations(read_journal(folder.journal)))))
     if is_finished:
         console.print(safe_state, soft_wrap=True)

@@ -9,6 +9,8 @@ from collections.abc import Iterable, Sequence
 
 WRITE_POINT = "A number has a decimal point, not a comma"
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
+#: The unit ug as files and messages write it, and not as part of a name or path.
+_ASCII_MICRO_G = re.compile(r"(?<![\w./-])ug(?![\w-])")
 #: Smallest uncertainty that is written without a power of ten.
 _MIN_SIGMA_WITHOUT_EXPONENT = 1e-5
 #: Significant digits of a floating-point number.
@@ -54,6 +56,11 @@ def run_ending(ended: str, reason: str, *, with_reason: bool = True) -> str:
     if reason.startswith("stopped by "):
         return f"was {reason}"
     return f"{ended}: {reason}" if reason and with_reason else ended
+
+
+def with_micro_sign(text: str) -> str:
+    """Text as people read it: the unit ug of files is written µg."""
+    return _ASCII_MICRO_G.sub("µg", text) if "ug" in text else text
 
 
 def bin_label(low_c: float, high_c: float, between: str = " to ") -> str:

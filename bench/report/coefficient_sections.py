@@ -8,7 +8,7 @@ from functools import partial
 
 from gyrobench.bench.calibration.results import NOT_OBSERVABLE
 from gyrobench.bench.foundations.text import counted, decimals_of
-from gyrobench.bench.report.figures.coefficients import COEFFICIENT_NAMES, coefficients_figure, unit_text
+from gyrobench.bench.report.figures.coefficients import COEFFICIENT_NAMES, coefficients_figure
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable
 from gyrobench.bench.runs.tables.budget_table import BudgetSummary
 from gyrobench.bench.runs.tables.coefficient_table import (
@@ -119,7 +119,7 @@ def _overview_cells(
     has_change = any(len(values) > 1 for values in by_axis.values())
     return [
         f"{name}{note}",
-        unit_text(observed[0].unit),
+        observed[0].unit,
         " to ".join(dict.fromkeys((low, high))),
         f"{change_text} ({axis})" if has_change else "",
         uncertainty,
@@ -145,7 +145,7 @@ def _tables(rows: Sequence[PlateauCoefficientRow]) -> Iterator[SectionTable]:
         between = "\n±" if len(plateaus) > _MAX_PLATEAUS_ON_ONE_LINE else " ±"
         header = ["coefficient", "axis", "unit", *(heads[plateau] for plateau in plateaus)]
         cells = [
-            [COEFFICIENT_NAMES[first.coefficient], first.axis, unit_text(first.unit)]
+            [COEFFICIENT_NAMES[first.coefficient], first.axis, first.unit]
             + [_value_cell(each).replace(" ±", between) for each in (first, *others)]
             for first, *others in zip(*columns, strict=True)
         ]
@@ -173,7 +173,7 @@ def _specific_force_table(rows: Sequence[PlateauCoefficientRow]) -> SectionTable
         [
             COEFFICIENT_NAMES[row.coefficient],
             row.axis,
-            unit_text(row.unit),
+            row.unit,
             _NOT_OBSERVABLE_SIGN if math.isnan(row.sigma) else f"{row.sigma:.2g}",
             f"{row.sigma_with_force:.2g}",
         ]

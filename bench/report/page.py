@@ -24,7 +24,7 @@ from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
 from gyrobench.bench.foundations.files import make_folder, parse_json, write_whole
 from gyrobench.bench.foundations.memory import free_memory
 from gyrobench.bench.foundations.packages import require
-from gyrobench.bench.foundations.text import capitalised
+from gyrobench.bench.foundations.text import capitalised, with_micro_sign
 from gyrobench.bench.report.figures.style import draw_watermark, is_up_to_date, save_figure, save_vectors
 
 #: Name of the file with the findings of a page, in the folder of the page; the run report reads it.
@@ -148,6 +148,8 @@ def page_templates(package: str) -> Environment:
 def _template() -> Template:
     environment = page_templates("gyrobench.bench.report")
     environment.filters["data_uri"] = _data_uri
+    # HTML that is safe is of another type, and stays as it is.
+    environment.finalize = lambda value: with_micro_sign(value) if type(value) is str else value
     return environment.get_template(_TEMPLATE_FILE)
 
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from matplotlib.figure import Figure
 
 from gyrobench.bench.bias.budget import NORMAL_K
+from gyrobench.bench.foundations.text import with_micro_sign
 from gyrobench.bench.report.figures.style import GYRO_STYLES, house_style, new_figure
 from gyrobench.bench.runs.tables.budget_table import BudgetSummary, coverage
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow
@@ -20,7 +21,6 @@ COEFFICIENT_NAMES = {
     "accelerometer_scale_factor": "accel. scale factor",
     "accelerometer_misalignment": "accel. misalignment",
 }
-_UNITS = {"ug": "µg"}
 #: Height of a legend row relative to that of its panel.
 _LEGEND_ROW = 0.13
 #: Smallest range of a temperature axis, K.
@@ -40,7 +40,7 @@ def coefficients_figure(rows: Sequence[PlateauCoefficientRow], budget: BudgetSum
     bars_text = f"bars: 95 %, k = {' to '.join(sorted({min(factor_texts), max(factor_texts)}))}"
     for (kind, title), axes in zip(COEFFICIENT_NAMES.items(), panels.ravel(), strict=True):
         kind_rows = [row for row in rows if row.coefficient == kind and not math.isnan(row.value)]
-        axes.set_title(f"{title} / {unit_text(kind_rows[0].unit)}" if kind_rows else title, fontsize=8)
+        axes.set_title(f"{title} / {with_micro_sign(kind_rows[0].unit)}" if kind_rows else title, fontsize=8)
         for axis_name, cycle in dict.fromkeys((row.axis, row.cycle) for row in kind_rows):
             cycle_rows = [row for row in kind_rows if (row.axis, row.cycle) == (axis_name, cycle)]
             colour, line, marker = GYRO_STYLES[axis_name[0]]
@@ -80,8 +80,3 @@ def coefficients_figure(rows: Sequence[PlateauCoefficientRow], budget: BudgetSum
         for axes in row:
             axes.set_xlabel(f"{sensor} temperature / °C")
     return figure
-
-
-def unit_text(unit: str) -> str:
-    """Unit of the coefficient table as displayed."""
-    return _UNITS.get(unit, unit)

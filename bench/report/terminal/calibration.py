@@ -96,7 +96,7 @@ def expected_summary(
     velocity_walk = noise.velocity_random_walk[0] / UG_PER_SQRT_HZ_TO_SI
     assumptions = (
         f"Noise: angle random walk {angle_walk:.2g} deg/sqrt(h), velocity random walk {velocity_walk:.2g} "
-        f"ug/sqrt(Hz), velocity at rest {1e3 * noise.white_velocity[0]:.2g} mm/s at 1 Hz. "
+        f"µg/sqrt(Hz), velocity at rest {1e3 * noise.white_velocity[0]:.2g} mm/s at 1 Hz. "
         f"Included: gravity {site_sigmas[0]:.1g} m/s^2, latitude {site_sigmas[1] * RAD_TO_ARCMIN:.2g} arcmin."
     )
     headers = ("Coefficient", "Axis", "Unit", "Standard uncertainty")

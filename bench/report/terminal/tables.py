@@ -14,7 +14,7 @@ from rich.console import Console, ConsoleOptions, Group, JustifyMethod, Renderab
 from rich.table import Table
 from rich.text import Text
 
-from gyrobench.bench.foundations.text import hours_minutes
+from gyrobench.bench.foundations.text import hours_minutes, with_micro_sign
 from gyrobench.bench.report.page import Mark, Section, SectionTable
 from gyrobench.bench.station.check_result import Check, CheckVerdict
 
@@ -36,8 +36,12 @@ def plain_table(
         justify: JustifyMethod = "left" if index < text_columns else "right"
         table.add_column(header, justify=justify, no_wrap=not fold, overflow="fold")
     for row in rows:
-        table.add_row(*map(Text, row))
+        table.add_row(*map(_text, row))
     return table
+
+
+def _text(text: str, style: str = "") -> Text:
+    return Text(with_micro_sign(text), style=style)
 
 
 def topics(pairs: Iterable[tuple[str, str]]) -> Table:
@@ -46,7 +50,7 @@ def topics(pairs: Iterable[tuple[str, str]]) -> Table:
     table.add_column(no_wrap=True, style="bold")
     table.add_column()
     for topic, sentence in pairs:
-        table.add_row(Text(topic), Text(sentence))
+        table.add_row(Text(topic), _text(sentence))
     return table
 
 
@@ -69,12 +73,12 @@ def section_view(section: Section) -> RenderableType:
 def _renderables(section: Section) -> list[RenderableType]:
     parts: list[RenderableType] = []
     for each in section.boxes:
-        parts += [Text(f"{each.headline} {each.text}".strip(), style="bold"), *map(Text, each.notes)]
-    parts += [*map(Text, section.paragraphs), *(Text(f"- {item}") for item in section.items)]
+        parts += [_text(f"{each.headline} {each.text}".strip(), style="bold"), *map(_text, each.notes)]
+    parts += [*map(_text, section.paragraphs), *(Text(f"- {item}") for item in section.items)]
     parts += [topics(section.facts.items())] if section.facts else []
     for table in section.tables:
         parts += [Text()] if parts else []
-        parts += [Text(table.caption, style="italic")] if table.caption else []
+        parts += [_text(table.caption, style="italic")] if table.caption else []
         parts.append(_FittedTable(table))
     for part in section.sections:
         nested = _renderables(part)
@@ -125,7 +129,7 @@ def _table_view(content: SectionTable, columns: int) -> Table:
 
 
 def _cell(text: str, separator: str) -> Text:
-    lines = text.split("\n")
+    lines = with_micro_sign(text).split("\n")
     # In a row whose values take two lines each, other texts with several lines are spaced accordingly.
     if len(lines) > 1 and "\n" in separator and " ± " not in text:
         lines = [f"{line}\n" for line in lines]

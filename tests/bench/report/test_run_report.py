@@ -344,7 +344,7 @@ def test_noise_is_held_against_what_the_station_declares(
     shutil.copy(find_document("stations", "emulated"), empty_folder.station)
     page = page_of(empty_folder)
     assert re.search(r"velocity random walk (19|20)\.\d+ ± \d", page.text)
-    assert "declared 5 ug/sqrt(Hz): larger than declared" in page.text
+    assert "declared 5 µg/sqrt(Hz): larger than declared" in page.text
     assert "declares no noise" not in page.text
     assert len(page.loads) == 1
     assert (empty_folder.figures / "noise.png").exists()

@@ -20,6 +20,7 @@ from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.procedure.timeline import timeline_rows
 from gyrobench.bench.report.bias_sections import acceptance_summary, bins_summary
 from gyrobench.bench.report.journal_sections import KindDuration, durations_section
+from gyrobench.bench.report.page import Box, Section, SectionTable, render_page
 from gyrobench.bench.report.terminal.tables import preflight_report, section_view, timeline_table
 from gyrobench.bench.station.check_result import Check
 from tests.bench.report.plain_terminal import printed, printed_lines
@@ -233,3 +234,20 @@ def test_a_separate_limit_of_up_and_down_is_stated(dwells):
     assert "0.2 deg/h between positions (0.1 with the gyro up and down)" in " ".join(
         printed_acceptance(judge(dwells, limits))
     )
+
+
+def test_micro_g_has_one_form_on_page_and_terminal_and_names_stay() -> None:
+    drift = "20 ug/h (ug): accelerometer_x_ug of runs/ug"
+    section = Section(
+        drift,
+        boxes=[Box("open", drift, drift, [drift])],
+        paragraphs=[drift],
+        facts={"unit": drift},
+        tables=[SectionTable(drift, ["ug", "1"], [[drift, "5 ug/sqrt(Hz)\n3 ug"]])],
+    )
+    text = printed(section_view(replace(section, title="")))
+    for shown in (text, "".join(render_page(section, drift, ""))):
+        assert "20 µg/h (µg): accelerometer_x_ug of" in " ".join(shown.split())
+        assert "5 µg/sqrt(Hz)" in shown
+        assert not re.search(r"[\d(>] ?ug", shown)
+        assert "runs/ug" in shown
