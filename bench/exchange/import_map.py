@@ -6,7 +6,7 @@ With a section ``calibration`` the log can also be used for a calibration, which
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, NamedTuple, Self, cast, get_args
@@ -87,8 +87,8 @@ def _check_named_unit(column: Column, unit: str, known: Sequence[str]) -> None:
     named = _unit_in_name(column)
     if named in known and named != _SYNONYMS.get(unit, unit):
         raise ValueError(
-            f"column '{column}' is in {named} by its name, and in {unit} by the map. Correct 'unit', or map "
-            "a column whose name is wrong by its number"
+            f"column '{column}' is in {named} by the log, and in {unit} by the map. Correct 'unit', or map "
+            "a column whose unit is wrong in the log by its number"
         )
 
 
@@ -194,10 +194,18 @@ class AxisColumns(StrictModel):
 
     @model_validator(mode="after")
     def _check_named_units(self) -> Self:
+        self.check_units({})
+        return self
+
+    def check_units(self, units: Mapping[Column, str]) -> None:
+        """Raise ValueError if the name or the log gives a column without scale another unit than the map.
+
+        ``units``: those that the log states by column.
+        """
         for axis in (self.x, self.y, self.z):
             if (unit := getattr(self, "unit", None)) and axis.scale == 1.0:
-                _check_named_unit(axis.column, unit, (*get_args(GyroUnit), *get_args(ForceUnit)))
-        return self
+                stated = f"{axis.column} [{units[axis.column]}]" if units.get(axis.column) else axis.column
+                _check_named_unit(stated, unit, (*get_args(GyroUnit), *get_args(ForceUnit)))
 
     def by_quantity(self, names: Sequence[str], unit: float = 1.0) -> dict[str, ScaledColumn]:
         """Column, scale and offset of each sensor by name; ``unit``: factor on the scales."""

@@ -103,6 +103,12 @@ class SampleReader:
         elif log_map.signals:
             paired_columns = {column for column, _, _ in (quantities or {}).values()}
             self._log = SignalLog(path, log_map.signals, paired_columns, increments)
+            try:
+                log_map.gyro.check_units(self._log.units)
+                if quantities:
+                    log_map.calibrated.accelerometers.check_units(self._log.units)
+            except ValueError as error:
+                raise DocumentError(f"{path}: {error}") from error
         else:
             self._log = TextLog(path, log_map.text or TextFormat())
         self._quantities = quantities or _quantities(log_map)

@@ -88,6 +88,8 @@ class SignalLog:
             raise DocumentError(f"{path}: can't be read: {error.strerror or error}") from error
         except Exception as error:
             raise DocumentError(f"{path}: is no {layout.format} log, or damaged: {error}") from error
+        #: Units by column, as far as the log or its DBC file states them.
+        self.units: dict[Column, str] = _units(path, layout)
         signals = {name: (stamps, values) for stamps, group in groups for name, values in group.items()}
         self._without_frames = {name for name, each in signals.items() if layout.dbc and not len(each[1])}
         self._signals = {name: each for name, each in signals.items() if name not in self._without_frames}
@@ -181,6 +183,21 @@ def _parquet(path: Path) -> Iterable[Group]:
     rows = np.arange(table.num_rows, dtype=np.float64)
     columns = {name: table.column(name).to_numpy() for name in table.column_names}
     return [(_Stamps(rows, rows), columns)]
+
+
+def _units(path: Path, layout: SignalFormat) -> dict[Column, str]:
+    """Units of signals by column; ``{}`` for formats without."""
+    if layout.dbc:
+        messages = load_dbc(Path(layout.dbc)).messages
+        return {
+            f"{each.name}.{signal.name}": signal.unit or "" for each in messages for signal in each.signals
+        }
+    if layout.format != "parquet" or path.is_dir():
+        return {}
+    from pyarrow import parquet
+
+    fields = parquet.read_schema(path)
+    return {each.name: (each.metadata or {}).get(b"unit", b"").decode(errors="replace") for each in fields}
 
 
 def _can_signals(read_frames: Callable[[Path], FrameBlock], dbc: Path, path: Path) -> Iterable[Group]:

@@ -157,7 +157,9 @@ def read_numbered_samples(folder, delay_s=3e-4, time_step_s=0.0, lost=(), units=
     ``lost``: rows of the frames; the velocity is in every second one, later than the angle by ``delay_s``,
     and once for ``every`` angles.
     """
-    (folder / "imu.dbc").write_text(INCREMENTS)
+    (folder / "imu.dbc").write_text(
+        INCREMENTS.replace('"rad"', f'"{units[0]}"').replace('"m/s"', f'"{units[1]}"')
+    )
     (folder / "map.yaml").write_text(INCREMENT_MAP.replace("VUNIT", units[1]).replace("UNIT", units[0]))
     number = np.arange(6500)
     data = np.zeros((2 * len(number), 8), np.uint8)
@@ -212,6 +214,26 @@ def test_every_format_gives_the_rows_of_the_text_log(log, expected, write):
     changes, name = write(log)
     rows = import_logs([log.folder / name], log.mapping(text="absent", **changes)).rows
     assert_same(rows, expected)
+
+
+def test_a_signal_in_another_unit_than_the_map_states_is_refused(log):
+    changes, name = write_blf(log)
+    changes["gyro"] = changes["gyro"].replace("deg/s", "rad/s")
+    with pytest.raises(
+        DocumentError, match=r"blf: column 'RATES.X \[deg/s\]' is in deg/s by the log, and in rad/s"
+    ):
+        import_logs([log.folder / name], log.mapping(text="absent", **changes))
+
+
+def test_a_parquet_column_in_another_unit_than_the_map_states_is_refused(log):
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    table = pa.table(log.columns)
+    fields = [each.with_metadata({"unit": "deg/h"}) if each.name == "gy" else each for each in table.schema]
+    pq.write_table(table.cast(pa.schema(fields)), log.folder / "log.parquet")
+    with pytest.raises(DocumentError, match=r"parquet: column 'gy \[deg/h\]' is in deg/h by the log"):
+        import_logs([log.folder / "log.parquet"], log.mapping(text="absent", signals="{format: parquet}"))
 
 
 @pytest.mark.parametrize(
