@@ -26,6 +26,8 @@ from gyrobench.bench.navigation.positions import AXES
 _COLDEST_C, _HOTTEST_C = -150.0, 200.0
 #: Columns whose values are all above this, and some too high, are probably in kelvin.
 _KELVIN_FROM = 213.15
+#: No gyro that navigates has a larger bias, deg/h.
+_MAX_BIAS_DPH = 1e6
 #: Sigmas above this multiple of the spread of a gyro's biases are wrong. For correct sigmas this has a
 #: probability below 1e-7 with the smallest number of dwells tested.
 _MAX_SIGMA_TO_SPREAD, _MIN_DWELLS = 10.0, 8
@@ -56,6 +58,7 @@ def implausible(rows: Sequence[DwellRow], quantity: Quantity = GYRO_BIAS) -> lis
         *_copies(unflagged),
         *_temperatures(unflagged),
         *_large_sigmas(unflagged, quantity),
+        *(_large_biases(unflagged) if quantity.is_gyro_bias else ()),
     ]
     if not problems and quantity.is_gyro_bias:
         problems += _small_sigmas(unflagged)
@@ -120,6 +123,19 @@ def _temperature_problem(column: FloatArray, dwells: Sequence[int]) -> str:
     advice = "the column seems to be in kelvin" if is_kelvin else "correct the value or its unit"
     where = f"in dwell {dwells[index]}{others}"
     return f"is {worst:g} degC {where}, outside {_COLDEST_C:g} to {_HOTTEST_C:g} degC: {advice}"
+
+
+def _large_biases(rows: Sequence[DwellRow]) -> Iterator[str]:
+    """Biases that no gyro has, as of a number that lost its decimal point."""
+    for axis, column in zip(AXES, np.abs(_values(rows, "bias_dph")).T, strict=True):
+        wrong = np.flatnonzero(column > _MAX_BIAS_DPH)
+        if len(wrong):
+            others = f" and {counted(len(wrong) - 1, 'other')}" if len(wrong) > 1 else ""
+            yield (
+                f"bias_{axis}_dph is {column[wrong[0]]:.3g} deg/h in size in dwell "
+                f"{rows[wrong[0]].dwell}{others}, more than the {_MAX_BIAS_DPH:g} deg/h of any gyro: "
+                "correct the value or its unit"
+            )
 
 
 def _large_sigmas(rows: Sequence[DwellRow], quantity: Quantity) -> Iterator[str]:

@@ -50,6 +50,15 @@ def test_one_wrong_temperature_is_named_and_a_sound_table_has_no_problems(rows):
     assert problem.startswith(f"gyro_y_c is 999 degC in dwell {rows[0].dwell} and 2 others, outside ")
 
 
+def test_a_bias_that_lost_its_decimal_point_is_named(rows):
+    wrong = [replace(rows[7], bias_dph=(rows[7].bias_dph[0], -317935458.0, rows[7].bias_dph[2]))]
+    (problem,) = implausible([*rows[:7], *wrong, *rows[8:]])
+    assert problem == (
+        f"bias_y_dph is 3.18e+08 deg/h in size in dwell {rows[7].dwell}, more than the 1e+06 deg/h of "
+        "any gyro: correct the value or its unit"
+    )
+
+
 def test_sigmas_too_cautious_by_a_factor_of_five_are_no_problem(rows):
     assert implausible([replace(row, sigma_dph=tuple(5.0 * s for s in row.sigma_dph)) for row in rows]) == []
 
