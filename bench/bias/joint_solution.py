@@ -20,10 +20,11 @@ import numpy as np
 from gyrobench.bench.bias import parameters
 from gyrobench.bench.bias.bias_filter import DwellInformation
 from gyrobench.bench.bias.parameters import PriorKnowledge
-from gyrobench.bench.bias.statistics import chi2_test, compress, solve
+from gyrobench.bench.bias.statistics import chi2_p_value, chi2_test, compress, solve
 from gyrobench.bench.bias.vertical_pairs import UpRate, VerticalPairs, up_rate
 from gyrobench.bench.foundations.arrays import STANDARD_GRAVITY, FloatArray, IntArray, block_diagonal
 from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.earth import EARTH_RATE
 from gyrobench.bench.navigation.positions import POSITIONS, Position
 
 #: Indices of the shared parameters: accelerometer biases; accelerometer error matrix by rows (its diagonal,
@@ -51,6 +52,9 @@ _LARGE_BIAS, _LARGE_ELEMENT = 0.1, 1e-3
 _LOWER, _OFF_DIAGONAL = np.tril(np.ones((3, 3))).ravel(), ~np.eye(3, dtype=bool).ravel()
 #: Dwells disagree if their test has a smaller p-value.
 _MIN_P_VALUE = 1e-3
+#: Errors of the gyros' matrix are larger than declared if their test has a smaller p-value; and rounds of the
+#: iteration to their size.
+_MIN_GYRO_ERROR_P_VALUE, _FACTOR_ROUNDS = 1e-6, 50
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -267,6 +271,9 @@ class JointSolution:
     north_free_fit: SharedParameters
     pairs: VerticalPairs  #: Half-differences of the vertical gyros.
     up_rate: UpRate  #: Rate Up from these dwells only.
+    #: Size of the gyros' misalignments and scale factors by these data relative to the declared one; 1 if
+    #: they do not contradict it. The solutions allow for errors of this size.
+    gyro_error_factor: float
 
     @property
     def agrees(self) -> bool:
@@ -320,6 +327,8 @@ def solve_jointly(dwells: Sequence[JointDwell], prior: PriorKnowledge) -> JointS
         raise MeasurementError("there is no dwell to solve; a joint solution needs at least one")
     earth_rate = dwells[0].information.earth_rate
     information = [dwell.information for dwell in dwells]
+    factor = _gyro_error_factor(information, declared_root(prior, earth_rate))
+    prior = prior.with_larger_gyro_errors(factor)
     root, north_free_root = declared_root(prior, earth_rate), _north_free_root(prior, earth_rate)
     fit, north_free_fit = solve_together(information, root), solve_together(information, north_free_root)
     pairs = _vertical_pairs(dwells, north_free_fit, prior.bias_slope)
@@ -332,7 +341,34 @@ def solve_jointly(dwells: Sequence[JointDwell], prior: PriorKnowledge) -> JointS
         north_free_fit=north_free_fit.shared,
         pairs=pairs,
         up_rate=up_rate([pairs], earth_rate, prior.latitude),
+        gyro_error_factor=factor,
     )
+
+
+def _gyro_error_factor(dwells: Sequence[JointInformation], root: FloatArray) -> float:
+    """See :attr:`JointSolution.gyro_error_factor`; ``root`` (23, 23) as of :func:`declared_root`.
+
+    Any error of the latitude is allowed, since a common scale factor of the gyros looks the same.
+    """
+    declared = np.diagonal(root)[SHARED_GYRO_MATRIX]
+    if not declared.any():
+        return 1.0
+    free, north, up = root.copy(), *dwells[0].earth_rate[[2, 1]]
+    free[SHARED_GYRO_MATRIX, SHARED_GYRO_MATRIX] = _LARGE_ELEMENT * np.diag(declared > 0.0)
+    free[SHARED_NAVIGATION_RATE, _NORTH] = _ANY_RATE / EARTH_RATE * np.array([north, -up])
+    values, covariance = solve(*_system(dwells, free))
+    used = SHARED_GYRO_MATRIX.start + np.flatnonzero(declared)
+    sizes = declared[declared > 0.0]
+    # Independent combinations of the errors in declared sizes, with the variance due to the data.
+    variances, directions = np.linalg.eigh(covariance[np.ix_(used, used)] / np.outer(sizes, sizes))
+    squares = (directions.T @ (values[used] / sizes)) ** 2
+    if chi2_p_value(len(sizes), float((squares / (1.0 + variances)).sum())) > _MIN_GYRO_ERROR_P_VALUE:
+        return 1.0
+    factor2 = 1.0
+    for _ in range(_FACTOR_ROUNDS):
+        weights = (factor2 + variances) ** -2.0
+        factor2 = max(1.0, float(weights @ (squares - variances) / weights.sum()))
+    return math.sqrt(factor2)
 
 
 def pooled_up_rate(solutions: Sequence[JointSolution], prior: PriorKnowledge) -> UpRate | None:

@@ -5,7 +5,7 @@ First the parameters that dwells can share, then those of each window.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -138,6 +138,14 @@ class PriorKnowledge:
             value = getattr(self, field.name)
             if not (np.isfinite(value) and value >= 0.0):
                 raise DocumentError(f"prior knowledge: {field.name} must not be negative; found {value}")
+
+    def with_larger_gyro_errors(self, factor: float) -> PriorKnowledge:
+        """Copy with the errors of the gyros' matrix multiplied by a factor."""
+        return replace(
+            self,
+            gyro_scale_factor=factor * self.gyro_scale_factor,
+            gyro_misalignment=factor * self.gyro_misalignment,
+        )
 
     @classmethod
     def from_datasheet(

@@ -39,6 +39,8 @@ _MIN_FIT_P_VALUE = 1e-5
 _MIN_STEADY_P_VALUE = 1e-4
 #: If the attitude is noisier than declared by this factor, it moves in steps of the gyros' pulses.
 _COARSE_ATTITUDE_FACTOR = 5.0
+#: Sources of the errors of the gyros' matrix.
+_GYRO_ERRORS = ("gyro_scale_factor", "gyro_misalignment")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -72,6 +74,18 @@ class MeasuredDwell:
     def is_disturbed(self) -> bool:
         """Whether the dwell was disturbed, so that a repeated dwell may be better."""
         return self.estimate is None or not set(self.flags).issubset(self.persistent_flags)
+
+    def with_larger_gyro_errors(self, factor: float) -> MeasuredDwell:
+        """Copy of the dwell whose uncertainty allows for larger errors of the gyros' matrix."""
+        if self.estimate is None:
+            return self
+        parts, covariance = dict(self.estimate.parts), self.estimate.covariance
+        for name in _GYRO_ERRORS:
+            columns = parts[name].columns
+            covariance = covariance + (factor**2 - 1.0) * columns @ columns.T
+            parts[name] = replace(parts[name], columns=factor * columns, sigma=factor * parts[name].sigma)
+        estimate = replace(self.estimate, covariance=covariance, parts=ErrorParts(parts))
+        return replace(self, estimate=estimate, row=replace(self.row, sigma_dph=triple(estimate.sigma_dph)))
 
     def with_flag(self, flag: str) -> MeasuredDwell:
         """Copy of the dwell with one more flag."""

@@ -109,6 +109,7 @@ def evaluate(
     good = [dwell for dwell in dwells if dwell.estimate and not dwell.row.flags]
     joint = [solve_jointly(plateau, setup.prior) for plateau in group_plateaus(_joint_dwells(good))]
     rate = pooled_up_rate(joint, setup.prior)
+    dwells = _with_larger_gyro_errors(dwells, joint)
     evaluated = without_latitude_error(dwells, joint, rate, setup.prior)
     rows = [dwell.row for dwell in evaluated if dwell.estimate and not dwell.row.flags]
     bins = bin_biases(rows, bin_width_c)
@@ -210,6 +211,22 @@ def _pooled_noise(dwells: Sequence[MeasuredDwell], setup: MeasurementSetup) -> N
         return estimate_noise([window for dwell in dwells for window in dwell.windows], setup.site.gravity)
     except MeasurementError:
         return None
+
+
+def _with_larger_gyro_errors(
+    dwells: Sequence[MeasuredDwell], joint: Sequence[JointSolution]
+) -> Sequence[MeasuredDwell]:
+    """Dwells with uncertainties that allow for the errors of the gyros' matrix found on their plateau."""
+    factors = {
+        dwell.number: each.gyro_error_factor
+        for each in joint
+        if each.gyro_error_factor > 1.0
+        for dwell in each.dwells
+    }
+    return [
+        dwell.with_larger_gyro_errors(factors[dwell.row.dwell]) if dwell.row.dwell in factors else dwell
+        for dwell in dwells
+    ]
 
 
 def _flag_wrong_setup(dwells: Sequence[MeasuredDwell]) -> Sequence[MeasuredDwell]:

@@ -8,7 +8,7 @@ import math
 import re
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import MISSING, fields
 from functools import partial
 from itertools import chain, islice
 from pathlib import Path
@@ -277,12 +277,14 @@ def read_rows(
 ) -> list[_RowT]:
     """Read instances of the data class ``kind`` from a CSV file with a column for each of its fields.
 
-    A cell is read by the type of its field: str, int, ``int | None``, float or flags. ``readers`` are used
+    A cell is read by the type of its field: str, int, ``int | None``, float or flags; columns of fields with
+    a default may be missing, and count as empty. ``readers`` are used
     instead for the fields that they name; ``columns`` gives the names of columns that differ from those of
     their fields. Raises DocumentError if the file can't be read or is wrong; the message lists all problems.
     """
     names = {each.name: columns.get(each.name, each.name) for each in fields(kind)}  # type: ignore[arg-type]
-    return _read(CsvTable(read_text(path), str(path), list(names.values())), kind, readers, names)
+    required = [names[each.name] for each in fields(kind) if each.default is MISSING]  # type: ignore[arg-type]
+    return _read(CsvTable(read_text(path), str(path), required), kind, readers, names)
 
 
 def iter_rows(

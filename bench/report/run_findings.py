@@ -326,6 +326,14 @@ def joint_solution_sentences(plateaus: Sequence[JointPlateauRow]) -> dict[str, s
                 "and pier do not turn slowly; a bias that follows gravity equally in all gyros looks the "
                 "same."
             )
+    factor = max((each.gyro_error_factor for each in plateaus if each.gyro_error_factor > 1.0), default=1.0)
+    if factor > 1.0:
+        sentences["Misaligned gyros."] = (
+            "The misalignments or scale factors of the gyros are larger than declared, by the half turns of "
+            f"all dwells of a plateau: about {factor:.2g} times. The uncertainties allow for that. Multiply "
+            "gyro_misalignment_arcsec and gyro_scale_factor_ppm of ins.uncertainty by it, or calibrate the "
+            "gyros by rotations."
+        )
     contradictory = [
         each for each in plateaus if max(each.fit_p_value, each.any_north_p_value) < _CONTRADICTION_P
     ]

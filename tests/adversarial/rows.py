@@ -114,6 +114,14 @@ ROWS = (
         "accelerometer misalignments of 20 arcsec",
         _unit(accelerometer_misalignment_arcsec=(20.0, -20.0, 20.0, -20.0, 20.0, -20.0)),
     ),
+    Row(
+        "gyro misalignments of 20 arcsec, 2 declared",
+        _unit(gyro_misalignment_arcsec=(20.0, -20.0, 20.0, 20.0, -20.0, 20.0)),
+    ),
+    Row(
+        "gyro misalignments of 60 arcsec, 2 declared",
+        _unit(gyro_misalignment_arcsec=(60.0, -60.0, 60.0, 60.0, -60.0, 60.0)),
+    ),
     Row("undithered gyro pulses of 0.5 arcsec", _unit(gyro_pulse_arcsec=0.5), "resol"),
     Row("undithered gyro pulses of 5 arcsec", _unit(gyro_pulse_arcsec=5.0), "resol"),
 )

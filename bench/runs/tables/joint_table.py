@@ -96,6 +96,9 @@ class JointPlateauRow:
     #: Test that the shared parameters fit all dwells, with the declared latitude and with any rate North.
     fit_p_value: float
     any_north_p_value: float
+    #: Factor by which errors of the gyros' matrix exceed the declared ones; see
+    #: :attr:`gyrobench.bench.bias.joint_solution.JointSolution.gyro_error_factor`.
+    gyro_error_factor: float = math.nan
 
 
 _Row = TypeVar("_Row", JointBiasRow, JointPlateauRow)
@@ -173,6 +176,7 @@ def _plateau_row(plateau: int, solution: JointSolution) -> JointPlateauRow:
         north_rate_sigma_dph=north_sigma * RADPS_TO_DPH,
         fit_p_value=solution.fit.p_value,
         any_north_p_value=solution.north_free_fit.p_value,
+        gyro_error_factor=solution.gyro_error_factor,
         **values,
         **_up_rate_values(solution.up_rate),
     )

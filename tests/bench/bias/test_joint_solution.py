@@ -120,6 +120,25 @@ def test_accelerometer_biases_and_misalignments_are_found_with_their_uncertainty
     assert total / dof == pytest.approx(1.0, abs=0.4)
 
 
+def test_gyro_errors_larger_than_declared_widen_the_uncertainties_as_data_show(right_latitude):
+    unit, dwells = right_latitude
+    assert joint_solution_of(dwells, PRIOR).gyro_error_factor == 1.0
+    misaligned = dataclasses.replace(unit, gyro_matrix=10.0 * unit.gyro_matrix)
+    solution = joint_solution_of(measure(misaligned, np.random.default_rng(22)), PRIOR)
+    assert solution.gyro_error_factor == pytest.approx(10.0, rel=0.5)
+    for biases in (solution.single, solution.together):
+        assert np.abs(errors(biases, misaligned) / biases.sigma_radps).max() < 3.5
+
+
+@pytest.mark.parametrize("accelerometer_arcsec", [0.0, 20.0])
+def test_gyro_errors_need_a_declared_size_to_exceed_it(right_latitude, accelerometer_arcsec):
+    unit, _ = right_latitude
+    matrix = accelerometer_arcsec * ARCSEC * np.array([[0.0, 1.0, -1.0], [1.0, 0.0, 1.0], [-1.0, 1.0, 0.0]])
+    dwells = measure(dataclasses.replace(unit, accelerometer_matrix=matrix), np.random.default_rng(23))
+    none = dataclasses.replace(PRIOR, gyro_misalignment=0.0, gyro_scale_factor=0.0)
+    assert joint_solution_of(dwells, none).gyro_error_factor == 1.0
+
+
 def gain_of(dwells, prior):
     """Uncertainty dwell by dwell over the joint one."""
     found = joint_solution_of(dwells, prior)

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.bias.bins import read_bins
+from gyrobench.bench.bias.joint_solution import solve_jointly
 from gyrobench.bench.dwells.measure_dwell import lack_of_fit_text
 from gyrobench.bench.dwells.measurement_setup import measurement_setup
 from gyrobench.bench.dwells.run_results import RunResults, evaluate, planned_dwells, write_results
+from gyrobench.bench.foundations.arrays import RADPS_TO_DPH
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.plan import expand
@@ -137,6 +139,21 @@ def test_a_dwell_that_fits_by_chance_is_flagged_where_most_contradict_the_set_up
     assert [any("wrong latitude" in flag for flag in dwell.flags) for dwell in others] == [are_flagged] * len(
         others
     )
+
+
+def test_dwells_allow_for_gyro_errors_larger_than_declared(measured, results, monkeypatch):
+    def solve(*arguments):
+        return replace(solve_jointly(*arguments), gyro_error_factor=3.0)
+
+    monkeypatch.setattr("gyrobench.bench.dwells.run_results.solve_jointly", solve)
+    for dwell, wide in zip(results.dwells, evaluate(*measured, 5.0).dwells, strict=True):
+        part = dwell.estimate.parts["gyro_misalignment"].columns
+        np.testing.assert_allclose(wide.estimate.parts["gyro_misalignment"].columns, 3.0 * part)
+        part = np.hstack([part, dwell.estimate.parts["gyro_scale_factor"].columns])
+        added = (RADPS_TO_DPH * part) ** 2 * (3.0**2 - 1.0)
+        expected = np.square(dwell.row.sigma_dph) + added.sum(axis=1)
+        np.testing.assert_allclose(np.square(wide.row.sigma_dph), expected)
+        assert wide.row.bias_dph == dwell.row.bias_dph
 
 
 def test_dwells_without_a_result_are_left_out(measured):

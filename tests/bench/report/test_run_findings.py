@@ -108,6 +108,13 @@ def test_what_the_joint_solution_finds_wrong_with_the_bench_is_stated(
     assert joint_solution_sentences([]) == {}
 
 
+def test_gyro_errors_larger_than_declared_are_stated_with_their_size() -> None:
+    row = JointPlateauRow(1, 1, 6, 25.0, *[math.nan] * 13, "latitude", 0.3, 0.3, 1.0)
+    larger = replace(row, gyro_error_factor=6.53)
+    (text,) = joint_solution_sentences([row, larger, row]).values()
+    assert "about 6.5 times" in text
+
+
 def test_a_heading_that_the_ins_holds_is_named() -> None:
     windows = [window for position in ("z_up", "x_up") for window in simulated(position=position)]
     random = np.random.default_rng(3)
