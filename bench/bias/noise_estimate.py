@@ -42,7 +42,6 @@ from gyrobench.bench.foundations.arrays import (
     UG_PER_SQRT_HZ_TO_SI,
     BoolArray,
     FloatArray,
-    IntArray,
     integral,
 )
 from gyrobench.bench.foundations.errors import MeasurementError
@@ -64,11 +63,6 @@ _INTERVAL_TOLERANCE = 0.01
 _OUTLIER_SHARE = 0.05
 #: Changes up to this are rounding of the arithmetic, m/s and rad.
 _ARITHMETIC = 1e-11
-#: Shortest period, s, at which an aid that holds the heading is looked for; number of the longest periods.
-_AID_PERIOD_S, _SLOW_MODES = 10.0, 10
-#: An aid holds the heading if that increases twice the log-likelihood by this much. If only the comparison
-#: with the tilt shows it, the heading must have less than this share of the power at the longest periods.
-_MIN_GAIN, _MAX_SHARE = 20.0, 0.04
 
 
 @dataclass(frozen=True)
@@ -400,69 +394,3 @@ def _resolution(changes: Sequence[FloatArray]) -> float:
     sizes = np.abs(np.concatenate([each.ravel() for each in changes]))
     sizes = sizes[sizes > _ARITHMETIC]
     return float(np.quantile(sizes, _OUTLIER_SHARE)) if len(sizes) else 0.0
-
-
-def held_heading_s(windows: Sequence[RestMotion], step_rad: float) -> float | None:
-    """Time constant with which an aid of the INS holds its heading, s; None if the heading is free.
-
-    The rate of a free heading is the white noise of the gyros. An aid of time constant ``1/k`` reduces the
-    power at frequencies ``w`` by ``w^2 / (w^2 + k^2)``. Both the heading by itself and its comparison with
-    the tilt must show that, since gyros may be of different quality, and a table may vibrate about one axis.
-    ``step_rad``: resolution of the attitude.
-    """
-    if not windows:
-        return None
-    interval_s = float(np.median(np.concatenate([np.diff(each.time_s) for each in windows])))
-    count = min(int((each.time_s[-1] - each.time_s[0]) / interval_s) for each in windows)
-    # Without the mode of half a period in the window, in which the Earth rate couples the gyros' biases.
-    modes = np.arange(2, min(int(2.0 * count * interval_s / _AID_PERIOD_S), count // 2) + 1)
-    if len(modes) < 2 * _SLOW_MODES:
-        return None
-    power = _power_of_rate(windows, interval_s, count, modes)
-    heading, tilt = power[:, 2], power[:, 0] + power[:, 1]
-    # Bias steps add to the tilt at the longest periods, output noise at the others.
-    white = min(float(each.mean()) for each in np.split(tilt, [_SLOW_MODES])) / (2.0 * len(windows))
-    # A coarse output hides the random walk.
-    if heading.min() <= 0.0 or white * count / _SLOW_MODES < step_rad**2:
-        return None
-    frequencies = np.pi * modes / (count * interval_s)
-    rates = np.concatenate([[0.0], np.geomspace(0.3 / (count * interval_s), 0.5, 24)])
-    output_noise = np.multiply.outer(
-        np.concatenate([[0.0], np.geomspace(1e-2, 1e4, 24)]), 2.0 - 2.0 * np.cos(frequencies * interval_s)
-    )
-    reduction = frequencies**2 / (frequencies**2 + rates[:, np.newaxis] ** 2)
-    held_spectra = reduction[:, np.newaxis] + output_noise
-    free_spectra = np.broadcast_to(1.0 + output_noise, held_spectra.shape)
-    dof = np.full(len(modes), float(len(windows)))
-    of_heading = _log_likelihood(heading, dof, held_spectra)
-    of_both = _log_likelihood(
-        np.concatenate([heading, tilt]),
-        np.concatenate([dof, 2.0 * dof]),
-        np.concatenate([held_spectra, free_spectra], axis=-1),
-    )
-    heading_gain, gain = (2.0 * (each.max() - each[0].max()) for each in (of_heading, of_both))
-    ratio_to_tilt = float(heading[:_SLOW_MODES].mean()) / len(windows) / white
-    if gain < _MIN_GAIN or (heading_gain < _MIN_GAIN and ratio_to_tilt > _MAX_SHARE):
-        return None
-    return 1.0 / float(rates[np.unravel_index(int(of_both.argmax()), of_both.shape)[0]])
-
-
-def _power_of_rate(
-    windows: Sequence[RestMotion], interval_s: float, count: int, modes: IntArray
-) -> FloatArray:
-    """Sums over the windows of the squared cosine modes (n, 3) of the rotation rate, ENU."""
-    cosines = math.sqrt(2.0 / count) * np.cos(
-        np.pi / count * np.multiply.outer(modes, np.arange(count) + 0.5)
-    )
-    even_s = interval_s * np.arange(count + 1)
-    power = np.zeros((len(modes), 3))
-    for each in windows:
-        motion = [np.interp(each.time_s[0] + even_s, each.time_s, angle) for angle in each.rotation_enu.T]
-        power += (cosines @ np.diff(motion, axis=1).T) ** 2
-    return power
-
-
-def _log_likelihood(power: FloatArray, dof: FloatArray, shapes: FloatArray) -> FloatArray:
-    """Log-likelihood (...) of sums of squares (n,) for spectra (..., n) of unknown scale."""
-    scale = (power / shapes).sum(axis=-1, keepdims=True) / dof.sum()
-    return np.asarray(-0.5 * (dof * np.log(scale * shapes)).sum(axis=-1))

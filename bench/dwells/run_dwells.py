@@ -8,7 +8,7 @@ journal of the run folder, its frames in the raw CAN log.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -75,6 +75,19 @@ def _flag_setup(dwells: list[MeasuredDwell]) -> None:
     for index, dwell in enumerate(dwells):
         if not dwell.setup_fault:
             dwells[index] = replace(dwell.with_flag(fault), setup_fault=fault)
+
+
+def flag_rest_of_wrong_setup(dwells: Sequence[MeasuredDwell]) -> Sequence[MeasuredDwell]:
+    """Flag the other dwells of a finished run if most contradict the set-up, which is the same for all.
+
+    Not done while dwells are added: the flags of a first dwell that is wrong by itself would remain on those
+    that follow.
+    """
+    faults = [dwell.setup_fault for dwell in dwells if dwell.setup_fault]
+    if 2 * len(faults) <= len(dwells):
+        return dwells
+    flag = f"most dwells of the run contradict the station file: {faults[0]}"
+    return [dwell if dwell.setup_fault else dwell.with_flag(flag) for dwell in dwells]
 
 
 def _thin_navigation(dwells: list[MeasuredDwell]) -> None:

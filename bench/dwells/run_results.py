@@ -8,14 +8,17 @@ from dataclasses import dataclass, field, replace
 from itertools import chain, islice
 from pathlib import Path
 
+import numpy as np
+
 from gyrobench.bench.bias.acceptance import judge
 from gyrobench.bench.bias.bins import BiasBin, bin_biases, write_bins
 from gyrobench.bench.bias.budget import BiasBudget, BudgetedDwell, bin_budgets, dwell_budgets, with_budgets
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells, write_dwells
 from gyrobench.bench.bias.error_sources import SOURCES
 from gyrobench.bench.bias.error_split import ErrorPart, shared_errors, split_errors
+from gyrobench.bench.bias.held_heading import held_heading_s
 from gyrobench.bench.bias.joint_solution import JointDwell, JointSolution, pooled_up_rate, solve_jointly
-from gyrobench.bench.bias.noise_estimate import NoiseEstimate, estimate_noise, held_heading_s
+from gyrobench.bench.bias.noise_estimate import NoiseEstimate, estimate_noise
 from gyrobench.bench.bias.plateaus import PlannedDwell, group_plateaus
 from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, write_acceptance
 from gyrobench.bench.bias.vertical_pairs import UpRate
@@ -25,7 +28,13 @@ from gyrobench.bench.dwells.latitude import with_latitude_uncertainty, without_l
 from gyrobench.bench.dwells.measure_dwell import CheckDwell, MeasuredDwell
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup, measurement_setup
 from gyrobench.bench.dwells.plateau_calibration import PlateauCalibration, calibrate_plateaus
-from gyrobench.bench.dwells.run_dwells import measure_recorded, noise_records, rotated_dwells, rotated_marks
+from gyrobench.bench.dwells.run_dwells import (
+    flag_rest_of_wrong_setup,
+    measure_recorded,
+    noise_records,
+    rotated_dwells,
+    rotated_marks,
+)
 from gyrobench.bench.dwells.run_rotations import RunRotations, spin_record
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.files import remove
@@ -105,7 +114,7 @@ def evaluate(
         Of the run's check dwells.
     """
     noise = _pooled_noise([dwell for dwell in dwells if not dwell.is_disturbed], setup)
-    dwells = _flag_wrong_setup(_flag_held_heading(dwells, setup))
+    dwells = flag_rest_of_wrong_setup(_flag_held_heading(dwells, setup))
     good = [dwell for dwell in dwells if dwell.estimate and not dwell.row.flags]
     joint = [solve_jointly(plateau, setup.prior) for plateau in group_plateaus(_joint_dwells(good))]
     rate = pooled_up_rate(joint, setup.prior)
@@ -229,23 +238,17 @@ def _with_larger_gyro_errors(
     ]
 
 
-def _flag_wrong_setup(dwells: Sequence[MeasuredDwell]) -> Sequence[MeasuredDwell]:
-    """Flag the other dwells too if most dwells contradict the set-up, which is the same for all."""
-    faults = [dwell.setup_fault for dwell in dwells if dwell.setup_fault]
-    if 2 * len(faults) <= len(dwells):
-        return dwells
-    flag = f"most dwells of the run contradict the station file: {faults[0]}"
-    return [dwell if dwell.setup_fault else dwell.with_flag(flag) for dwell in dwells]
-
-
 def _flag_held_heading(dwells: Sequence[MeasuredDwell], setup: MeasurementSetup) -> Sequence[MeasuredDwell]:
     """Flag all dwells if an aid of the INS holds the heading, which hides the biases of vertical gyros."""
-    windows = [window for dwell in dwells for window in dwell.windows]
-    held_s = held_heading_s(windows, setup.heading_lsb_rad)
+    accelerometers = [np.abs(each.estimate.accelerometer_bias).max() for each in dwells if each.estimate]
+    windows = [dwell.windows for dwell in dwells]
+    held_s = held_heading_s(
+        windows, setup.heading_lsb_rad, setup.site, float(max(accelerometers, default=0.0))
+    )
     if held_s is None:
         return dwells
     flag = (
-        f"the INS holds its heading with a time constant of about {held_s:.2g} s, by the noise of all "
+        f"the INS holds its heading with a time constant of about {held_s:.3g} s, by the headings of all "
         "dwells, so that the biases of the vertical gyros are wrong. Switch that aid off, and measure again"
     )
     return [dwell.with_flag(flag) for dwell in dwells]

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from gyrobench.bench.bias.allan import RANDOM_WALK
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.noise_estimate import NoiseComparison, NoiseEstimate, compare_noise
 from gyrobench.bench.bias.noise_model import NoiseModel
@@ -28,8 +27,6 @@ from gyrobench.bench.runs.tables.joint_table import JointPlateauRow
 #: its bias is below this multiple of the smallest one.
 _DRIFT_KEY, _DEFAULT_DRIFT_UG_PER_H, _MAX_LEVEL_SIGMA_RATIO = "accelerometer_drift_ug_per_h", 20.0, 5.0
 _SLOPE_KEY = "accelerometer_slope_ug_per_c"
-#: The heading is held or aided if the square of its random walk is below this share of that of the gyros.
-_MAX_HELD_RATIO = 0.1
 #: Rate, K/h, below which the temperature of a gyro has settled; least number and temperature range of settled
 #: dwells; plausible change of a gyro temperature for each kelvin of the chamber (0.86 to 1.06 in simulated
 #: units).
@@ -71,7 +68,6 @@ def run_findings(
         "Temperatures of the gyros.": temperatures_sentence(rows, station),
         "Drifting accelerometers.": accelerometers_sentence(rows, station),
         "Declared noise.": noise_sentence(noise, station),
-        "Held heading.": heading_sentence(noise),
         **joint_solution_sentences(plateaus),
     }
     return {title: text for title, text in sentences.items() if text}
@@ -279,29 +275,6 @@ def _round_up(value: float) -> float:
     """Round a positive value up to two significant digits."""
     step = 10.0 ** (math.floor(math.log10(value)) - 1)
     return math.ceil(value / step) * step
-
-
-def heading_sentence(noise: NoiseEstimate | None) -> str:
-    """Heading with a far smaller random walk than the gyros, so held or aided; else empty."""
-    if noise is None:
-        return ""
-    heading_walk, gyro_walk = noise.heading.parameter(RANDOM_WALK), noise.angle_random_walk
-    if gyro_walk.square is None or not gyro_walk.is_significant:
-        return ""
-    # None if the resolution hides it, for instance if the heading is held exactly.
-    heading_limit = (
-        heading_walk.limit
-        if heading_walk.square is None
-        else math.sqrt(max(heading_walk.square, 0.0) + _SIGNIFICANT_SIGMAS * heading_walk.square_sigma)
-    )
-    if heading_limit is None or heading_limit**2 > _MAX_HELD_RATIO * gyro_walk.square:
-        return ""
-    ratio = heading_limit / math.sqrt(gyro_walk.square)
-    return (
-        f"The random walk of the heading is at most {ratio:.2g} times that of the angles about the gyro "
-        "axes: the INS seems to hold or aid the heading, which hides the biases of vertical gyros. Switch "
-        "that off, and measure again."
-    )
 
 
 def joint_solution_sentences(plateaus: Sequence[JointPlateauRow]) -> dict[str, str]:

@@ -98,6 +98,8 @@ ROWS = (
     Row("velocity damped with 600 s", _unit(velocity_damping_s=600.0), "damp"),
     Row("alignment again after the turn, unreported", _unit(aligns_again=True), "aligned again"),
     Row("heading held by an aid with 3 s", _unit(heading_aid_s=3.0), "holds its heading"),
+    Row("heading held by an aid with 60 s", _unit(heading_aid_s=60.0), "holds its heading"),
+    Row("heading held by an aid with 200 s", _unit(heading_aid_s=200.0), "holds its heading"),
     Row("noise 2 times what is declared", _unit(angle_random_walk=0.0012), "noise"),
     Row("noise 1.3 times what is declared", _unit(angle_random_walk=0.00078), "noise"),
     Row(

@@ -5,7 +5,7 @@ import pytest
 
 from gyrobench.bench.bias.bias_filter import estimate_state_space
 from gyrobench.bench.bias.dwell import NavigationWindow
-from gyrobench.bench.bias.noise_estimate import RestMotion, compare_noise, estimate_noise, held_heading_s
+from gyrobench.bench.bias.noise_estimate import compare_noise, estimate_noise
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, DPH_TO_RADPS, UG_PER_SQRT_HZ_TO_SI
 from gyrobench.bench.foundations.errors import MeasurementError
@@ -367,20 +367,3 @@ def test_velocity_random_walk_of_the_model_is_seldom_too_small(own_noise):
     assert np.count_nonzero(ratios < 1.0) <= 4 + 5
     assert ratios.min() > 0.3
     assert ratios.mean() < 2.0
-
-
-@pytest.mark.parametrize(("heading", "vibration"), [(1.0, 0.0), (0.5, 0.0), (2.0, 0.0), (1.0, 5.0)])
-def test_a_heading_that_walks_is_not_held_whatever_its_gyro_or_its_table(heading, vibration):
-    random, time_s = np.random.default_rng(17), np.arange(601.0)
-    held = []
-    for _ in range(20):
-        windows = []
-        for _ in range(12):
-            rotation = np.cumsum(random.standard_normal((601, 3)), axis=0) * [1.0, 1.0, heading]
-            rotation[:, 2] += vibration * np.sin(time_s / 5.0 + random.uniform(0.0, 6.0))
-            motion = (np.zeros((601, 2)), 1e-7 * rotation, np.ones(600), np.eye(3))
-            windows.append(RestMotion(time_s, *motion))
-        held.append(held_heading_s(windows, 1e-9))
-    assert held == [None] * 20
-    assert held_heading_s([], 1e-9) is None
-    assert held_heading_s(windows, 1e-4) is None  # too coarse

@@ -11,11 +11,9 @@ import pytest
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.noise_estimate import estimate_noise
-from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vector_enu
 from gyrobench.bench.report.run_findings import (
     accelerometers_sentence,
     flags_sentence,
-    heading_sentence,
     joint_solution_sentences,
     noise_sentence,
     run_findings,
@@ -113,22 +111,6 @@ def test_gyro_errors_larger_than_declared_are_stated_with_their_size() -> None:
     larger = replace(row, gyro_error_factor=6.53)
     (text,) = joint_solution_sentences([row, larger, row]).values()
     assert "about 6.5 times" in text
-
-
-def test_a_heading_that_the_ins_holds_is_named() -> None:
-    windows = [window for position in ("z_up", "x_up") for window in simulated(position=position)]
-    random = np.random.default_rng(3)
-
-    def held(C_nb: np.ndarray, noise_rad: float) -> np.ndarray:
-        turned = rotation_vector_enu(C_nb, C_nb[0]) * [0.0, 0.0, 1.0]
-        noise = np.outer(random.normal(0.0, noise_rad, len(C_nb)), [0.0, 0.0, 1.0])
-        return rotation_matrices(noise - turned) @ C_nb
-
-    assert heading_sentence(estimate_noise(windows, GRAVITY)) == ""
-    for noise_rad in (0.0, 5e-7):
-        aided = [replace(window, C_nb=held(window.C_nb, noise_rad)) for window in windows]
-        assert "seems to hold or aid the heading" in heading_sentence(estimate_noise(aided, GRAVITY))
-    assert heading_sentence(None) == ""
 
 
 @pytest.mark.parametrize(
