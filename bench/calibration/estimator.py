@@ -191,20 +191,20 @@ def _problem(
 def _widening(problem: CalibrationProblem, estimates: Estimates, is_observed: BoolArray) -> tuple[float, str]:
     """Factor on the uncertainties with which the noise explains the residuals, and a finding about it.
 
-    Raises MeasurementError if it is too large, or as :meth:`CalibrationProblem.check_alternatives`.
+    Raises MeasurementError if it is too large, or as :meth:`CalibrationProblem.explanation`.
     """
     if estimates.fit.p_value >= UNEXPLAINED_P_VALUE:
         return 1.0, ""
-    problem.check_alternatives(estimates)
+    explanation = problem.explanation(estimates)
     factor = float(np.sqrt(estimates.fit.chi2 / estimates.fit.dof))
     if factor > _MAX_WIDENING and is_observed[:COUNT].any():
         raise MeasurementError(
             f"the residuals are {factor:.3g} times the noise, at most {_MAX_WIDENING:g} times is "
-            f"accepted. {problem.explanation(estimates)}"
+            f"accepted. {explanation}"
         )
     return factor, (
         f"noise does not explain the velocity at rest (p = {estimates.fit.p_value:.1g}); uncertainties are "
-        f"multiplied by {factor:.2f}. {problem.explanation(estimates)}"
+        f"multiplied by {factor:.2f}. {explanation}"
     )
 
 

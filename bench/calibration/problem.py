@@ -329,7 +329,12 @@ class CalibrationProblem:
         )
 
     def explanation(self, estimates: Estimates) -> str:
-        """Advice: an alternative that would explain a misfit, or reduce it."""
+        """Advice: an alternative that would explain a misfit, or reduce it.
+
+        Raises MeasurementError as :meth:`check_alternatives`.
+        """
+        retimed = self._solutions_at_other_intervals(estimates)
+        self.check_alternatives(estimates, retimed)
         alternatives = [
             (problem, description, _solution(problem))
             for chosen, description in _EXPLANATIONS
@@ -338,12 +343,12 @@ class CalibrationProblem:
         ]
         if self.options.tries_explanations:
             interval_s = self.sections[0].interval_s
-            for retimed in self._at_other_intervals(estimates):
-                other_s = retimed.sections[0].interval_s
+            for problem, other in retimed:
+                other_s = problem.sections[0].interval_s
                 description = (
                     f"samples {other_s:.6g} s apart and not {interval_s:.6g} s ('time' in the import map)"
                 )
-                alternatives.insert(0, (retimed, description, _solution(retimed)))
+                alternatives.insert(0, (problem, description, other))
         if (converged := self._at_converged_latitude(estimates)) is not None:
             latitude, at_latitude = converged
             description = f"a latitude of {np.rad2deg(latitude.site.latitude):.3f} deg"
@@ -400,14 +405,21 @@ class CalibrationProblem:
             return None
         return replace(self, site=replace(self.site, latitude=latitude))
 
-    def check_alternatives(self, estimates: Estimates) -> None:
-        """Raise MeasurementError if a mistake in the map explains what the noise does not."""
-        if estimates.fit.chi2 < _MIN_CHI2_PER_DOF * estimates.fit.dof:
+    def check_alternatives(
+        self,
+        estimates: Estimates,
+        retimed: Sequence[tuple[CalibrationProblem, Estimates | None]] | None = None,
+    ) -> None:
+        """Raise MeasurementError if a mistake in the map explains what the noise does not.
+
+        ``retimed``: problems at other sample intervals with their solutions; solved unless given.
+        """
+        if not _may_be_mistake(estimates):
             return
-        opposite = replace(self.site, latitude=-self.site.latitude)
+        opposite = replace(self, site=replace(self.site, latitude=-self.site.latitude))
         alternatives = [
             (
-                replace(self, site=opposite),
+                _solution(opposite),
                 "at the opposite latitude. Correct either 'calibration.latitude_deg' or the signs of all "
                 "accelerometers in the import map",
             )
@@ -415,31 +427,43 @@ class CalibrationProblem:
         interval_s = self.sections[0].interval_s
         alternatives += [
             (
-                problem,
+                other,
                 f"if samples are {problem.sections[0].interval_s:.4g} s apart and not {interval_s:.4g} s. "
                 "Correct 'time' in the import map",
             )
-            for problem in self._at_other_intervals(estimates)
+            for problem, other in (
+                self._solutions_at_other_intervals(estimates) if retimed is None else retimed
+            )
         ]
-        for problem, text in alternatives:
-            other = _solution(problem)
+        for other, text in alternatives:
             if other is not None and other.fit.chi2 < _EXPLAINED_SHARE * estimates.fit.chi2:
                 raise MeasurementError(f"chi2 is {estimates.fit.chi2:.3g}, and {other.fit.chi2:.3g} {text}")
 
-    def _at_other_intervals(self, estimates: Estimates) -> Iterator[CalibrationProblem]:
-        """Problems with the sample intervals that would remove the mean scale factor error of a triad.
+    def _solutions_at_other_intervals(
+        self, estimates: Estimates
+    ) -> list[tuple[CalibrationProblem, Estimates | None]]:
+        """Problems with sample intervals that would remove the mean scale factor error of a triad, solved.
 
         A wrong interval changes all scale factors equally: those of the accelerometers if the log has
-        increments, those of the gyros if it has rates.
+        increments, those of the gyros if it has rates. Empty if neither a mistake nor an explanation is
+        sought.
         """
+        if not (self.options.tries_explanations or _may_be_mistake(estimates)):
+            return []
+        problems = []
         for sensor, are_rates in (("accelerometer", False), ("gyro", True)):
             is_scale = [each.name == f"{sensor}_scale_factor" for each in COEFFICIENTS]
             scale = 1.0 + float(estimates.values[:COUNT][is_scale].mean())
             factor = 1.0 / scale if are_rates else scale
             if abs(factor - 1.0) > _MIN_TIME_ERROR:
-                yield replace(
-                    self, sections=[each.with_interval(factor, are_rates) for each in self.sections]
-                )
+                sections = [each.with_interval(factor, are_rates) for each in self.sections]
+                problems.append(replace(self, sections=sections))
+        return [(each, _solution(each)) for each in problems]
+
+
+def _may_be_mistake(estimates: Estimates) -> bool:
+    """Whether the residuals are so large that a mistake in the map may be the cause."""
+    return estimates.fit.chi2 >= _MIN_CHI2_PER_DOF * estimates.fit.dof
 
 
 def _solution(problem: CalibrationProblem) -> Estimates | None:

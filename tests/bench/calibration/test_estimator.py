@@ -14,6 +14,7 @@ from gyrobench.bench.calibration.coefficients import COEFFICIENTS, SensorErrors
 from gyrobench.bench.calibration.estimator import bias_per_asymmetry, calibrate, covariances_by_source
 from gyrobench.bench.calibration.increment_recording import IncrementRecording, SensorNoise
 from gyrobench.bench.calibration.information import BIAS_DRIFT, CalibrationOptions
+from gyrobench.bench.calibration.problem import CalibrationProblem
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, STANDARD_GRAVITY
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.error_model import Site
@@ -357,6 +358,22 @@ def test_a_sample_interval_that_is_wrong_by_a_thousandth_is_named_beside_the_lat
     wrong = IncrementRecording(log.interval_s * 1.001, log.angle * scale, log.velocity * scale)
     (finding,) = calibrate([wrong], SITE).findings
     assert re.search(r"A latitude of \S+ deg or samples 0\.0(4999|5)\d* s apart and not 0\.05005 s", finding)
+
+
+def test_another_sample_interval_is_solved_once_however_large_the_misfit(monkeypatch):
+    solved, solve = [], CalibrationProblem.solve
+
+    def counted(problem):
+        solved.append(problem.sections[0].interval_s)
+        return solve(problem)
+
+    monkeypatch.setattr(CalibrationProblem, "solve", counted)
+    log = recorded(eighteen(), 14)
+    wrong = IncrementRecording(log.interval_s * 1.002, log.angle, log.velocity)
+    calibration = calibrate([wrong], SITE, CalibrationOptions(gravity=SITE.gravity))
+    assert calibration.fit.chi2 > 2.5 * calibration.fit.dof
+    others = [interval_s for interval_s in solved if interval_s != wrong.interval_s]
+    assert len(others) == len(set(others)) > 0
 
 
 @pytest.mark.parametrize("off_deg", [10.0, -10.0])
