@@ -86,6 +86,12 @@ SOURCES: Mapping[str, ErrorSource] = MappingProxyType(
             RAD_TO_ARCSEC,
             note="declared in rate_table.repeatability_arcsec",
         ),
+        "g_sensitivity": ErrorSource(
+            "gyro biases that follow the specific force",
+            "",
+            1.0,
+            note="0.01 deg/h for each g; only if the rotations are too few to show them",
+        ),
         "gravity": ErrorSource("gravity", "m/s^2", 1.0, note="declared, or an anomaly of 30 mGal"),
         "temperature_change": ErrorSource(
             "change of temperature within the plateau",

@@ -52,7 +52,7 @@ from gyrobench.bench.calibration.problem import (
     Estimates,
 )
 from gyrobench.bench.calibration.section import IncrementSection
-from gyrobench.bench.calibration.strapdown import ASYMMETRIES, Trajectory
+from gyrobench.bench.calibration.strapdown import ASYMMETRIES, G_SENSITIVITIES, Trajectory
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.earth import EARTH_RATE
@@ -68,6 +68,11 @@ _MAX_WIDENING = 10.0
 _MIN_TILT, _MIN_ANGLE_SHARE = 0.2, 0.5
 #: Relative step of the variances whose contributions are derived, and those of the noise.
 _VARIANCE_STEP = 1e-3
+#: Usual sensitivity of a ring laser gyro's bias to the specific force, s/m, and none. Rotations are too few
+#: to show it if it increases the uncertainty of a coefficient by this factor.
+_SENSITIVITY_PER_SI = OPTIONAL_PARAMETERS[G_SENSITIVITIES.start - COUNT].per_si
+_USUAL_SENSITIVITY, _NO_SENSITIVITY = 0.01 / _SENSITIVITY_PER_SI, 1e-9 / _SENSITIVITY_PER_SI
+_MIN_SENSITIVE_GROWTH = 1.6
 _NOISE = ("angle_random_walk", "velocity_random_walk", "white_angle", "white_velocity")
 
 
@@ -120,10 +125,12 @@ def calibrate(
     _check_angle(recordings)
     rotations, problem = _problem(recordings, noise, site, options)
     options = problem.options
-    estimates, note = problem.solve(), ""
+    estimates, note, hidden = problem.solve(), "", _HiddenSensitivity.none()
     if options.g_sensitivity is None and estimates.fit.p_value < UNEXPLAINED_P_VALUE:
         problem, estimates, note = problem.with_g_sensitivity(estimates)
         options = problem.options
+    if options.g_sensitivity is None:
+        hidden = _HiddenSensitivity.of(problem, estimates)
     is_observed = estimates.is_observed
     if all(turn.kind == "disturbance" for turns in rotations for turn in turns):
         is_observed[:COUNT] &= [each.sensor != "gyro" or each.kind == "bias" for each in COEFFICIENTS]
@@ -139,9 +146,9 @@ def calibrate(
     covariance[GYRO_SCALES, GYRO_SCALES] += offset**2
     coefficients = tuple((*COEFFICIENTS, *OPTIONAL_PARAMETERS)[each] for each in options.columns)
     count = len(coefficients)
-    site_covariances = estimates.information.site_parts(site, options)
+    site_covariances = {**estimates.information.site_parts(site, options), **hidden.covariances}
     return Calibration(
-        values=estimates.values[:count],
+        values=estimates.values[:count] + hidden.shift,
         covariance=covariance[:count, :count] + sum(site_covariances.values()),
         is_observed=is_observed[:count],
         coefficients=coefficients,
@@ -157,8 +164,59 @@ def calibrate(
         site_covariances=site_covariances,
         findings=tuple(filter(None, (contradiction, misfit))),
         options=options,
-        notes=(note,) if note else (),
+        notes=tuple(filter(None, (note, hidden.note))),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _HiddenSensitivity:
+    """Effect of gyro biases that follow the specific force, if the rotations are too few to show them."""
+
+    shift: FloatArray | float  #: Of the estimates if such biases are allowed for.
+    covariances: Mapping[str, FloatArray]  #: Covariance that they add, by source.
+    note: str
+
+    @classmethod
+    def none(cls) -> _HiddenSensitivity:
+        """No effect."""
+        return cls(0.0, {}, "")
+
+    @classmethod
+    def of(cls, problem: CalibrationProblem, estimates: Estimates) -> _HiddenSensitivity:
+        """Effect of sensitivities of the usual size; none if it is small."""
+        options = replace(problem.options, g_sensitivity=True)
+        fixed = problem.sections, estimates.starts, estimates.common, problem.site, options
+        information = Information.of(
+            problem.sections,
+            integrate_sections(*fixed),
+            estimates.common,
+            problem.noise,
+            problem.site,
+            options,
+        )
+        is_sensitivity = np.zeros(len(information.sizes), dtype=bool)
+        is_sensitivity[: len(options.columns)] = [
+            each in range(G_SENSITIVITIES.start, G_SENSITIVITIES.stop) for each in options.columns
+        ]
+        kept = np.flatnonzero(~is_sensitivity)[: len(problem.options.columns)]
+        solutions = []
+        for size in (_NO_SENSITIVITY, _USUAL_SENSITIVITY):
+            sizes = np.where(is_sensitivity, size, information.sizes)
+            values, covariance, _ = replace(information, sizes=sizes).solve()
+            solutions.append((values[kept], covariance[np.ix_(kept, kept)]))
+        (values, covariance), (with_values, with_covariance) = solutions
+        growth = np.sqrt(np.diag(with_covariance) / np.diag(covariance))[:COUNT]
+        growth[~estimates.is_observed[:COUNT]] = 1.0
+        if growth.max() < _MIN_SENSITIVE_GROWTH:
+            return cls.none()
+        each = COEFFICIENTS[int(growth.argmax())]
+        return cls(
+            with_values - values,
+            {"g_sensitivity": with_covariance - covariance},
+            "too few rotations to show gyro biases that follow the specific force: the uncertainties allow "
+            f"for {_USUAL_SENSITIVITY * _SENSITIVITY_PER_SI:.2g} deg/h for each g, which makes that of the "
+            f"{each.sensor} {each.kind.replace('_', ' ')} {each.axis} {growth.max():.2g} times as large",
+        )
 
 
 def _problem(

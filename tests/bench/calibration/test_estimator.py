@@ -434,6 +434,26 @@ def test_gyro_biases_that_follow_the_specific_force_are_found_where_noise_explai
     assert (len(nothing.values), nothing.findings, nothing.notes) == (21, (), ())
 
 
+def test_rotations_too_few_to_show_biases_that_follow_the_specific_force_allow_for_them():
+    noise = Noise(angle_random_walk=0.1 * Noise.angle_random_walk)
+    turns = (("outer", 90.0), ("inner", 90.0), ("outer", 90.0))
+    unit = rotated_unit(rotations=turns, force_bias=np.zeros(3), force_matrix=np.zeros((3, 3)))
+    angle, velocity = unit.increments()
+    followed = recorded((angle + 2.0 * velocity @ SENSITIVITY.T, velocity), 1, noise=noise)
+    options = CalibrationOptions(g_sensitivity=None, gravity=SITE.gravity)
+    found = calibrate([followed], SITE, options)
+    (note,) = found.notes
+    assert note.startswith("too few rotations to show gyro biases that follow the specific force")
+    truth = SensorErrors(ERRORS["gyro_bias"], ERRORS["gyro_matrix"]).vector()
+
+    def largest(each):
+        return np.abs((each.values - truth) / each.sigmas)[each.is_observed].max()
+
+    assert largest(found) < 3.0 < largest(calibrate([followed], SITE, replace(options, g_sensitivity=False)))
+    total = sum(covariances_by_source(found, SITE).values())
+    np.testing.assert_allclose(np.diag(total), np.diag(found.covariance), rtol=1e-3)
+
+
 @pytest.mark.parametrize(
     ("latitude_deg", "off_deg"),
     [
