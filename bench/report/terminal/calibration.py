@@ -40,6 +40,7 @@ from gyrobench.bench.report.terminal.tables import plain_table, topics
 
 _MIN_CORRELATION, _MAX_CORRELATIONS = 0.9, 5
 _MAX_LISTED_RESTS = 6
+_MAX_LISTED_ROTATIONS = 3
 #: The effect of 1 ppm of asymmetry on a bias is stated if it exceeds this number of standard uncertainties.
 _MIN_ASYMMETRY_SIGMAS = 0.3
 
@@ -151,6 +152,7 @@ def _data_topics(
     at_rest_s = sum(rest.duration_s for rest in rests)
     counts = [counted(len(rests), "rest"), *(counted(count, kind) for kind, count in kinds.items())]
     yield "Found", f"{listed(counts)}; {at_rest_s:.0f} s at rest"
+    yield "Axes", _axes_text(calibration)
     if excluded_samples[0]:
         share = 100.0 * excluded_samples[0] / excluded_samples[1]
         yield (
@@ -164,6 +166,20 @@ def _data_topics(
         f"x, y, z: angle random walk {_xyz_text(noise.angle_random_walk / DEG_PER_SQRT_H_TO_SI)} "
         f"deg/sqrt(h), white angle {_xyz_text(1e6 * noise.white_angle)} urad, velocity random walk "
         f"{_xyz_text(noise.velocity_random_walk / UG_PER_SQRT_HZ_TO_SI)} ug/sqrt(Hz)",
+    )
+
+
+def _axes_text(calibration: Calibration) -> str:
+    """The axis up at the begin and the first rotations, by which a reader notices exchanged axes."""
+    up = calibration.starts[0][2]
+    axis = int(np.abs(up).argmax())
+    turns = [turn for turn in calibration.rotations[0] if turn.kind != "disturbance"][:_MAX_LISTED_ROTATIONS]
+    parts = [f"{AXES[axis]} {'up' if up[axis] > 0.0 else 'down'} at the begin"]
+    if turns:
+        texts = [f"{AXES[turn.axis]} by {np.rad2deg(turn.path):+.0f} deg" for turn in turns]
+        parts.append(f"first turned about {listed(texts)}")
+    return (
+        f"{', then '.join(parts)}. The data do not show if axes of both triads are exchanged alike: compare"
     )
 
 

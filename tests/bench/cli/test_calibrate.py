@@ -59,7 +59,9 @@ def test_a_log_gives_a_table_of_coefficients_with_their_uncertainties(tmp_path, 
     write_log(tmp_path, unit(), *units)
     result = gyrobench("calibrate", "log.csv", "--map", "map.yaml", "--out", "found", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
-    assert "10 rests and 9 rotations" in " ".join(result.stdout.split())
+    printed = " ".join(result.stdout.split())
+    assert "10 rests and 9 rotations" in printed
+    assert "z up at the begin, then first turned about x by +90 deg, z by +90 deg and z by +90 deg" in printed
     with (tmp_path / "found/coefficients.csv").open() as table:
         rows = {(row["coefficient"], row["axis"]): row for row in csv.DictReader(table)}
     assert len(rows) == 21
