@@ -213,7 +213,7 @@ def run(
     observer : optional
         Who watches the run.
     fail_on : {"rejected", "flagged"}, optional
-        Raise if the unit is rejected; with "flagged" also if a dwell has flags.
+        Raise if the unit is rejected; with "flagged" also if a dwell has flags or was skipped.
 
     Raises
     ------

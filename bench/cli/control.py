@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -24,12 +23,16 @@ def control(
     The same commands can be typed in the terminal of the run. The journal records who gave each
     command.
 
+    Exit codes: 0 the run accepted the command; 1 it did not, as a hold accepts only continue and abort, or
+    no run is in progress there.
+
     Example: gyrobench control runs/six_position_fig7-001 hold
     """
     import shlex
     import socket
 
     from gyrobench.bench.engine.operator import COMMAND_MEANINGS, send_command
+    from gyrobench.bench.foundations.clock import WallClock
     from gyrobench.bench.foundations.operator_name import operator_name
     from gyrobench.bench.runs.folder import RunFolder
     from gyrobench.bench.runs.provenance import run_options
@@ -54,27 +57,17 @@ def control(
             "type the command in the run's terminal"
         )
     try:
-        send_command(run_folder, command, holder.pid, operator_name())
+        reply = send_command(run_folder, command, holder.pid, operator_name())
     except OSError as error:
         raise RunFolderError(
             f"{run_folder}: process {holder.pid} can't be signalled: {error.strerror}"
         ) from error
     typer.echo(f"Sent to process {holder.pid}: {command} ({COMMAND_MEANINGS[command]}).")
-    if command in (RunCommand.PAUSE, RunCommand.HOLD, RunCommand.SKIP) and _holds(RunFolder(run_folder).live):
-        typer.echo(f"At its last snapshot the run was holding: it accepts continue or abort, not {command}.")
+    if refusal := reply.refusal(WallClock(), lambda: holder_of(run_folder) is not None):
+        raise RunFolderError(f"{run_folder}: {command} was not accepted: {refusal}")
     is_virtual = run_options(RunFolder(run_folder)).get("clock") == "virtual"
     if is_virtual and command in (RunCommand.PAUSE, RunCommand.HOLD):
         typer.echo("The run is on virtual time, where it waits for no operator: it continues at once.")
-
-
-def _holds(live: Path) -> bool:
-    """Whether a run was holding at its last snapshot, by command or after a trip."""
-    from gyrobench.bench.monitor.snapshot import RunState, read_snapshot
-
-    try:
-        return read_snapshot(live).state in (RunState.HOLDING, RunState.PAUSED)
-    except RunFolderError:
-        return False
 
 
 def tell(run_folder: RunArgument, command: _CommandArgument) -> None:

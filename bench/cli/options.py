@@ -162,7 +162,8 @@ AcknowledgeOption = Annotated[
 FailOnOption = Annotated[
     Literal["rejected", "flagged"] | None,
     typer.Option(
-        help="Exit with 1 if a unit is rejected or dropped; with flagged also if a dwell has flags."
+        help="Exit with 1 if a unit is rejected or dropped; with flagged also if a dwell has flags or was "
+        "skipped."
     ),
 ]
 OperatorOption = Annotated[

@@ -183,7 +183,7 @@ def print_end(
             console.print(resume, soft_wrap=True)
         console.print(safe_state, soft_wrap=True)
     record = _end_record(folder, outcome)
-    shortcoming = outcome.shortcoming(fail_on)
+    shortcoming, skipped = outcome.shortcoming(fail_on), outcome.skipped_text
     outcomes = outcome.units or {"": outcome}
     rows_by_unit = {number: [each.row for each in unit.results.dwells] for number, unit in outcomes.items()}
     station = read_document(folder.station).data if any(rows_by_unit.values()) else {}
@@ -233,6 +233,8 @@ def print_end(
             unit_name = f"{plural(len(numbers), 'Unit', 'Units')} {listed(numbers)}: " if numbers[0] else ""
             if text:
                 console.print(with_micro_sign(f"{unit_name}{text}"), style=style)
+    if skipped:
+        console.print(skipped, style="bold yellow")
     console.print(section_view(durations_section(step_durations(read_journal(folder.journal)))))
     if is_finished:
         console.print(safe_state, soft_wrap=True)
@@ -271,6 +273,7 @@ def _end_record(folder: RunFolder, outcome: RunOutcome) -> dict[str, object]:
             "ended": unit.ended,
             "reason": unit.reason or None,
             "dwells": len(unit.dwells) + len(unit.check_dwells),
+            "skipped": sorted(unit.skipped),
             "verdict": unit.results.acceptance.verdict,
         }
         for number, unit in outcome.units.items()
@@ -281,6 +284,7 @@ def _end_record(folder: RunFolder, outcome: RunOutcome) -> dict[str, object]:
         "folder": folder.path,
         "report": folder.report,
         "dwells": len(outcome.dwells) + len(outcome.check_dwells),
+        "skipped": sorted(outcome.skipped),
         "verdict": outcome.results.acceptance.verdict,
         "safe_state": outcome.safe_state,
         **({"units": units} if units else {}),

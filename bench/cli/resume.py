@@ -48,8 +48,9 @@ def resume(
     Exit codes: 0 the run finished, now or before, or with --look can be resumed; 1 not finished, or files are
     damaged.
 
-    With --json, at the end: {"ended", "reason", "folder", "report", "dwells", "verdict", "safe_state"}; ended
-    is finished, stopped or failed; verdict is that of the acceptance, as in acceptance.json.
+    With --json, at the end: {"ended", "reason", "folder", "report", "dwells", "skipped", "verdict",
+    "safe_state"}; ended is finished, stopped or failed; skipped has the numbers of the dwells that the
+    operator skipped; verdict is that of the acceptance, as in acceptance.json.
 
     Example: gyrobench resume runs/six_position_fig7-001
     """

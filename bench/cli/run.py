@@ -50,8 +50,9 @@ def run(
 ) -> None:
     """Run a procedure and report the bias of each gyro.
 
-    With --json, at the end: {"ended", "reason", "folder", "report", "dwells", "verdict", "safe_state"}; ended
-    is finished, stopped or failed; verdict is that of the acceptance, as in acceptance.json.
+    With --json, at the end: {"ended", "reason", "folder", "report", "dwells", "skipped", "verdict",
+    "safe_state"}; ended is finished, stopped or failed; skipped has the numbers of the dwells that the
+    operator skipped; verdict is that of the acceptance, as in acceptance.json.
 
     Example: gyrobench run six_position_fig7 --world gyro_b
     """

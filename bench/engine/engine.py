@@ -236,7 +236,7 @@ class Engine:
         trips = self._bench.trips()
         if trips:
             raise TrippedError(trips)
-        received = self._ticker.command()
+        received = self._ticker.command(self._refusal)
         if received is None:
             return
         match received.command:
@@ -244,13 +244,18 @@ class Engine:
                 self._is_hold_commanded = True
                 self._run.note("holds at the end of the present step or dwell")
             case RunCommand.CONTINUE:
-                if self._is_hold_commanded:
-                    self._run.note("the commanded hold is cancelled")
                 self._is_hold_commanded = False
-            case RunCommand.SKIP if not self._dwell:
-                self._run.note("no dwell is in progress: nothing is skipped")
+                self._run.note("the commanded hold is cancelled")
             case _:
                 raise CommandReceivedError(received)
+
+    def _refusal(self, command: RunCommand) -> str:
+        """Why a step does not accept a command; empty if it does."""
+        if command is RunCommand.SKIP and not self._dwell:
+            return "no dwell is in progress: nothing is skipped"
+        if command is RunCommand.CONTINUE and not self._is_hold_commanded:
+            return "the run does not hold: there is nothing to continue"
+        return ""
 
     def _settle_compensation(self, after_power_on: bool) -> None:
         max_hold_s = self._bench.station.file.interlocks.max_hold_s
@@ -361,22 +366,29 @@ class Engine:
                 self._run.observers.noted(action.text)
 
     def _end(self) -> None:
-        outcome, journal = self._run.outcome, self._run.journal
+        outcome = self._run.outcome
         self._leave_safe({trip.name for trip in self._bench.trips()})
         if not outcome.is_safe:
             outcome.fail("the bench could not be brought to its safe state")
-        try:
-            self._bench.poll_units()  # the last frames
-            journal.record("ticks", **self._bench.lateness.summary())
-            journal.record(
-                "run_ended",
-                ended=outcome.ended,
-                reason=outcome.reason,
-                safe_state=[asdict(action) for action in outcome.safe_state],
-            )
-        except RunFolderError as error:
-            outcome.fail(str(error))
+        # Each on its own: a full disk may have room for a line of the journal, but not for the last frames.
+        for write in (self._bench.poll_units, self._record_ticks, self._record_end):
+            try:
+                write()
+            except RunFolderError as error:
+                outcome.fail(str(error))
         self._run.observers.ended(outcome)
+
+    def _record_ticks(self) -> None:
+        self._run.journal.record("ticks", **self._bench.lateness.summary())
+
+    def _record_end(self) -> None:
+        outcome = self._run.outcome
+        self._run.journal.record(
+            "run_ended",
+            ended=outcome.ended,
+            reason=outcome.reason,
+            safe_state=[asdict(action) for action in outcome.safe_state],
+        )
 
     def _leave_safe(self, reported: set[str]) -> None:
         """Make the bench safe, and again for each trip not in ``reported``; ticks continue during a ramp."""
@@ -407,7 +419,7 @@ class Engine:
         """Let a tick pass; returns the reason to end the ramp, empty to continue. Failures do not end it."""
         try:
             self._ticker.tick()
-            self._ticker.command()
+            self._ticker.command(lambda command: f"the run ends: it accepts abort, not {command}")
         except RunStoppedError as error:
             return str(error)
         except Exception as error:  # noqa: BLE001 - such as a full disk

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
 
 from gyrobench.bench.engine.interlocks.watch import Trip, TrippedError, text_of_trips
@@ -46,10 +46,11 @@ class Ticker:
         if note:
             self._run.note(note)
 
-    def command(self) -> ReceivedCommand | None:
-        """Return the next command, after recording it in the journal.
+    def command(self, refusal: Callable[[RunCommand], str]) -> ReceivedCommand | None:
+        """Return the next command that the run accepts, after recording it in the journal.
 
-        Raises RunStoppedError if the command is to abort.
+        ``refusal``: returns why the run does not accept a command now; empty if it does. Raises
+        RunStoppedError if the command is to abort, which is always accepted.
         """
         run = self._run
         typed_command = run.operator.command()
@@ -62,10 +63,15 @@ class Ticker:
             name = operator_name()
         elif name := take_sender(run.folder.path, received.command):
             received = replace(received, source=f"{name} ({received.source})")
-        run.journal.record("ordered", order=received.command, by=received.source, operator=name)
-        if received.command is RunCommand.ABORT:
+        is_abort = received.command is RunCommand.ABORT
+        refused = "" if is_abort else refusal(received.command)
+        details = {"refused": refused} if refused else {}
+        run.journal.record("ordered", order=received.command, by=received.source, operator=name, **details)
+        if is_abort:
             raise RunStoppedError(f"stopped by {describe_source(received.source)}")
-        return received
+        if refused:
+            run.note(refused)
+        return None if refused else received
 
     def _check_calendar(self) -> None:
         """Note that the calendar was set: it affects other logs of this machine, not the run's time."""
@@ -76,6 +82,12 @@ class Ticker:
                 f"this machine's calendar was set and is {offset_s:+.1f} s from the run's time, "
                 "which is unaffected"
             )
+
+
+def _refusal_in_hold(command: RunCommand) -> str:
+    if command is RunCommand.CONTINUE:
+        return ""
+    return f"the run holds: it accepts continue or abort, not {command}"
 
 
 class Holding:
@@ -168,13 +180,10 @@ class Holding:
             self._run.observers.noted(f"Safe state, repeated: {listed(done)}")
 
     def _answer(self, reason: str, needs_operator: bool) -> str:
-        received = self._ticker.command()
+        received = self._ticker.command(_refusal_in_hold)
         answer = self._run.operator.answer() if needs_operator else None
         if answer == RunCommand.ABORT:
             raise RunStoppedError(f"the operator answered '{answer}' to: {reason}")
-        if received and received.command is not RunCommand.CONTINUE:
-            self._run.note(f"the run holds: it accepts continue or abort, not {received.command}")
-            return ""
         return describe_source(received.source) if received else "the operator" if answer else ""
 
     def _is_clear(self, trips: Sequence[Trip]) -> bool:

@@ -5,20 +5,24 @@ Commands come from the terminal or as signals: pause, continue, hold, skip, abor
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
 import threading
 from collections import deque
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from types import FrameType, MappingProxyType
-from typing import Protocol
+from typing import Any, Protocol
 
+from gyrobench.bench.foundations.clock import Clock, Deadline
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
 from gyrobench.bench.foundations.files import parse_json, read_limited, write_whole
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.journal import parse_journal
 
 
 class RunCommand(StrEnum):
@@ -57,6 +61,8 @@ _COMMAND_SIGNALS: Mapping[signal.Signals, RunCommand] = MappingProxyType(
 )
 
 _MAX_SENDER_BYTES = 10_000
+#: A run reads commands at every tick, but an exchange with an instrument that does not answer takes longer.
+_MAX_REPLY_S, _REPLY_PERIOD_S = 30.0, 0.1
 _TERMINAL_SIGNALS = (signal.SIGTTIN, signal.SIGTTOU)
 
 
@@ -68,14 +74,47 @@ class ReceivedCommand:
     source: str
 
 
-def send_command(run_folder: Path, command: RunCommand, pid: int, sender: str) -> None:
+@dataclass(frozen=True)
+class PendingReply:
+    """Reply to a command that was sent to a run, in its journal after ``begin`` bytes."""
+
+    run_folder: Path
+    command: RunCommand
+    begin: int
+
+    def refusal(self, clock: Clock, is_in_progress: Callable[[], bool]) -> str:
+        """Wait for the reply; returns why the run did not accept the command, empty if it did."""
+        deadline = Deadline(clock, _MAX_REPLY_S)
+        while not deadline.expired():
+            is_over = not is_in_progress()  # before the last look at the journal
+            for entry in self._new_entries():
+                if entry.get("event") == "ordered" and entry.get("order") == self.command:
+                    return str(entry.get("refused", ""))
+            if is_over:
+                return "the run has ended"
+            clock.sleep(_REPLY_PERIOD_S)
+        return f"the run has not reacted within {_MAX_REPLY_S:g} s. Look at it with gyrobench monitor"
+
+    def _new_entries(self) -> list[dict[str, Any]]:
+        journal = RunFolder(self.run_folder).journal
+        with contextlib.suppress(OSError, RunFolderError), journal.open("rb") as lines:
+            lines.seek(self.begin)
+            return list(parse_journal(lines, journal))
+        return []
+
+
+def send_command(run_folder: Path, command: RunCommand, pid: int, sender: str) -> PendingReply:
     """Send a command to the process of a run by a signal, with its sender's name for the journal.
 
-    Raises OSError if the process can't be signalled, and RunFolderError if the name can't be written.
+    On a full disk it is sent without the name. Raises OSError if the process can't be signalled.
     """
+    journal = RunFolder(run_folder).journal
+    reply = PendingReply(run_folder, command, journal.stat().st_size if journal.exists() else 0)
     number = next(number for number, each in _COMMAND_SIGNALS.items() if each is command)
-    write_whole(_sender_file(run_folder, command), json.dumps({"pid": pid, "operator": sender}).encode())
+    with contextlib.suppress(RunFolderError):
+        write_whole(_sender_file(run_folder, command), json.dumps({"pid": pid, "operator": sender}).encode())
     os.kill(pid, number)
+    return reply
 
 
 def take_sender(run_folder: Path, command: RunCommand) -> str:

@@ -32,7 +32,7 @@ class UnitRun:
     outcome: RunOutcome  #: its dwells, and how the run ended for it
 
     def __post_init__(self) -> None:
-        self.outcome.finished = self.state.finished
+        self.outcome.finished, self.outcome.skipped = self.state.finished, self.state.skipped
 
     def write_dwells(self) -> None:
         """Write the table of its dwells."""

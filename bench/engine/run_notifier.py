@@ -115,6 +115,7 @@ class RunNotifier(RunObserver):
         lines = [outcome.reason] if outcome.reason else []
         lines += [f"The bench is NOT in its safe state: {text}" for text in unsafe]
         lines.append(f"{len(self._state.finished)} of {self._plan.dwell_count} dwells measured.")
+        lines += [outcome.skipped_text] if outcome.skipped_text else []
         self._send("ends", "\n".join(lines), about=outcome.ended, ended=outcome.ended)
 
     def _send(self, event: Event, reason: str, about: str, **details: Any) -> None:

@@ -8,7 +8,7 @@ from typing import Literal
 from gyrobench.bench.dwells.measure_dwell import CheckDwell, MeasuredDwell
 from gyrobench.bench.dwells.run_results import RunResults
 from gyrobench.bench.dwells.run_rotations import RunRotations
-from gyrobench.bench.foundations.text import flag_text, run_ending
+from gyrobench.bench.foundations.text import flag_text, listed, run_ending
 from gyrobench.bench.station.safe_state import SafeAction
 
 #: Condition under which a finished run counts as failed.
@@ -27,6 +27,7 @@ class RunOutcome:
     check_dwells: list[CheckDwell] = field(default_factory=list)  #: dwells that check a calibration
     rotations: RunRotations = field(default_factory=RunRotations)
     finished: set[int] = field(default_factory=set)  #: numbers of all dwells that are over
+    skipped: set[int] = field(default_factory=set)  #: numbers of the dwells that the operator skipped
     results: RunResults = field(default_factory=RunResults)
     #: Outcome of each unit by number in a run with several units; the run itself then has no dwells.
     units: dict[str, RunOutcome] = field(default_factory=dict)
@@ -57,7 +58,7 @@ class RunOutcome:
     def shortcoming(self, fail_on: FailOn | None) -> str:
         """Reason why a finished run counts as failed; empty if it does not.
 
-        ``fail_on``: "rejected" if the unit is rejected; "flagged" also if a dwell has flags.
+        ``fail_on``: "rejected" if the unit is rejected; "flagged" also if a dwell has flags or was skipped.
         """
         for number, outcome in self.units.items():
             if text := outcome.shortcoming(fail_on) or (outcome.reason if fail_on else ""):
@@ -69,7 +70,14 @@ class RunOutcome:
             names = "; ".join(f"dwell {row.dwell}: {flag_text(row.flags)}" for row in flagged[:3])
             flags = f"{len(flagged)} of {len(self.dwells)} dwells are flagged: {names}"
             return f"{flags}. dwells.csv has all of them."
-        return ""
+        return self.skipped_text if fail_on == "flagged" else ""
+
+    @property
+    def skipped_text(self) -> str:
+        """States the dwells that the operator skipped, which have no results; empty if there are none."""
+        numbers = self.skipped.union(*(unit.skipped for unit in self.units.values())) - self.finished
+        skipped = [str(dwell) for dwell in sorted(numbers)]
+        return f"Skipped by the operator, and not measured: dwell {listed(skipped)}." if skipped else ""
 
     def release(self) -> None:
         """Free the memory of dwells and results, which are in the run folder."""

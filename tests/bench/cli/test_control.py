@@ -9,23 +9,29 @@ import pytest
 
 import gyrobench
 from gyrobench.bench.cli.output import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
+from gyrobench.bench.engine import operator
 from gyrobench.bench.engine.operator import RunCommand, take_sender
-from gyrobench.bench.monitor.snapshot import RunState
+from gyrobench.bench.foundations.clock import VirtualClock, WallClock
+from gyrobench.bench.foundations.errors import RunFolderError
 from tests.bench.command_line import gyrobench as command
-from tests.bench.monitor.sample_snapshots import waiting_snapshot
-from tests.bench.monitor.served_run import write_snapshot
 
-#: Holds a run folder as a run does, and prints each signal that it gets.
+#: Holds a run folder as a run does, records each command with the text in the file `refused`, and prints the
+#: signal.
 HOLDER = """
 import signal, sys
 from pathlib import Path
 from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.bench.runs.journal import Journal
 from gyrobench.bench.station.locks import RunLock
 signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGUSR1])
-with RunLock(Path(sys.argv[1]), WallClock()):
+run = Path(sys.argv[1])
+with RunLock(run, WallClock()), Journal(run / "journal.jsonl", WallClock()) as journal:
     print("held", flush=True)
     while True:
-        print(signal.sigwait([signal.SIGUSR1]).name, flush=True)
+        name = signal.sigwait([signal.SIGUSR1]).name
+        refused = run / "refused"
+        journal.record("ordered", order="hold", refused=refused.read_text() if refused.exists() else "")
+        print(name, flush=True)
 """
 
 
@@ -46,15 +52,42 @@ def test_a_command_is_sent_to_the_process_of_the_run(run_in_progress):
     assert holder.stdout.readline() == "SIGUSR1\n"
 
 
-def test_a_command_that_a_run_on_hold_does_not_accept_is_named(run_in_progress):
+def test_a_command_that_the_run_does_not_accept_is_an_error_with_its_reason(run_in_progress):
     run, holder = run_in_progress
-    write_snapshot(run, waiting_snapshot(), state=RunState.HOLDING)
+    reason = run / "refused"
+    reason.write_text("the run holds: it accepts continue or abort, not hold")
     try:
         done = command("control", run, "hold", cwd=run.parent)
     finally:
-        (run / "live.json").unlink()
+        reason.unlink()
     assert holder.stdout.readline() == "SIGUSR1\n"
-    assert done.stdout.endswith("it accepts continue or abort, not hold.\n")
+    assert done.returncode == EXIT_NOT_FINISHED
+    assert "hold was not accepted: the run holds: it accepts continue or abort" in done.stderr
+
+
+def test_a_command_is_sent_without_its_sender_where_the_disk_is_full(run_in_progress, monkeypatch):
+    run, holder = run_in_progress
+
+    def fail(path, data):
+        raise RunFolderError(f"{path}: can't be written: No space left on device")
+
+    monkeypatch.setattr(operator, "write_whole", fail)
+    assert (
+        operator.send_command(run, RunCommand.HOLD, holder.pid, "").refusal(WallClock(), lambda: True) == ""
+    )
+    assert holder.stdout.readline() == "SIGUSR1\n"
+
+
+def test_a_run_that_ended_meanwhile_did_not_accept_the_command(tmp_path):
+    assert (
+        operator.PendingReply(tmp_path, RunCommand.SKIP, 0).refusal(VirtualClock(), lambda: False)
+        == "the run has ended"
+    )
+
+
+def test_a_run_that_does_not_react_did_not_accept_the_command(tmp_path):
+    refusal = operator.PendingReply(tmp_path, RunCommand.ABORT, 0).refusal(VirtualClock(), lambda: True)
+    assert refusal.startswith("the run has not reacted within 30 s")
 
 
 def test_a_hold_of_a_run_on_virtual_time_is_stated_to_end_at_once(run_in_progress):

@@ -32,6 +32,13 @@ def test_a_finished_run_falls_short_of_what_its_caller_asks(verdict, flags, fail
     assert bool(outcome.shortcoming(fail_on)) == bool(reason)
 
 
+@pytest.mark.parametrize(("fail_on", "reason"), [("flagged", "not measured: dwell 2 and 4."), (None, "")])
+def test_a_skipped_dwell_counts_as_missing_only_where_no_flag_is_allowed(fail_on, reason):
+    outcome = RunOutcome(finished={1, 3}, skipped={4, 2})
+    assert outcome.shortcoming(fail_on).endswith(reason)
+    assert bool(outcome.shortcoming(fail_on)) == bool(reason)
+
+
 def test_a_run_with_a_flagged_dwell_ends_with_1_where_it_must_not_have_one(tmp_path):
     (tmp_path / "stuck.yaml").write_text(
         "faults:\n  - {fault: stuck_output, at_s: 500, for_s: 20000, signals: [velocity_east]}\n"

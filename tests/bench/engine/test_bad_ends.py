@@ -14,9 +14,10 @@ from gyrobench.bench.engine.observers import RunObserver
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.resume import prepare_resumption
 from gyrobench.bench.engine.run import resume_run, run_job
-from gyrobench.bench.foundations.errors import DocumentError, SignalMapError
+from gyrobench.bench.foundations.errors import DocumentError, RunFolderError, SignalMapError
 from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.runs.can_log import CanLog
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.runs.provenance import read_provenance
 from gyrobench.bench.station.instruments import Emulation
@@ -62,6 +63,17 @@ def test_a_signal_stops_the_run_safely_and_the_reason_names_its_source_in_words(
     assert outcome.reason == f"stopped by {who}"
     [ordered] = [entry for entry in read_journal(folder.journal) if entry["event"] == "ordered"]
     assert ordered["by"] == signal.Signals(number).name
+    assert_safe(folder, outcome, bench)
+
+
+def test_a_log_that_can_not_be_written_leaves_the_reason_in_the_journal(tmp_path, monkeypatch):
+    def fail(log, block):
+        raise RunFolderError("part-00002.blf: can't be written: No space left on device")
+
+    folder, outcome, bench = run_with(
+        tmp_path, "navigate", lambda bench, clock: monkeypatch.setattr(CanLog, "write", fail)
+    )
+    assert outcome.ended == "failed"
     assert_safe(folder, outcome, bench)
 
 

@@ -228,6 +228,10 @@ def test_a_skipped_dwell_is_not_measured(tmp_path, two):
     )
     assert outcome.ended == "finished", outcome.reason
     assert [entry["dwell"] for entry in events(folder, "dwell_skipped")] == [1]
+    assert (outcome.skipped, outcome.skipped_text) == (
+        {1},
+        "Skipped by the operator, and not measured: dwell 1.",
+    )
     assert [row.dwell for row in read_dwells(folder.dwells)] == [2]
 
 
@@ -239,7 +243,34 @@ def test_a_skip_outside_of_a_dwell_changes_nothing(tmp_path, two):
     assert [entry["text"] for entry in events(folder, "note")] == [
         "no dwell is in progress: nothing is skipped"
     ]
+    [ordered] = events(folder, "ordered")
+    assert ordered["refused"] == "no dwell is in progress: nothing is skipped"
+    assert not outcome.skipped
     assert [entry["step"] for entry in events(folder, "step_started")] == list(range(1, 12))
+
+
+def test_a_run_states_which_commands_it_does_not_accept(tmp_path):
+    def send(bench, clock):
+        for number in (signal.SIGCONT, signal.SIGTSTP, signal.SIGUSR2, signal.SIGUSR1, signal.SIGTSTP):
+            os.kill(os.getpid(), number)
+
+    class Waiting(ConsentingOperator):
+        ticks = 6
+
+        def answer(self):
+            self.ticks -= 1
+            return super().answer() if self.ticks < 0 else None
+
+    folder, outcome, _ = run_with(tmp_path, "navigate", send, operator=Waiting())
+    assert outcome.ended == "finished", outcome.reason
+    hold = "the run holds: it accepts continue or abort, not"
+    assert [(entry["order"], entry.get("refused", "")) for entry in events(folder, "ordered")] == [
+        ("continue", "the run does not hold: there is nothing to continue"),
+        ("pause", ""),
+        ("skip", f"{hold} skip"),
+        ("hold", f"{hold} hold"),
+        ("pause", f"{hold} pause"),
+    ]
 
 
 def test_commands_can_be_typed(tmp_path, two):
