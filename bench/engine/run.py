@@ -269,8 +269,10 @@ def _open(
     messenger = resources.enter_context(Messenger(job.station.file.messages, journal.record))
     observers = ObserverGroup(observer, RunNotifier(messenger, job.plan, state))
     guard = resources.enter_context(guard_for(job.station, folder.path, clock))
-    logs = [(CanLog(unit.folder.can), Telemetry(unit.folder.telemetry)) for unit in measured_units]
-    telemetry = None if measured_units[0].folder == folder else Telemetry(folder.telemetry)
+    logs = [
+        (CanLog(unit.folder.can), Telemetry(unit.folder.telemetry, job.is_virtual)) for unit in measured_units
+    ]
+    telemetry = None if measured_units[0].folder == folder else Telemetry(folder.telemetry, job.is_virtual)
     resources.callback(_flush, logs, telemetry, outcome)
     bench = LiveBench(job.station, instruments, clock, logs, partial(_record_failure, journal), telemetry)
     observers.begun(folder, bench, outcome)

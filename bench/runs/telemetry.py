@@ -42,8 +42,8 @@ TELEMETRY_COLUMNS = (
     "dwell",
 )
 _ROWS_PER_PART = 900
-#: Maximum loss after a kill.
-_MAX_UNWRITTEN_S = 600.0
+#: Maximum loss after a kill, in real time and on virtual time, where writing takes a large share of the run.
+_MAX_UNWRITTEN_S, _MAX_UNWRITTEN_VIRTUAL_S = 60.0, 600.0
 _SUFFIX = ".parquet"
 _MAX_PART_BYTES, _MAX_PART_ROWS = 10_000_000, 100_000
 
@@ -52,12 +52,14 @@ class Telemetry:
     """Writes the readings, part by part.
 
     Each flush rewrites the whole current part until it is full: so a run of weeks has few parts, and each is
-    readable at any time. Existing parts are kept; the readings continue in a new part, after a gap. Raises
-    RunFolderError if a part can't be written.
+    readable at any time. Existing parts are kept; the readings continue in a new part, after a gap.
+    ``is_virtual``: whether the run is on virtual time; a kill then loses more readings. Raises RunFolderError
+    if a part can't be written.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, is_virtual: bool = False) -> None:
         self._folder = folder
+        self._max_unwritten_s = _MAX_UNWRITTEN_VIRTUAL_S if is_virtual else _MAX_UNWRITTEN_S
         make_folder(folder)
         parts = find_parts(folder, _SUFFIX)
         self._part_number = 1 + max(parts, default=0)
@@ -75,7 +77,7 @@ class Telemetry:
             self._append((row[0], *[math.nan] * (len(TELEMETRY_COLUMNS) - 1)))
         self._append(row)
         unwritten_s = row[0] - self._values[0, self._written_count]
-        if unwritten_s >= _MAX_UNWRITTEN_S or self._row_count >= _ROWS_PER_PART:
+        if unwritten_s >= self._max_unwritten_s or self._row_count >= _ROWS_PER_PART:
             self.flush()
 
     def _append(self, row: tuple[float, ...]) -> None:

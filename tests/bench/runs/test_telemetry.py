@@ -31,18 +31,21 @@ def test_pandas_opens_the_folder_as_one_table(tmp_path):
     assert table.time_s.is_monotonic_increasing
 
 
-def test_a_kill_loses_the_readings_of_ten_minutes_at_most(tmp_path):
-    telemetry = Telemetry(tmp_path)
-    for second in range(0, 12_000, 10):
+@pytest.mark.parametrize(("is_virtual", "most_s"), [(False, 60), (True, 600)])
+def test_a_kill_loses_the_readings_of_a_minute_at_most_and_on_virtual_time_of_ten(
+    tmp_path, is_virtual, most_s
+):
+    telemetry = Telemetry(tmp_path, is_virtual)
+    for second in range(0, 20 * most_s, 10):
         add(telemetry, [second])
-        if second % 590 == 0:
+        if second % (most_s - 10) == 0:
             read = times_s(tmp_path)
             assert read == list(range(0, 10 * len(read), 10))
-            assert second - (read[-1] if read else 0) <= 600
+            assert second - (read[-1] if read else 0) <= most_s
 
 
 def test_a_day_has_few_parts(tmp_path):
-    telemetry = Telemetry(tmp_path)
+    telemetry = Telemetry(tmp_path, is_virtual=True)
     add(telemetry, range(0, 86_400, 10))
     telemetry.flush()
     assert len(list(tmp_path.iterdir())) == 10
