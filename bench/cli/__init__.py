@@ -6,6 +6,7 @@ A command's module, and the modules that it needs, are imported only when the co
 from __future__ import annotations
 
 import atexit
+import errno
 import gc
 import inspect
 import math
@@ -238,3 +239,9 @@ def main() -> None:
         fail(error, EXIT_INSTRUMENT)
     except GyrobenchError as error:
         fail(error, EXIT_NOT_FINISHED)
+    except OSError as error:
+        if error.errno == errno.ENAMETOOLONG:
+            fail(GyrobenchError(f"{error.filename}: the path is too long"), EXIT_WRONG_INPUT)
+        if error.errno != errno.ENOSPC:
+            raise
+        fail(GyrobenchError(f"the output can't be written: {error.strerror}"), EXIT_NOT_FINISHED)

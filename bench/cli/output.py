@@ -182,6 +182,11 @@ def print_end(
         if not outcome.is_station_wrong:  # otherwise the text is long, and follows at the end
             console.print(resume, soft_wrap=True)
         console.print(safe_state, soft_wrap=True)
+    if not folder.journal.exists():
+        raise RunFolderError(
+            f"{folder.path}: the run folder has disappeared, and no report was written. Rename it back, or "
+            f"mount its disk, then: gyrobench resume {folder.path}"
+        )
     record = _end_record(folder, outcome)
     shortcoming, skipped = outcome.shortcoming(fail_on), outcome.skipped_text
     outcomes = outcome.units or {"": outcome}

@@ -105,6 +105,14 @@ def test_a_finished_run_whose_report_can_not_be_written_states_the_safe_state_an
     ]
 
 
+def test_a_run_folder_that_has_disappeared_is_named_and_not_made_again(tmp_path):
+    folder = RunFolder(tmp_path / "renamed")
+    outcome = RunOutcome(ended="failed", reason="part-00002.blf: can't be written: No such file or directory")
+    with pytest.raises(RunFolderError, match="the run folder has disappeared"):
+        print_end(Console(file=io.StringIO()), folder, outcome, "x.yaml")
+    assert not list(tmp_path.iterdir())
+
+
 def test_the_flag_that_ends_a_run_is_printed_once(tmp_path):
     text = find_document("stations", "emulated").read_text()
     (tmp_path / "mine.yaml").write_text(text.replace("inner_axis: up", "inner_axis: down"))

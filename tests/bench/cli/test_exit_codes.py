@@ -3,6 +3,7 @@
 import os
 import re
 import subprocess
+from pathlib import Path
 
 import pytest
 
@@ -105,6 +106,21 @@ def test_a_missing_run_is_wrong_input_in_every_command(command, tmp_path):
     answer = gyrobench(*command, cwd=tmp_path)
     assert answer.returncode == 2
     assert answer.stderr.count("nowhere") == 1
+
+
+@pytest.mark.parametrize("command", [("resume",), ("report",), ("control",)])
+def test_a_path_that_is_too_long_is_wrong_input(command, tmp_path):
+    answer = gyrobench(*command, "y" * 256, *(["skip"] if command == ("control",) else []), cwd=tmp_path)
+    assert answer.returncode == 2
+    assert answer.stderr.endswith("the path is too long\n")
+
+
+def test_output_to_a_full_disk_is_an_error_in_one_line():
+    with Path("/dev/full").open("w") as full:
+        command = [*PROCESS, "--version"]
+        answer = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert answer.returncode == 1
+    assert answer.stderr == "gyrobench: the output can't be written: No space left on device\n"
 
 
 def test_close_on_a_run_without_dwells_says_why(tmp_path):

@@ -68,13 +68,18 @@ def test_a_signal_stops_the_run_safely_and_the_reason_names_its_source_in_words(
 
 def test_a_log_that_can_not_be_written_leaves_the_reason_in_the_journal(tmp_path, monkeypatch):
     def fail(log, block):
-        raise RunFolderError("part-00002.blf: can't be written: No space left on device")
+        raise RunFolderError("part-00002.blf: can't be written: No space left. Free some space.")
 
     folder, outcome, bench = run_with(
         tmp_path, "navigate", lambda bench, clock: monkeypatch.setattr(CanLog, "write", fail)
     )
     assert outcome.ended == "failed"
     assert_safe(folder, outcome, bench)
+    lines = prepare_resumption(folder.path).describe().splitlines()
+    assert lines[0].endswith(
+        "the run failed: part-00002.blf: can't be written: No space left. Free some space."
+    )
+    assert "The bench was brought to its safe state." in lines
 
 
 def test_a_trip_of_the_table_that_is_not_fixed_ends_the_run_safely(tmp_path):
