@@ -17,6 +17,8 @@ from gyrobench.bench.foundations.text import listed
 
 #: A change of the calendar's offset above this, s, means that it was set, or corrected over a long time.
 _CALENDAR_STEP_S = 1.0
+#: Without a tick for this time, s of real time, the process did not run, or an exchange blocked it.
+_MAX_GAP_S = 30.0
 #: An operator who continued while an interlock was tripped is asked again after this time.
 _ASK_AGAIN_S = 60.0
 
@@ -30,6 +32,7 @@ class Ticker:
         # A fast clock is ahead of the calendar when a run resumes.
         clock = run.bench.clock
         self._calendar_offset_s = 0.0 if clock.speed == 1.0 else clock.calendar_offset_s()
+        self._last_tick_s = math.inf
 
     def tick(self) -> None:
         """Wait for the next tick and perform it."""
@@ -39,6 +42,7 @@ class Ticker:
         self.signal_guard()
         run.observers.beat(run.bench)
         self._check_calendar()
+        self._check_gap()
 
     def signal_guard(self) -> None:
         """Send a heartbeat to the guard."""
@@ -72,6 +76,16 @@ class Ticker:
         if refused:
             run.note(refused)
         return None if refused else received
+
+    def _check_gap(self) -> None:
+        """Note that nothing was polled for a long time: what follows is no fault of an instrument."""
+        clock, last_s = self._run.bench.clock, self._last_tick_s
+        self._last_tick_s = now_s = clock.now()
+        if now_s - last_s > _MAX_GAP_S * clock.speed:
+            self._run.note(
+                f"no tick for {now_s - last_s:.0f} s: this process was stopped, the computer suspended, or "
+                "an exchange with an instrument took that long"
+            )
 
     def _check_calendar(self) -> None:
         """Note that the calendar was set: it affects other logs of this machine, not the run's time."""

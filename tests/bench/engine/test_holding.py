@@ -92,7 +92,7 @@ def test_the_journal_has_who_started_paused_and_continued(tmp_path, monkeypatch)
 
 @pytest.mark.parametrize("speed", [1.0, 10.0])
 def test_of_a_resumed_fast_run_the_calendar_counts_as_set_once_it_is(speed):
-    notes, clock = [], SimpleNamespace(speed=speed, offset_s=-165.8)
+    notes, clock = [], SimpleNamespace(speed=speed, offset_s=-165.8, now=lambda: 0.0)
     clock.calendar_offset_s = lambda: clock.offset_s
     bench = SimpleNamespace(clock=clock, tick=lambda: None)
     run = SimpleNamespace(bench=bench, note=notes.append, guard=Mock(), observers=Mock())

@@ -213,6 +213,13 @@ def test_a_pause_discards_the_dwell_and_repeats_it(tmp_path):
     assert row.run.endswith("-1")  # the INS stayed on
 
 
+def test_a_process_that_did_not_run_for_a_while_is_noted(tmp_path):
+    folder, outcome, _ = consent(tmp_path, "navigate", lambda bench, clock: clock.sleep(45.0))
+    assert outcome.ended == "finished", outcome.reason
+    [text] = [entry["text"] for entry in events(folder, "note") if "no tick" in entry["text"]]
+    assert text.startswith("no tick for 46 s: this process was stopped, the computer suspended")
+
+
 def test_a_hold_lets_the_dwell_end_first(tmp_path, two):
     folder, outcome, _ = consent(
         tmp_path, "align", lambda bench, clock: os.kill(os.getpid(), signal.SIGUSR1), two
