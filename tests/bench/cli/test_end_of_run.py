@@ -63,7 +63,7 @@ def test_a_note_on_several_units_is_printed_once_with_their_numbers(tmp_path):
 
 
 def test_what_is_doubtful_in_the_results_of_one_of_several_units_is_printed(tmp_path, monkeypatch):
-    monkeypatch.setattr(run_findings, "heading_sentence", lambda noise: "It jumps." if noise else "")
+    monkeypatch.setattr(run_findings, "noise_sentence", lambda noise, _: "Large." if noise else "")
     folder = RunFolder(tmp_path)
     units = {
         number: RunOutcome(results=RunResults(noise=noise)) for number, noise in (("7", None), ("8", Mock()))
@@ -72,7 +72,7 @@ def test_what_is_doubtful_in_the_results_of_one_of_several_units_is_printed(tmp_
         folder.unit(number).path.mkdir(parents=True)
         with Journal(folder.unit(number).journal, VirtualClock()) as journal:
             journal.record("run_started", procedure="ten_minute_check", station="emulated")
-    assert "Unit 8: Held heading. It jumps." in lines_of(folder, RunOutcome(ended="stopped", units=units))
+    assert "Unit 8: Declared noise. Large." in lines_of(folder, RunOutcome(ended="stopped", units=units))
 
 
 def test_a_wrong_station_file_is_corrected_in_the_run_folder_before_the_run_resumes(tmp_path):
