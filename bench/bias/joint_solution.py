@@ -359,10 +359,15 @@ def _gyro_error_factor(dwells: Sequence[JointInformation], root: FloatArray) -> 
     values, covariance = solve(*_system(dwells, free))
     used = SHARED_GYRO_MATRIX.start + np.flatnonzero(declared)
     sizes = declared[declared > 0.0]
-    # Independent combinations of the errors in declared sizes, with the variance due to the data.
-    variances, directions = np.linalg.eigh(covariance[np.ix_(used, used)] / np.outer(sizes, sizes))
-    squares = (directions.T @ (values[used] / sizes)) ** 2
-    if chi2_p_value(len(sizes), float((squares / (1.0 + variances)).sum())) > _MIN_GYRO_ERROR_P_VALUE:
+    # Independent combinations of the errors in declared sizes, as the data alone show them: those that these
+    # leave open would count as zero.
+    precision = np.linalg.inv(covariance[np.ix_(used, used)] / np.outer(sizes, sizes))
+    possible = (sizes / _LARGE_ELEMENT) ** 2
+    precisions, directions = np.linalg.eigh(precision - np.diag(possible))
+    is_shown = precisions > possible.max()
+    variances = 1.0 / precisions[is_shown]
+    squares = (variances * (directions.T @ precision @ (values[used] / sizes))[is_shown]) ** 2
+    if chi2_p_value(len(squares), float((squares / (1.0 + variances)).sum())) > _MIN_GYRO_ERROR_P_VALUE:
         return 1.0
     factor2 = 1.0
     for _ in range(_FACTOR_ROUNDS):

@@ -130,6 +130,14 @@ def test_gyro_errors_larger_than_declared_widen_the_uncertainties_as_data_show(r
         assert np.abs(errors(biases, misaligned) / biases.sigma_radps).max() < 3.5
 
 
+def test_gyro_errors_that_a_single_dwell_contradicts_widen_its_uncertainties():
+    unit = any_unit(np.random.default_rng(2))
+    misaligned = dataclasses.replace(unit, gyro_matrix=60.0 * unit.gyro_matrix)
+    solution = joint_solution_of(measure(misaligned, np.random.default_rng(102), ("x_up",)), PRIOR)
+    assert 60.0 < solution.gyro_error_factor < 150.0
+    assert np.abs(errors(solution.single, misaligned, ("x_up",)) / solution.single.sigma_radps).max() < 3.0
+
+
 @pytest.mark.parametrize("accelerometer_arcsec", [0.0, 20.0])
 def test_gyro_errors_need_a_declared_size_to_exceed_it(right_latitude, accelerometer_arcsec):
     unit, _ = right_latitude
