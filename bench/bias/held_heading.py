@@ -42,6 +42,8 @@ _AID_PERIOD_S, _SLOW_MODES = 10.0, 10
 _MIN_GAIN, _MAX_SHARE = 20.0, 0.04
 #: Least rounding of the heading, as a share of the variance of the tilt's steps.
 _MIN_ROUNDING = 1e-6
+#: Longer windows are used up to this time, in which any aid has acted: the cost grows with its square.
+_MAX_WINDOW_S = 1800.0
 #: Interval of the headings in which a decay of the rate is sought, s, and their least number in a window.
 _BLOCK_S, _MIN_BLOCKS = 20.0, 8
 #: Time constants of the aid, s; and squares of the random walk of the heading, relative to their estimate.
@@ -63,6 +65,7 @@ def held_heading_s(
     ``dwells``: windows of each. ``step_rad``: resolution of the attitude. ``accelerometer_mps2``: largest
     accelerometer bias.
     """
+    dwells = [[window.beginning(_MAX_WINDOW_S) for window in dwell] for dwell in dwells]
     windows = [window for dwell in dwells for window in dwell]
     if not windows:
         return None
@@ -87,7 +90,8 @@ def _time_constant_by_decay(
     ]
     if not 0.0 < walk < _MAX_WALK_RATIO * _noise(tilts)[0]:
         return None  # the heading is too coarse, or vibrates
-    choices = [(factor * walk, rate) for factor in _WALK_FACTORS for rate in (0.0, *1.0 / _TIME_CONSTANTS_S)]
+    rates = (0.0, *1.0 / _TIME_CONSTANTS_S)
+    choices = [(factor * walk, rate) for factor in _WALK_FACTORS for rate in rates]
     matrices: dict[tuple[tuple[int, int], ...], list[_Steps]] = {}
     random = np.random.default_rng(0)
     total = np.zeros((len(choices), 1 + _SIMULATIONS))
@@ -98,8 +102,8 @@ def _time_constant_by_decay(
         if windows not in matrices:
             matrices[windows] = [_Steps.of(windows, rate, walk, white, difference) for walk, rate in choices]
         known = [_known_motion(each, site) for each in dwell]
-        known_steps = {rate: _steps(known, rate) for _, rate in choices}
-        free = matrices[windows][_WALK_FACTORS.index(1.0) * (1 + len(_TIME_CONSTANTS_S))]
+        known_steps = {rate: _steps(known, rate) for rate in rates}
+        free = matrices[windows][_WALK_FACTORS.index(1.0) * len(rates)]
         measured = _steps(dwell_headings)
         simulated = known_steps[0.0][:, np.newaxis] + free.simulate(measured - known_steps[0.0], random)
         data = np.column_stack([measured, simulated])

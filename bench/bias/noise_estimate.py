@@ -329,6 +329,13 @@ class RestMotion:
             first,
         )
 
+    def beginning(self, duration_s: float) -> RestMotion:
+        """The window up to this time after its first epoch."""
+        count = int(np.searchsorted(self.time_s, self.time_s[0] + duration_s, side="right"))
+        columns = (self.time_s, self.velocity_mps, self.rotation_enu)
+        time_s, velocity_mps, rotation_enu = (each[:count] for each in columns)
+        return RestMotion(time_s, velocity_mps, rotation_enu, self.rotation_steps_rad[: count - 1], self.C_nb)
+
 
 def estimate_noise(windows: Sequence[NavigationWindow | RestMotion], gravity: float) -> NoiseEstimate:
     """Estimate the noise of an INS from its output at rest.

@@ -1,6 +1,7 @@
 """Headings that an aid of the INS holds, from random walks, biases and the motion of a free heading."""
 
 import math
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -49,7 +50,15 @@ def dwells(random, count=6, bias_dph=0.0, time_constant_s=math.inf, drift_dph_pe
     return result
 
 
-@pytest.mark.parametrize(("heading", "vibration"), [(1.0, 0.0), (0.5, 0.0), (2.0, 0.0), (1.0, 5.0)])
+@pytest.mark.parametrize(
+    ("heading", "vibration"),
+    [
+        pytest.param(1.0, 0.0, marks=pytest.mark.long),
+        pytest.param(0.5, 0.0, marks=pytest.mark.long),
+        (2.0, 0.0),
+        (1.0, 5.0),
+    ],
+)
 def test_a_heading_that_walks_is_not_held_whatever_its_gyro_or_its_table(heading, vibration):
     random = np.random.default_rng(17)
     held = []
@@ -86,3 +95,17 @@ def test_a_heading_that_never_moves_is_held(step_rad):
         for windows in dwells(np.random.default_rng(20))
     ]
     assert held_heading_s(held, step_rad, *NONE) is not None
+
+
+def test_windows_of_hours_cost_little_memory():
+    time_s = np.arange(7201.0)
+    rotation = np.cumsum(np.random.default_rng(21).standard_normal((7201, 3)), axis=0) * WALK
+    windows = [
+        RestMotion(begin_s + time_s, np.zeros((7201, 2)), rotation, np.ones(7200), np.eye(3))
+        for begin_s in (0.0, 7230.0)
+    ]
+    tracemalloc.start()
+    assert held_heading_s([windows], 1e-9, *NONE) is None
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 100e6
