@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import math
 import re
 from dataclasses import replace
@@ -20,7 +21,7 @@ from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.procedure.timeline import timeline_rows
 from gyrobench.bench.report.bias_sections import acceptance_summary, bins_summary
 from gyrobench.bench.report.journal_sections import KindDuration, durations_section
-from gyrobench.bench.report.page import Box, Section, SectionTable, render_page
+from gyrobench.bench.report.page import Box, Section, SectionFigure, SectionTable, render_page
 from gyrobench.bench.report.terminal.tables import preflight_report, section_view, timeline_table
 from gyrobench.bench.station.check_result import Check
 from tests.bench.report.plain_terminal import printed, printed_lines
@@ -251,3 +252,10 @@ def test_micro_g_has_one_form_on_page_and_terminal_and_names_stay() -> None:
         assert "5 µg/sqrt(Hz)" in shown
         assert not re.search(r"[\d(>] ?ug", shown)
         assert "runs/ug" in shown
+
+
+def test_a_figure_on_a_page_keeps_each_byte(tmp_path) -> None:
+    figure = tmp_path / "figure.png"
+    figure.write_bytes(base64.b64decode("A+ug+/ug"))
+    section = Section("Run", figures=[SectionFigure("figure", "Biases", figure)])
+    assert "base64,A+ug+/ug" in "".join(render_page(section, "runs/a", ""))
