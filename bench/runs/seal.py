@@ -14,7 +14,7 @@ import json
 import os
 import platform
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -55,7 +55,7 @@ _TRANSIENT = ("live.json",)
 #: Measured data and inputs; everything else can be computed again.
 _EVIDENCE_FOLDERS = ("can", "telemetry")
 _EVIDENCE = (JOURNAL, "procedure.yaml", "station.yaml", "calibration.csv", "compensation.yaml")
-_MAX_SEAL_BYTES = 500_000_000
+_MAX_SEAL_BYTES, _MAX_KEY_BYTES = 500_000_000, 100_000
 _CHUNK_BYTES = 1 << 20
 _MAX_COMMAND_CHARACTERS = 300
 
@@ -97,7 +97,7 @@ class SealChanges:
 
 @dataclass(frozen=True)
 class Seal:
-    """One seal of a run folder."""
+    """One seal of a run folder; what is not compared is not part of its record."""
 
     number: int
     operator: str
@@ -175,10 +175,9 @@ def _seal_folder(
     last = seals[-1] if seals else None
     sealed = last.files if last else {}
     files = {
-        path: SealedFile(
-            (folder.path / path).stat().st_size, known.get(path) or file_sha256(folder.path / path)
-        )
+        path: SealedFile(file.stat().st_size, known.get(path) or file_sha256(file))
         for path in _paths_to_seal(folder.path)
+        for file in [folder.path / path]
     }
     changes = _changes(folder.path, sealed, files)
     if last and not changes:
@@ -212,7 +211,7 @@ def _seal_folder(
 
 def _seal_as_json(root: Path, seal: Seal, previous: Mapping[str, SealedFile]) -> Iterator[bytes]:
     """JSON of a seal, file by file; computes the fingerprints, which JSON need not escape."""
-    record = {name: value for name, value in vars(seal).items() if name not in _NOT_RECORDED}
+    record = {each.name: getattr(seal, each.name) for each in fields(seal) if each.compare}
     yield json.dumps({**record, "changes": asdict(seal.changes), "files": {}}).encode().removesuffix(b"}}")
     separator = ""
     for path, each in seal.files.items():
@@ -263,13 +262,13 @@ def require_sealed_inputs(folder: RunFolder) -> None:
     Called before a run resumes, since its report could not be sealed at its end.
     """
     last = _last_seal(folder)
+    if not last:
+        return
+    inputs = [path for path in _EVIDENCE if path != JOURNAL and (folder.path / path).is_file()]
     changed = [
-        path
-        for path in _EVIDENCE
-        if last and path != JOURNAL and path in last.files and (folder.path / path).is_file()
-        if file_sha256(folder.path / path) != last.files[path].sha256
+        each for each in inputs if each in last.files and _differs(folder.path / each, last.files[each])
     ]
-    if last and changed:
+    if changed:
         raise RunFolderError(
             f"{folder.path}: {listed(changed)} changed since seal {last.number}. Accept the change with "
             f"`gyrobench seal {folder.path} --accept-changes`, which records it, or restore the file"
@@ -292,9 +291,8 @@ def verify_seals(folder: Path, trusted_key: Path | None = None) -> SealCheck:
             findings.append(SealFinding(seal.relative_path, f"does not follow seal {number - 1}"))
         previous = file_sha256(folder / seal.relative_path)
     files = dict(seals[-1].files)
-    for path, sealed in sorted(files.items()):
-        if finding := _finding(folder, path, sealed, seals):
-            findings.append(finding)
+    found = (_finding(folder, *each, seals) for each in sorted(files.items()))
+    findings += filter(None, found)
     added = [path for path in _paths_to_seal(folder) if path not in files]
     findings += [SealFinding(path, "was added after the last seal") for path in added if _is_evidence(path)]
     not_sealed = [path for path in added if not _is_evidence(path)]
@@ -333,10 +331,6 @@ def new_key(path: Path) -> Path:
     key_format = serialization.PublicFormat.SubjectPublicKeyInfo
     write_whole(public, private_key.public_key().public_bytes(pem, key_format))
     return public
-
-
-#: Attributes of a seal that are not part of its record.
-_NOT_RECORDED = ("key", "unsigned", "problem")
 
 
 def _is_evidence(path: str) -> bool:
@@ -395,10 +389,9 @@ def _finding(root: Path, path: str, sealed: SealedFile, seals: Sequence[Seal]) -
     if file_sha256(file) == sealed.sha256:
         return None
     versions = (seal.files[path] for seal in seals if path in seal.files)
-    fingerprints = [
-        each.fingerprint for each in versions if each.sha256 == sealed.sha256 and each.fingerprint
-    ]
-    change = find_change(file, fingerprints[0]) if fingerprints else None
+    fingerprints = (each.fingerprint for each in versions if each.sha256 == sealed.sha256)
+    fingerprint = next(filter(None, fingerprints), "")
+    change = find_change(file, fingerprint) if fingerprint else None
     if change is None:
         return SealFinding(path, "differs at an unknown position")
     return SealFinding(path, change.text, change.start, change.end)
@@ -477,7 +470,7 @@ def _load_key(path: Path) -> Ed25519PrivateKey:
     """
     ed25519 = require("cryptography.hazmat.primitives.asymmetric.ed25519")
     try:
-        key = pem_key(read_limited(path, 100_000, DocumentError))
+        key = pem_key(read_limited(path, _MAX_KEY_BYTES, DocumentError))
     except (ValueError, TypeError) as error:
         raise DocumentError(f"{path}: is not a private key that can be read: {error}") from error
     if not isinstance(key, ed25519.Ed25519PrivateKey):
@@ -501,7 +494,7 @@ def pem_key(content: bytes) -> Any:
 def _public_bytes(path: Path) -> bytes:
     serialization = require("cryptography.hazmat.primitives.serialization")
     try:
-        key = serialization.load_pem_public_key(read_limited(path, 100_000, DocumentError))
+        key = serialization.load_pem_public_key(read_limited(path, _MAX_KEY_BYTES, DocumentError))
         return key.public_bytes_raw()  # type: ignore[no-any-return]
     except (ValueError, AttributeError) as error:
         raise DocumentError(f"{path}: is not a public Ed25519 key in PEM: {error}") from error
