@@ -56,16 +56,12 @@ GyroUnit = Literal[
     "rad/s", "mrad/s", "urad/s", "deg/s", "mdeg/s", "dps", "mdps", "deg/h", "mdeg/h", "arcsec/s",
     "rad", "mrad", "urad", "deg", "mdeg", "arcsec",
 ]
-# fmt: on
 ForceUnit = Literal["m/s2", "g", "mg", "m/s", "mm/s"]
 
 #: Unit in brackets at the end of the name of a column, as in "gx [deg/s]", and one after an underscore.
 _UNIT_IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
 _UNIT_SUFFIX = re.compile(r"_(m?dps|radps|dph|(deg|rad)_(per_)?[sh]|mps2|m_s2|(?<=time_)(s|ms|us|ns))$")
-# fmt: off
-_SPELLINGS = (
-    ("°|degrees?", "deg"), ("[µμ]", "u"), ("²", "2"), (r"\^", ""), ("sec(ond)?s?$", "s"), ("/hr$", "/h"),
-)
+_SPELLINGS = (("°|degrees?", "deg"), ("[µμ]", "u"), (r"²|\^2", "2"), ("sec(ond)?s?$", "s"), ("/hr$", "/h"))
 _SYNONYMS = {"dps": "deg/s", "mdps": "mdeg/s", "radps": "rad/s", "dph": "deg/h", "mps2": "m/s2"}
 # fmt: on
 _KELVIN_OR_FAHRENHEIT = ("k", "kelvin", "f", "degf", "fahrenheit")
@@ -281,7 +277,10 @@ class TemperatureColumns(StrictModel):
         for column, scale, offset_c in self.by_quantity().values():
             if (unit := _unit_in_name(column)) in _KELVIN_OR_FAHRENHEIT and (scale, offset_c) == (1.0, 0.0):
                 example = "offset_c: -273.15" if unit[0] == "k" else "scale: 0.55556, offset_c: -17.7778"
-                raise ValueError(f"column '{column}' is not in degC by its name. Convert it, as '{example}'")
+                raise ValueError(
+                    f"column '{column}' is not in degC by its name. Convert it, as '{example}', or map it by "
+                    "its number if the name is wrong"
+                )
         return self
 
     def _converted(self, source: Column | TemperatureColumn) -> ScaledColumn:

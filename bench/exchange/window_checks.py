@@ -60,7 +60,7 @@ _MAX_STUCK_SHARE = 0.5
 _FINE_RESOLUTION_C, _STUCK_WINDOWS, _STUCK_S = 0.05, 3, 300.0
 #: Coarser steps of a temperature cause a warning; a swing of fewer steps is rejected.
 _COARSE_RESOLUTION_C, _MIN_STEPS = 0.25, 8
-#: Temperatures above are more likely in kelvin than in degC.
+#: Temperatures above this, degC, are more likely in kelvin.
 _MIN_KELVIN = 200.0
 
 _GYRO_TEMPERATURES = tuple(f"gyro_{axis}_c" for axis in AXES)

@@ -170,16 +170,17 @@ def _data_topics(
 
 
 def _axes_text(calibration: Calibration) -> str:
-    """The axis up at the begin and the first rotations, by which a reader notices exchanged axes."""
+    """The axis up at the start and the first rotations, by which a reader notices exchanged axes."""
     up = calibration.starts[0][2]
     axis = int(np.abs(up).argmax())
     turns = [turn for turn in calibration.rotations[0] if turn.kind != "disturbance"][:_MAX_LISTED_ROTATIONS]
-    parts = [f"{AXES[axis]} {'up' if up[axis] > 0.0 else 'down'} at the begin"]
+    parts = [f"{AXES[axis]} {'up' if up[axis] > 0.0 else 'down'} at the start"]
     if turns:
         texts = [f"{AXES[turn.axis]} by {np.rad2deg(turn.path):+.0f} deg" for turn in turns]
         parts.append(f"first turned about {listed(texts)}")
     return (
-        f"{', then '.join(parts)}. The data do not show if axes of both triads are exchanged alike: compare"
+        f"{', then '.join(parts)}. Compare that with what was done: the data do not show whether axes of "
+        "both triads are exchanged alike"
     )
 
 

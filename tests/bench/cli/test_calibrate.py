@@ -61,7 +61,7 @@ def test_a_log_gives_a_table_of_coefficients_with_their_uncertainties(tmp_path, 
     assert result.returncode == 0, result.stderr
     printed = " ".join(result.stdout.split())
     assert "10 rests and 9 rotations" in printed
-    assert "z up at the begin, then first turned about x by +90 deg, z by +90 deg and z by +90 deg" in printed
+    assert "z up at the start, then first turned about x by +90 deg, z by +90 deg and z by +90 deg" in printed
     with (tmp_path / "found/coefficients.csv").open() as table:
         rows = {(row["coefficient"], row["axis"]): row for row in csv.DictReader(table)}
     assert len(rows) == 21

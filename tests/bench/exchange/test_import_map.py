@@ -60,7 +60,11 @@ def test_mistakes_are_shown_with_their_place(log, changes, message):
         ("gyro", "{unit: deg/s, x: 'ax [m/s²]', y: gy, z: gz}", r"in m/s2 by the log"),
         ("time", "{column: time_ms}", r"3:1: column 'time_ms' is in ms by the log, and in s by the map"),
         ("time", "{column: 't [µs]', unit: ms}", r"in us by the log"),
-        ("temperatures", "{gyros: 'temperature [K]'}", r"not in degC by its name.*offset_c: -273.15"),
+        (
+            "temperatures",
+            "{gyros: 'temperature [K]'}",
+            r"not in degC by its name.*offset_c: -273.15.*by its number",
+        ),
         ("temperatures", "{gyros: 'temperature (°F)'}", r"not in degC by its name.*scale: 0.55556"),
     ],
 )
@@ -79,6 +83,7 @@ def test_a_column_whose_name_states_another_unit_is_refused(log, key, value, mes
         ("time", "{column: gps_ms, unit: s}"),
         ("temperatures", "{gyros: 'temperature [K]', offset_c: -273.15}"),
         ("temperatures", "{gyros: 'temperature [°C]'}"),
+        ("temperatures", "{gyros: 5}"),
     ],
 )
 def test_a_column_whose_name_states_its_unit_or_none_is_accepted(log, key, value):
