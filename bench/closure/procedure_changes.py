@@ -331,7 +331,8 @@ def advise(unchanged: ChangeablePlan, present: Separability, target_dph: float) 
     """Find the smallest change for each effect not found and each pair not distinguished at a target size.
 
     Returns the changes with the shortest added time first; effects and pairs that no known change resolves
-    are in the last item. ``present``: separability of the unchanged plan. ``target_dph``: target size, rms.
+    are in the last item. ``present``: separability of the unchanged plan. ``target_dph``: target size,
+    deg/h rms.
     """
     effects = [each.effect for each in present.detections]
     not_found = set(present.not_found(target_dph))

@@ -8,7 +8,7 @@ from typing import Literal
 from gyrobench.bench.dwells.measure_dwell import CheckDwell, MeasuredDwell
 from gyrobench.bench.dwells.run_results import RunResults
 from gyrobench.bench.dwells.run_rotations import RunRotations
-from gyrobench.bench.foundations.text import flag_text, listed, run_ending
+from gyrobench.bench.foundations.text import flag_text, listed, plural, run_ending
 from gyrobench.bench.station.safe_state import SafeAction
 
 #: Condition under which a finished run counts as failed.
@@ -77,7 +77,8 @@ class RunOutcome:
         """States the dwells that the operator skipped, which have no results; empty if there are none."""
         numbers = self.skipped.union(*(unit.skipped for unit in self.units.values())) - self.finished
         skipped = [str(dwell) for dwell in sorted(numbers)]
-        return f"Skipped by the operator, and not measured: dwell {listed(skipped)}." if skipped else ""
+        name = plural(len(skipped), "dwell", "dwells")
+        return f"Skipped by the operator, and not measured: {name} {listed(skipped)}." if skipped else ""
 
     def release(self) -> None:
         """Free the memory of dwells and results, which are in the run folder."""

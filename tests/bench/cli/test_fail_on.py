@@ -32,7 +32,7 @@ def test_a_finished_run_falls_short_of_what_its_caller_asks(verdict, flags, fail
     assert bool(outcome.shortcoming(fail_on)) == bool(reason)
 
 
-@pytest.mark.parametrize(("fail_on", "reason"), [("flagged", "not measured: dwell 2 and 4."), (None, "")])
+@pytest.mark.parametrize(("fail_on", "reason"), [("flagged", "not measured: dwells 2 and 4."), (None, "")])
 def test_a_skipped_dwell_counts_as_missing_only_where_no_flag_is_allowed(fail_on, reason):
     outcome = RunOutcome(finished={1, 3}, skipped={4, 2})
     assert outcome.shortcoming(fail_on).endswith(reason)
