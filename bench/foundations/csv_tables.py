@@ -279,7 +279,8 @@ def read_rows(
 
     A cell is read by the type of its field: str, int, ``int | None``, float or flags; columns of fields with
     a default may be missing, and count as empty. ``readers`` are used instead for the fields that they name;
-    ``columns`` gives the names of columns that differ from those of their fields. Raises DocumentError if the file can't be read or is wrong; the message lists all problems.
+    ``columns`` gives the names of columns that differ from those of their fields. Raises DocumentError if the
+    file can't be read or is wrong; the message lists all problems.
     """
     names = {each.name: columns.get(each.name, each.name) for each in fields(kind)}  # type: ignore[arg-type]
     required = [names[each.name] for each in fields(kind) if each.default is MISSING]  # type: ignore[arg-type]
