@@ -286,11 +286,18 @@ def verdict_boxes(content: RunContent) -> list[Box]:
         boxes.append(Box(VERDICT_COLOURS["marginal"], "Coefficients in doubt.", text))
     if box := budget_box(content.budget):
         boxes.append(box)
+    return [*boxes, *doubt_boxes(content)]
+
+
+def doubt_boxes(content: RunContent) -> list[Box]:
+    """One box for each doubt about results; none if the journal is damaged."""
+    if JOURNAL in content.damage:
+        return []
     run_problems = run_findings(
         content.dwells, content.station, content.noise, content.joint_plateaus, content.reason
     )
-    boxes += [Box("failed", title, text) for title, text in run_problems.items()]
-    if text := signs_sentence(facts, content.station, RunFolder.station):
+    boxes = [Box("failed", title, text) for title, text in run_problems.items()]
+    if text := signs_sentence(content.facts, content.station, RunFolder.station):
         boxes.append(Box(VERDICT_COLOURS["marginal"], "Signal map not tested.", text))
     return boxes
 

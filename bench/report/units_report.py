@@ -8,13 +8,13 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from gyrobench.bench.foundations.files import write_whole
-from gyrobench.bench.foundations.text import counted
+from gyrobench.bench.foundations.text import counted, listed, plural
 from gyrobench.bench.navigation.positions import AXES, gyro_label
 from gyrobench.bench.report.journal_sections import durations_section, events_section
 from gyrobench.bench.report.number_format import BiasScale
-from gyrobench.bench.report.page import Mark, Section, SectionTable, render_page
-from gyrobench.bench.report.run_content import RunContent, read_run
-from gyrobench.bench.report.run_report import damage_boxes, head_facts, write_report
+from gyrobench.bench.report.page import Box, Mark, Section, SectionTable, render_page
+from gyrobench.bench.report.run_content import RunContent, read_run, with_joint_solution
+from gyrobench.bench.report.run_report import damage_boxes, doubt_boxes, head_facts, write_report
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.seal import update_seal
 
@@ -33,14 +33,17 @@ def write_units_report(folder: RunFolder, prepared_by: str = "", vectors: Sequen
     for unit in folder.unit_folders:
         write_report(unit, prepared_by, vectors=vectors)
     content = read_run(folder)
-    units = [read_run(unit) for unit in folder.unit_folders]
+    units = [with_joint_solution(read_run(unit), unit) for unit in folder.unit_folders]
     facts = head_facts(content)
     facts["unit"] = ", ".join(unit.name for unit in units)
     facts.pop("dwells", None)
     procedure = str(content.procedure.get("procedure", ""))
     page = Section(
         f"Gyro bias of {counted(len(units), 'unit')}",
-        boxes=[box for each in (content, *units) for box in damage_boxes(each.damage)],
+        boxes=[
+            *(box for each in (content, *units) for box in damage_boxes(each.damage)),
+            *_doubts_of_units(units),
+        ],
         facts=facts,
         sections=[
             _section_of_units(content, units),
@@ -53,6 +56,18 @@ def write_units_report(folder: RunFolder, prepared_by: str = "", vectors: Sequen
     write_whole(folder.report, map(str.encode, text))
     update_seal(folder)
     return folder.report
+
+
+def _doubts_of_units(units: Sequence[RunContent]) -> list[Box]:
+    """Doubts about the results of the units; one that several units have alike is stated once."""
+    names: dict[tuple[str, str, str], list[str]] = {}
+    for unit in units:
+        for box in doubt_boxes(unit):
+            names.setdefault((box.colour, box.headline, box.text), []).append(unit.name)
+    return [
+        Box(colour, f"{plural(len(having), 'Unit', 'Units')} {listed(having)}: {headline}", text)
+        for (colour, headline, text), having in names.items()
+    ]
 
 
 def _section_of_units(run: RunContent, units: Sequence[RunContent]) -> Section:

@@ -192,10 +192,8 @@ def open_run_folder(path: Path, may_have_units: bool = False) -> RunFolder:
                 "Replace the link by a folder"
             )
     if not folder.journal.is_file():
-        raise MissingRunError(
-            f"{path}: is not a run folder (it has no {folder.journal.name}). Give the folder of a "
-            "run that has started"
-        )
+        lack = f"is not a run folder (it has no {folder.journal.name})" if path.exists() else "no such folder"
+        raise MissingRunError(f"{path}: {lack}. Give the folder of a run that has started")
     if not may_have_units and (units := folder.unit_folders):
         raise MissingRunError(
             f"{path}: holds a run of several units. Give the folder of one of them: "

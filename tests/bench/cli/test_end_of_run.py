@@ -49,7 +49,7 @@ def test_a_stopped_run_begins_with_who_stopped_it_and_how_to_continue(tmp_path, 
     assert lines[-1] == resume
 
 
-def test_a_note_on_several_units_is_printed_once_with_their_numbers(tmp_path):
+def test_a_note_on_several_units_is_printed_and_reported_once_with_their_numbers(tmp_path):
     folder, numbers = RunFolder(tmp_path), ("7", "8", "9")
     for number in numbers:
         folder.unit(number).path.mkdir(parents=True)
@@ -60,6 +60,7 @@ def test_a_note_on_several_units_is_printed_once_with_their_numbers(tmp_path):
     printed = "\n".join(lines_of(folder, outcome))
     assert printed.count("were not tested") == 1
     assert "Units 7 and 9: Signs and axes of the signal map were not tested" in " ".join(printed.split())
+    assert "Units 7 and 9: Signal map not tested." in folder.report.read_text()
 
 
 def test_what_is_doubtful_in_the_results_of_one_of_several_units_is_printed(tmp_path, monkeypatch):
