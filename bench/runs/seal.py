@@ -278,12 +278,12 @@ def require_sealed_inputs(folder: RunFolder) -> None:
 def verify_seals(folder: Path, trusted_key: Path | None = None) -> SealCheck:
     """Compare a run folder, and those of its units, with their seals.
 
-    ``trusted_key``: PEM file of the public key that must have signed all seals. Raises MissingRunError if the
-    folder has no seal, and DocumentError if the key can't be read.
+    ``trusted_key``: PEM file of the public key that must have signed all seals. Raises MissingRunError
+    without a folder or a seal, and DocumentError if the key can't be read.
     """
-    seals = _read_seals(folder, trusted_key)
-    if not seals:
-        raise MissingRunError(f"{folder}: has no seal. Make one with: gyrobench seal {folder}")
+    if not (seals := _read_seals(folder, trusted_key)):
+        lack = f"has no seal. Make one with: gyrobench seal {folder}" if folder.exists() else "no such folder"
+        raise MissingRunError(f"{folder}: {lack}")
     findings = [SealFinding(seal.relative_path, seal.problem) for seal in seals if seal.problem]
     previous = ""
     for number, seal in enumerate(seals, start=1):

@@ -273,6 +273,11 @@ def test_the_command_seals_verifies_and_names_the_change(folder, tmp_path):
     assert (record["intact"], record["changes"][0]["start"]) == (False, 40)
 
 
+def test_a_folder_that_does_not_exist_is_refused(tmp_path):
+    with pytest.raises(MissingRunError, match="second-001: no such folder"):
+        verify_seals(tmp_path / "second-001")
+
+
 def test_a_folder_without_a_seal_is_refused(folder):
     with pytest.raises(MissingRunError, match="has no seal"):
         verify_seals(folder.path)
