@@ -16,6 +16,7 @@ from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+from markupsafe import Markup
 from pydantic import ConfigDict, Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
@@ -148,7 +149,7 @@ def page_templates(package: str) -> Environment:
 def _template() -> Template:
     environment = page_templates("gyrobench.bench.report")
     environment.filters["data_uri"] = _data_uri
-    # HTML that is safe is of another type, and stays as it is.
+    # HTML and figures that are safe are of another type, and stay as they are.
     environment.finalize = lambda value: with_micro_sign(value) if type(value) is str else value
     return environment.get_template(_TEMPLATE_FILE)
 
@@ -230,9 +231,10 @@ def _with_figure_file(
     return replace(section_figure, figure=path)
 
 
-def _data_uri(path: Path) -> str:
+def _data_uri(path: Path) -> Markup:
     media_type = "svg+xml" if path.suffix == ".svg" else "png"
-    return f"data:image/{media_type};base64,{base64.b64encode(path.read_bytes()).decode()}"
+    content = base64.b64encode(path.read_bytes()).decode()
+    return Markup(f"data:image/{media_type};base64,{content}")  # noqa: S704 - no character needs escaping
 
 
 _PANGO_MISSING = (

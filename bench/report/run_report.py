@@ -297,7 +297,7 @@ def doubt_boxes(content: RunContent) -> list[Box]:
         content.dwells, content.station, content.noise, content.joint_plateaus, content.reason
     )
     boxes = [Box("failed", title, text) for title, text in run_problems.items()]
-    if text := signs_sentence(content.facts, content.station, RunFolder.station):
+    if text := signs_sentence(content.facts, content.station, Path("RUN", RunFolder.station)):
         boxes.append(Box(VERDICT_COLOURS["marginal"], "Signal map not tested.", text))
     return boxes
 

@@ -57,7 +57,7 @@ def test_windows_too_short_for_signs_and_axes_are_stated_at_the_end_and_in_the_r
     report = (cwd / "runs/ten_minute_check-001/report.html").read_text()
     assert "Signal map not tested." in report
     assert text in " ".join(report.split())
-    assert "gyrobench check station.yaml --signs." in " ".join(report.split())
+    assert "gyrobench check RUN/station.yaml --signs." in " ".join(report.split())
 
 
 def test_bins_measures_a_run_again(finished):
