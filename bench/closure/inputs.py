@@ -56,7 +56,8 @@ def read_campaign(*paths: Path, quantity: Quantity = GYRO_BIAS) -> Campaign:
 
 def _read_source(path: Path, quantity: Quantity) -> TableToJoin:
     record, began_s, ins = None, None, ""
-    table, is_run = path, path.is_dir()
+    # A path that does not exist is that of a table if it has a suffix.
+    table, is_run = path, path.is_dir() or not (path.suffix or path.exists())
     if is_run:
         folder = open_run_folder(path)
         table = folder.dwells

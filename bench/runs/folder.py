@@ -9,6 +9,7 @@ from pathlib import Path
 
 from gyrobench.bench.foundations.errors import MissingRunError, RunFolderError, UnusablePathError
 from gyrobench.bench.foundations.files import make_folder, make_new_folder
+from gyrobench.bench.foundations.text import did_you_mean
 from gyrobench.bench.runs.journal import facts_of, read_journal
 
 
@@ -192,7 +193,10 @@ def open_run_folder(path: Path, may_have_units: bool = False) -> RunFolder:
                 "Replace the link by a folder"
             )
     if not folder.journal.is_file():
-        lack = f"is not a run folder (it has no {folder.journal.name})" if path.exists() else "no such folder"
+        lack = f"is not a run folder (it has no {folder.journal.name})"
+        if not path.exists():
+            others = [each.name for each in path.parent.iterdir()] if path.parent.is_dir() else []
+            lack = f"no such folder{did_you_mean(path.name, others)}"
         raise MissingRunError(f"{path}: {lack}. Give the folder of a run that has started")
     if not may_have_units and (units := folder.unit_folders):
         raise MissingRunError(

@@ -82,6 +82,12 @@ def test_a_folder_that_is_no_run_is_reported(tmp_path):
         read_campaign(tmp_path)
 
 
+def test_a_run_that_is_not_there_is_reported_with_one_of_a_similar_name(tmp_path):
+    (tmp_path / "first").mkdir()
+    with pytest.raises(RunFolderError, match=r"frist: no such folder \(did you mean 'first'"):
+        read_campaign(tmp_path / "frist")
+
+
 def test_a_table_that_is_not_there_is_reported(tmp_path):
     with pytest.raises(DocumentError, match=r"nothing\.csv"):
         read_campaign(tmp_path / "nothing.csv")

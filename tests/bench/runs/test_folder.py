@@ -32,6 +32,9 @@ def test_a_folder_without_a_journal_is_no_run_folder(tmp_path):
 def test_a_path_where_nothing_is_is_no_folder(tmp_path):
     with pytest.raises(MissingRunError, match=r"second-001: no such folder\. Give"):
         open_run_folder(tmp_path / "second-001")
+    (tmp_path / "second-002").mkdir()
+    with pytest.raises(MissingRunError, match=r"no such folder \(did you mean 'second-002'\?\)\. Give"):
+        open_run_folder(tmp_path / "second-001")
 
 
 def test_a_run_of_several_units_is_no_run_of_one(tmp_path):
