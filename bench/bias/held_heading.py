@@ -4,11 +4,11 @@ An aid of time constant ``1/k`` acts on the heading in two ways:
 
 * The rate of a free heading is the white noise of the gyros. The aid reduces its power at frequencies ``w``
   by ``w^2 / (w^2 + k^2)``. Windows of ten minutes show that up to time constants of about a minute.
-* The rate due to the bias of the vertical gyro decays with ``exp(-k t)`` in each window, from its begin. A
+* The rate due to the bias of the vertical gyro decays with ``exp(-k t)`` in each window, from its start. A
   slow aid shows itself by that, the more the larger the biases, which it makes wrong.
 
-Rates that are no bias are known: those due to the velocity East and to the tilt since the begin of a window.
-The tilt at its begin differs between the windows by the accelerometer biases.
+Rates that are no bias are known: those due to the velocity East and to the tilt since the start of a window.
+The tilt at its start differs between the windows by the accelerometer biases.
 
 A random walk about a bias that is estimated from it returns to that by chance, which looks like a slow aid
 (Dickey and Fuller, 1979). The data are therefore compared with simulations without an aid, of the same

@@ -107,7 +107,7 @@ def test_dwells_with_flags_are_left_out(measured, results):
 
 
 def with_heading_held(motion, time_constant_s):
-    """A window of an unbiased vertical gyro whose heading an aid holds where it was at the begin."""
+    """A window of an unbiased vertical gyro whose heading an aid holds where it was at the start."""
     rotation, heading = motion.rotation_enu.copy(), 0.0
     steps = np.diff(motion.rotation_enu[:, 2], prepend=0.0) - motion.rotation_enu[-1, 2] / len(rotation)
     for index, (step, interval_s) in enumerate(zip(steps, np.diff(motion.time_s, prepend=0.0), strict=True)):
