@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeVar
 import typer
 
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
-from gyrobench.bench.foundations.text import listed, plural, with_micro_sign
+from gyrobench.bench.foundations.text import of_units, with_micro_sign
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -235,9 +235,8 @@ def print_end(
         notes.setdefault(signs_sentence(facts, station, station_name), []).append(number)
     for style, numbers_by_text in (("bold red", findings), ("bold yellow", notes)):
         for text, numbers in numbers_by_text.items():
-            unit_name = f"{plural(len(numbers), 'Unit', 'Units')} {listed(numbers)}: " if numbers[0] else ""
             if text:
-                console.print(with_micro_sign(f"{unit_name}{text}"), style=style)
+                console.print(with_micro_sign(of_units(numbers, text)), style=style)
     if skipped:
         console.print(skipped, style="bold yellow")
     console.print(section_view(durations_section(step_durations(read_journal(folder.journal)))))

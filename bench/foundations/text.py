@@ -58,6 +58,11 @@ def run_ending(ended: str, reason: str, *, with_reason: bool = True) -> str:
     return f"{ended}: {reason}" if reason and with_reason else ended
 
 
+def of_units(numbers: Sequence[str], text: str) -> str:
+    """Text with the numbers of the units that it is about; that of a single unit is empty, and not named."""
+    return f"{plural(len(numbers), 'Unit', 'Units')} {listed(numbers)}: {text}" if numbers[0] else text
+
+
 def with_micro_sign(text: str) -> str:
     """Text as people read it: the unit ug of files is written µg."""
     return _ASCII_MICRO_G.sub("µg", text) if "ug" in text else text

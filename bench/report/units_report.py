@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from gyrobench.bench.foundations.files import write_whole
-from gyrobench.bench.foundations.text import counted, listed, plural
+from gyrobench.bench.foundations.text import counted, of_units
 from gyrobench.bench.navigation.positions import AXES, gyro_label
 from gyrobench.bench.report.journal_sections import durations_section, events_section
 from gyrobench.bench.report.number_format import BiasScale
@@ -65,8 +65,7 @@ def _doubts_of_units(units: Sequence[RunContent]) -> list[Box]:
         for box in doubt_boxes(unit):
             names.setdefault((box.colour, box.headline, box.text), []).append(unit.name)
     return [
-        Box(colour, f"{plural(len(having), 'Unit', 'Units')} {listed(having)}: {headline}", text)
-        for (colour, headline, text), having in names.items()
+        Box(colour, of_units(numbers, headline), text) for (colour, headline, text), numbers in names.items()
     ]
 
 
