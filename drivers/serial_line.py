@@ -92,13 +92,6 @@ class SerialLine:
     ``instrument`` is its name in error messages, ``url`` a device name or pyserial URL. Baud rate and parity
     have no effect on TCP; there are always eight data bits and one stop bit. Raises ConnectionFailedError if
     the port can't be opened.
-
-    Attributes
-    ----------
-    clock : Clock
-        The run's clock, for a driver's waits and deadlines.
-    address : str
-        The URL without its options, for messages.
     """
 
     _open = False
@@ -109,8 +102,9 @@ class SerialLine:
     ) -> None:
         self.instrument = instrument
         self.url = url
-        self.address = url.partition("?")[0]  # the options of a URL mean nothing to an operator
-        self.clock = clock
+        #: The URL for messages, without its options, which mean nothing to an operator.
+        self.address = url.partition("?")[0]
+        self.clock = clock  #: The run's clock, for a driver's waits and deadlines.
         self._baudrate = baudrate
         self._parity = parity
         self.reopen()

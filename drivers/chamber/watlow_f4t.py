@@ -59,8 +59,9 @@ class WatlowF4T(TextChamber):
 
         Raises FaultError if the control loop reports an error.
         """
-        if self._has_error():
-            raise FaultError(self._line.instrument, f"{self._error_text()}; check the temperature sensor")
+        if self._choice(self.prefix + "ERROR?", _ERRORS):
+            problem = f"control loop {self._loop} reports an error; check the temperature sensor"
+            raise FaultError(self._line.instrument, problem)
         air_c = self._number(self.prefix + "PVALUE?")
         is_on = self.is_event_on(self._chamber_output)
         return ChamberReading(air_c, self.set_point_c(), is_on, alarms=())  # no alarms can be read
@@ -115,12 +116,6 @@ class WatlowF4T(TextChamber):
     def _optional_word(self, name: str) -> str:
         """Answer to such a query; empty if the controller does not support it."""
         return self._word(f"{name}?") if name in self._supported_queries else ""
-
-    def _has_error(self) -> bool:
-        return self._choice(self.prefix + "ERROR?", _ERRORS)
-
-    def _error_text(self) -> str:
-        return f"control loop {self._loop} reports an error"
 
     def _output(self, number: int) -> str:
         self._check_event(number)

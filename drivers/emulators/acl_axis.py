@@ -99,12 +99,8 @@ class AclAxis:
     """Controller state of one axis.
 
     The controller works in servo frames: a message is executed at the time of its frame, which
-    :meth:`begin_frame` starts.
-
-    Attributes
-    ----------
-    limits, trip_rates_dps : dict by ServoMode
-        Limits, and the rate at which the axis trips, in each mode.
+    :meth:`begin_frame` starts. ``limits`` and ``trip_rates_dps`` have the limits, and the rate at which the
+    axis trips, of each mode.
     """
 
     def __init__(self, physics: TableAxis) -> None:

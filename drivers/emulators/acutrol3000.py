@@ -122,7 +122,9 @@ class Acutrol3000Emulator:
             text = self._execute(message.decode("latin-1"), now_s)
         except AclError as error:
             code, text = error.code, error.code.text
-            self._record_error(code)
+            self._errors.append(code)
+            is_execution = code >= ErrorCode.PARAMETER_OUT_OF_RANGE
+            self._events |= _EXECUTION_ERROR if is_execution else _COMMAND_ERROR
         return self._encode_reply(code, text)
 
     def _encode_reply(self, code: ErrorCode, text: str) -> bytes:
@@ -145,10 +147,6 @@ class Acutrol3000Emulator:
             return [(self._handlers[unit.header, unit.is_query], unit.arguments) for unit in units]
         except KeyError:
             raise AclError(ErrorCode.UNKNOWN_COMMAND) from None
-
-    def _record_error(self, code: ErrorCode) -> None:
-        self._errors.append(code)
-        self._events |= _EXECUTION_ERROR if code >= ErrorCode.PARAMETER_OUT_OF_RANGE else _COMMAND_ERROR
 
     def _system_handlers(self) -> Handlers:
         return {

@@ -25,6 +25,8 @@ _PROMPT = b">"
 _COMMAND = re.compile(r"([A-Z]{3}|P(?=[-+.\d]))(.*)")
 _DEFAULT_TOLERANCE_DEG = 0.01
 _STANDSTILL_DPS = 1e-3
+_DECIMALS = 4
+_LATENCY_S = 0.02
 
 
 class IdealAerosmithEmulator(TextInstrument):
@@ -35,19 +37,12 @@ class IdealAerosmithEmulator(TextInstrument):
     """
 
     def __init__(
-        self,
-        axis: TableAxis,
-        *,
-        done: Literal[0, 1] = 1,
-        jog_prompt: Literal["late", "at_once"] = "late",
-        decimals: int = 4,
-        latency_s: float = 0.02,
+        self, axis: TableAxis, *, done: Literal[0, 1] = 1, jog_prompt: Literal["late", "at_once"] = "late"
     ) -> None:
-        super().__init__(latency_s)
+        super().__init__(_LATENCY_S)
         self.axis = axis
         self._done = done
         self._jog_prompt = jog_prompt
-        self._decimals = decimals
         self._zero_deg = self._home_deg = 0.0
         self._set_defaults()
         #: Commands with a number, and commands without.
@@ -123,7 +118,7 @@ class IdealAerosmithEmulator(TextInstrument):
         return command_with_number(value) if command_with_number and value is not None else None
 
     def _format_number(self, value: float) -> bytes:
-        return f"{value:.{self._decimals}f}".encode("ascii")
+        return f"{value:.{_DECIMALS}f}".encode("ascii")
 
     def _jog(self, rate_dps: float) -> bytes | None:
         if not self._servo or abs(rate_dps) > self.axis.parameters.rate_limit_dps:

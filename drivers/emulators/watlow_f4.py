@@ -166,7 +166,7 @@ class WatlowF4Emulator:
             )
         for number in OUTPUTS:
             registers[1990 + 10 * number] = HoldingRegister(
-                partial(self._event, number), partial(self._loop.switch, number), _is_bit
+                partial(self._loop.outputs.__getitem__, number), partial(self._loop.switch, number), _is_bit
             )
         for offset, name in enumerate(_CLOCK_FIELDS):
             registers[_CLOCK + offset] = HoldingRegister(
@@ -183,7 +183,9 @@ class WatlowF4Emulator:
             312: HoldingRegister(lambda: 0, self._clear_alarms, _is_bit),
             313: HoldingRegister(lambda: 0, lambda _: None, _is_bit),
             606: HoldingRegister(
-                lambda: self.decimals, self._set_decimals, lambda value: 0 <= value <= _MAX_DECIMALS
+                lambda: self.decimals,
+                partial(setattr, self, "decimals"),
+                lambda value: 0 <= value <= _MAX_DECIMALS,
             ),
             901: HoldingRegister(
                 lambda: _CELSIUS if self._loop.degrees_per_kelvin == 1.0 else _FAHRENHEIT,
@@ -254,9 +256,6 @@ class WatlowF4Emulator:
     def _set_limit(self, register: int, number: int) -> None:
         self._limits_c[register] = self._celsius(number)
 
-    def _set_decimals(self, decimals: int) -> None:
-        self.decimals = decimals
-
     def _present_settings(self) -> _Settings:
         ramp = (self._loop.action, self._loop.ramp_rate, self._loop.per_hour)
         return _Settings(self._loop.set_point_c, self.decimals, dict(self._limits_c), ramp)
@@ -272,9 +271,6 @@ class WatlowF4Emulator:
     def _clear_alarms(self, clear: int) -> None:
         if clear:
             self.alarm_1 = self.alarm_2 = _NO_ALARM
-
-    def _event(self, number: int) -> int:
-        return int(self._loop.outputs[number])
 
     def _check_alarms(self) -> None:
         self.alarm_1 = self._alarm_conditions[1] or self.alarm_1

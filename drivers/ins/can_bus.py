@@ -69,15 +69,10 @@ class _Format:
     frame: re.Pattern[bytes]
 
     def frames(self, data: bytes) -> tuple[FrameBlock, IntArray, bytes, int]:
-        """Convert complete lines.
+        """Convert complete lines; those of one layout together, for at most :data:`_MAX_LAYOUTS` layouts.
 
-        Lines of one layout are converted together, for at most :data:`_MAX_LAYOUTS` layouts.
-
-        Returns
-        -------
-        tuple
-            The frames, the indices in ``data`` where their lines end, the first invalid line (empty if there
-            is none), and the number of lines that were not converted because of too many layouts.
+        Returns the frames, the indices in ``data`` where their lines end, the first invalid line (empty if
+        there is none), and the number of lines that were not converted because of too many layouts.
         """
         text = np.frombuffer(data, np.uint8)
         end = np.flatnonzero(np.isin(text, list(self.ends)) if len(self.ends) > 1 else text == self.ends[0])
@@ -412,9 +407,6 @@ _TEXT_BUSES: dict[str, Callable[..., can.BusABC]] = {"slcan": _SlcanBus, "socket
 _MAX_FRAMES = 100_000
 
 
-_BUS_ADVICE = "Check the station file's interface, channel and options, and the adapter."
-
-
 def open_bus(
     interface: str, channel: str | int | None, clock: Clock, bitrate: int | None = None, **options: Any
 ) -> can.BusABC:
@@ -437,7 +429,9 @@ def open_bus(
         raise ConnectionFailedError(
             INSTRUMENT,
             f"can't open the CAN interface '{interface}', channel {channel}: {system_reason(error)}. "
-            + port_advice(str(channel), _BUS_ADVICE),
+            + port_advice(
+                str(channel), "Check the station file's interface, channel and options, and the adapter."
+            ),
         ) from error
 
 

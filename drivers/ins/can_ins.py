@@ -42,8 +42,7 @@ class CanIns:
 
     ``bus`` is from :func:`~gyrobench.drivers.ins.can_bus.open_bus`. If ``on_frames`` is set, it is called
     with every block of frames that is polled, also while a command waits. ``name`` is the instrument in
-    errors.
-    ``is_shared``: whether other units send on the same bus; their frames are then dropped. Raises
+    errors, ``is_shared`` whether other units send on the same bus; their frames are then dropped. Raises
     DocumentError if a map does not fit the DBC.
     """
 
@@ -105,17 +104,14 @@ class CanIns:
             if len(self._foreign_ids) < _MAX_FOREIGN_IDS:
                 self._foreign_ids.update(block.data_frames().arbitration_id.tolist())
                 self._foreign_ids.difference_update(self._own_ids.tolist())
-        self._take(ins_frames)
-        block = ins_frames if self._is_shared else block
-        if self.on_frames is not None and len(block):
-            self.on_frames(block)
-        return block
-
-    def _take(self, ins_frames: FrameBlock) -> None:
         data_frames = ins_frames.data_frames()
         self.frames += len(data_frames)
         if len(data_frames):
             self._newest.take(data_frames, self._clock.now())
+        block = ins_frames if self._is_shared else block
+        if self.on_frames is not None and len(block):
+            self.on_frames(block)
+        return block
 
     def describe_foreign_frames(self) -> str:
         """Describe the received frames that are not in the DBC; empty if there are none."""

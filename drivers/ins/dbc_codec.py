@@ -174,11 +174,8 @@ class DbcCodec:
         """Return a function that decodes a signal of one payload; NaN if absent, or the payload is short."""
         layout = self._layout(message_name)
         field, length = layout.fields[signal_name], layout.length
-        raw_value, scale, offset = (
-            field.raw_from_payload,
-            float(field.signal.scale),
-            float(field.signal.offset),
-        )
+        raw_value = field.raw_from_payload
+        scale, offset = float(field.signal.scale), float(field.signal.offset)
 
         def decode(data: bytes) -> float:
             return raw_value(data) * scale + offset if len(data) >= length else math.nan
@@ -230,13 +227,7 @@ class _Layout:
 
     def is_selected_by(self, name: str, data: bytes) -> bool:
         """Whether the multiplexers in the payload select the signal."""
-        signal = self.fields[name].signal
-        selector = signal.multiplexer_signal
-        if signal.multiplexer_ids is None or selector is None:
-            return True
-        return self.fields[selector].raw_from_payload(data) in signal.multiplexer_ids and self.is_selected_by(
-            selector, data
-        )
+        return bool(self._is_selected(name, lambda selector: self.fields[selector].raw_from_payload(data)))
 
     def encode(self, values: dict[str, FloatArray]) -> NDArray[np.uint8]:
         """Encode values of n frames by signal name; see :meth:`DbcCodec.encode`."""
@@ -257,7 +248,7 @@ class _Layout:
         payloads = little.view(np.uint8) | big.view(np.uint8)
         return payloads.reshape(count, MAX_LENGTH)[:, : self.length]
 
-    def _is_selected(self, name: str, raw_of: Callable[[str], NDArray[Any]]) -> BoolArray:
+    def _is_selected(self, name: str, raw_of: Callable[[str], ArrayLike]) -> BoolArray:
         """Mask of the frames whose multiplexers, with raw values ``raw_of(name)``, select the signal."""
         signal = self.fields[name].signal
         selector = signal.multiplexer_signal
@@ -274,14 +265,12 @@ def _similar_names(name: str, names: list[str]) -> str:
 Words = NDArray[np.uint64]
 
 _WORD_BITS = 64
+#: Types of floating-point signals by their numbers of bits.
 _FLOATS: dict[int, tuple[type[np.unsignedinteger[Any]], type[np.floating[Any]]]] = {
     16: (np.uint16, np.float16),
     32: (np.uint32, np.float32),
     64: (np.uint64, np.float64),
 }
-
-#: Numbers of bits that a floating-point signal may have.
-_FLOAT_LENGTHS = frozenset(_FLOATS)
 
 
 class Payloads:
@@ -439,7 +428,7 @@ def _find_undecodable(database: Database) -> Iterator[str]:
     for message in database.messages:
         for signal in message.signals if message.length <= MAX_LENGTH else ():
             name = f"{message.name}.{signal.name}"
-            if signal.conversion.is_float and signal.length not in _FLOAT_LENGTHS:
+            if signal.conversion.is_float and signal.length not in _FLOATS:
                 yield f"{name}: a floating-point number of {signal.length} bits"
             if signal.scale == 0 or not math.isfinite(signal.scale) or not math.isfinite(signal.offset):
                 yield f"{name}: scale {signal.scale} and offset {signal.offset}"

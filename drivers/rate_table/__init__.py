@@ -142,12 +142,8 @@ def await_standstill(
 ) -> tuple[float, ...]:
     """Wait until no axis turns faster than ``standstill_dps``, at most :data:`MAX_STOP_S`.
 
-    ``read_rates_dps`` is called every ``poll_s``.
-
-    Returns
-    -------
-    tuple of float
-        Rates at the end, for :func:`require_rest`; a single NaN if they could not be read.
+    ``read_rates_dps`` is called every ``poll_s``. Returns the rates at the end, for :func:`require_rest`; a
+    single NaN if they could not be read.
     """
     deadline = Deadline(clock, MAX_STOP_S)
     while not _at_rest(rates_dps := _rates_or_nan(read_rates_dps), standstill_dps) and not deadline.expired():

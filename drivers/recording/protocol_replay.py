@@ -15,7 +15,7 @@ from serial.serialutil import PortNotOpenError, SerialException
 from gyrobench.bench.foundations.clock import Clock, WallClock, find_clock
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.drivers.clocked_port import ClockedPort
-from gyrobench.drivers.recording.recording_file import Recording, read_recording
+from gyrobench.drivers.recording.recording_file import read_recording
 
 SCHEME = "replay://"
 
@@ -33,7 +33,7 @@ def with_clock(url: str, clock: Clock) -> str:
 
 
 class Serial(ClockedPort):
-    """A recording as a serial port."""
+    """A recording as a serial port; a reply arrives after the same delay from its request as recorded."""
 
     def open(self) -> None:
         """Open the recording at its beginning."""
@@ -48,69 +48,31 @@ class Serial(ClockedPort):
             raise SerialException(f"no clock is named {names[0]!r}") from None
         except DocumentError as error:
             raise SerialException(str(error)) from error
-        self._script = _ReplayScript(recording, self.clock.now())
+        self._path = recording.path
+        self._remaining = list(reversed(recording.transfers))
+        self._zero_s = self.clock.now()  # time of the transfer at zero
+        self._sent = b""  # first bytes of the request that is being sent
         self._arrived = bytearray()
         self.is_open = True
 
     def write(self, data: bytes, /) -> int:  # type: ignore[override]
         """Compare bytes with the recording.
 
-        Raises SerialException if they differ; the message has the place in the recording.
+        Raises SerialException if they differ; the message has the place in the recording and both byte
+        strings.
         """
         self.collect()
         try:
-            self._script.send(bytes(data), self.clock.now())
+            self._compare(self._sent + bytes(data))
         except ReplayError as error:
             raise SerialException(str(error)) from error
         return len(data)
 
-    def next_due_s(self) -> float | None:
-        """Time at which the next recorded bytes arrive; None if no bytes are to arrive."""
-        return self._script.next_due_s
-
-    def collect(self) -> None:
-        """Add recorded bytes that are due."""
-        if not self.is_open:
-            raise PortNotOpenError
-        self._arrived += self._script.take_due(self.clock.now())
-
-
-class _ReplayScript:
-    """The remaining transfers of a recording.
-
-    A reply arrives after the same delay from its request as recorded. ``now_s`` is the time at which the line
-    is opened, on the same clock as the times of the methods.
-    """
-
-    def __init__(self, recording: Recording, now_s: float) -> None:
-        self._path = recording.path
-        self._remaining = list(reversed(recording.transfers))
-        self._zero_s = now_s
-        self._sent = b""
-
-    @property
-    def next_due_s(self) -> float | None:
-        """Time of the next bytes; None while the instrument waits for a request."""
-        if not self._remaining or self._remaining[-1].is_sent:
-            return None
-        return self._zero_s + self._remaining[-1].time_s
-
-    def take_due(self, now_s: float) -> bytes:
-        """Return the bytes that have become due since the last call."""
-        data = b""
-        while (due_s := self.next_due_s) is not None and due_s <= now_s:
-            data += self._remaining.pop().data
-        return data
-
-    def send(self, data: bytes, now_s: float) -> None:
-        """Compare the bytes that the driver sends with the recording.
-
-        Raises ReplayError if they differ; the message has the place in the recording and both byte strings.
-        """
+    def _compare(self, sent: bytes) -> None:
+        now_s = self.clock.now()
         # Drop a reply that the driver did not wait for, within the accuracy of recorded times.
-        while (due_s := self.next_due_s) is not None and due_s <= now_s + _TOLERANCE_S:
+        while (due_s := self.next_due_s()) is not None and due_s <= now_s + _TOLERANCE_S:
             self._remaining.pop()
-        sent = self._sent + data
         while sent:
             if not self._remaining:
                 raise ReplayError(f"{self._path}: the recording ends before {_quoted(sent)}")
@@ -128,6 +90,19 @@ class _ReplayScript:
             self._remaining.pop()
             self._zero_s = now_s - expected.time_s
         self._sent = sent
+
+    def next_due_s(self) -> float | None:
+        """Time at which the next recorded bytes arrive; None while the instrument waits for a request."""
+        if not self._remaining or self._remaining[-1].is_sent:
+            return None
+        return self._zero_s + self._remaining[-1].time_s
+
+    def collect(self) -> None:
+        """Add recorded bytes that are due."""
+        if not self.is_open:
+            raise PortNotOpenError
+        while (due_s := self.next_due_s()) is not None and due_s <= self.clock.now():
+            self._arrived += self._remaining.pop().data
 
 
 def _quoted(data: bytes) -> str:

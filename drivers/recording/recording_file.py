@@ -102,9 +102,8 @@ def _header_text(header: RecordingHeader) -> str:
     """Text of the file up to the first transfer."""
     data = header.model_dump(exclude_defaults=True)
     data = {"recording": header.recording, "instrument": header.instrument} | data
-    return (
-        yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=100) + _END_OF_HEADER + _COLUMN_HEADS
-    )
+    keys = yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=100)
+    return keys + _END_OF_HEADER + _COLUMN_HEADS
 
 
 def recording_text(header: RecordingHeader, transfers: Iterable[Transfer]) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import struct
 from functools import partial
-from typing import Annotated, Literal, get_args
+from typing import Annotated, ClassVar, Literal, get_args
 
 import numpy as np
 from pydantic import Field
@@ -35,8 +35,6 @@ _SIGNAL_BYTES: dict[str, tuple[int, int]] = {
 }
 _ALL_SIGNALS: list[Signal] = list(get_args(Signal))
 _SENSORS: tuple[Sensor, ...] = get_args(Sensor)
-_INVALID = struct.pack("<i", -(2**31))
-_SATURATED = struct.pack("<i", 2**31 - 1)
 _SENSOR_LIMIT_C = 327.67
 
 
@@ -98,11 +96,9 @@ class _OutputFault(Fault):
     """Signals of the navigation output are wrong, while counters continue."""
 
     immediate = False
+    #: Value sent in place of the correct one; None for the correct value when the fault began.
+    value: ClassVar[bytes | None] = None
     signals: Signals = Field(_ALL_SIGNALS, description="affected signals of the navigation output")
-
-    def _value(self, first: bytes) -> bytes:
-        """Value sent in place of the correct one; ``first`` is the correct value when the fault began."""
-        raise NotImplementedError
 
     def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         first: dict[str, bytes] = {}
@@ -115,7 +111,7 @@ class _OutputFault(Fault):
                 if len(affected):
                     signal_bytes = slice(first_byte, first_byte + 4)
                     correct = data[affected[0], signal_bytes].tobytes()
-                    value = self._value(first.setdefault(signal, correct))
+                    value = self.value or first.setdefault(signal, correct)
                     data[affected, signal_bytes] = np.frombuffer(value, np.uint8)
                     occurrence.record()
             return frames.with_fields(data=data)
@@ -128,26 +124,19 @@ class StuckOutput(_OutputFault):
 
     fault: Literal["stuck_output"]
 
-    def _value(self, first: bytes) -> bytes:
-        return first
-
 
 class InvalidOutput(_OutputFault):
     """Signals hold the number for an invalid value: -2^31."""
 
+    value = struct.pack("<i", -(2**31))
     fault: Literal["invalid_output"]
-
-    def _value(self, first: bytes) -> bytes:
-        return _INVALID
 
 
 class SaturatedOutput(_OutputFault):
     """Signals hold the largest number: 2^31 - 1."""
 
+    value = struct.pack("<i", 2**31 - 1)
     fault: Literal["saturated_output"]
-
-    def _value(self, first: bytes) -> bytes:
-        return _SATURATED
 
 
 class SensorFault(Fault):

@@ -68,14 +68,8 @@ class Epochs(NamedTuple):
 class InertialUnit:
     """State of the INS.
 
-    ``latitude`` is in rad, ``height`` in m.
-
-    Attributes
-    ----------
-    loaded_table : ndarray, shape (3, 98)
-        The compensation table as loaded so far.
-    compensation : InsCompensation or None
-        The applied compensation of the sensors' output.
+    ``latitude`` is in rad, ``height`` in m. ``loaded_table``, shape (3, 98), is the compensation table as
+    loaded so far, ``compensation`` the one that is applied to the sensors' output, if any.
     """
 
     def __init__(self, behaviour: InsBehaviour, latitude: float, height: float) -> None:

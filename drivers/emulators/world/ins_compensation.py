@@ -120,19 +120,10 @@ class TemperatureHistory:
 
 
 class InsCompensation:
-    """A compensation table in use.
+    """A compensation table in use; ``bias_dph``, shape (3,), is subtracted from the gyros at present.
 
-    Parameters
-    ----------
-    table : ndarray, shape (3, 98)
-        One row for each axis, laid out by :class:`Slot`.
-    history : TemperatureHistory
-        Readings since power-on, from which the play is computed.
-
-    Attributes
-    ----------
-    bias_dph : ndarray, shape (3,)
-        Bias subtracted from each gyro at present.
+    ``table``, shape (3, 98), has one row for each axis, laid out by :class:`Slot`. The play is computed from
+    the readings since power-on, ``history``.
     """
 
     def __init__(self, table: FloatArray, history: TemperatureHistory, up_body: FloatArray) -> None:
