@@ -113,7 +113,6 @@ def _power_on(step: PowerOn, context: StepContext) -> Ticks:
 
 
 def _wait_until_sending(unit: MeasuredUnit, bench: LiveBench) -> Ticks:
-    """Wait until the INS sends."""
     reopened_s = bench.clock.now()
     while not unit.live.has_started():
         if bench.clock.now() - reopened_s > _REOPEN_AFTER_S:

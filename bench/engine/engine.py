@@ -167,7 +167,6 @@ class Engine:
             self._perform(planned, is_approach=True)
 
     def _perform(self, planned: PlannedStep, is_approach: bool = False) -> None:
-        """Perform one step."""
         begin_s = self._bench.clock.now()
         self._start_step(planned, "approach" if is_approach else "step")
         self._tick_through(planned, begin_s)

@@ -47,20 +47,16 @@ class Capture:
     table_deg: list[Angles] = field(default_factory=list)
     neighbours_on: list[int] = field(default_factory=list)
     _blocks: list[FrameBlock] = field(default_factory=list)
-    _count: int = 0
+    count: int = 0  #: number of data frames so far
 
     def add(self, block: FrameBlock) -> None:
         """Keep the data frames of a block."""
         self._blocks.append(block.data_frames())
-        self._count += len(self._blocks[-1])
-
-    def count(self) -> int:
-        """Return the number of data frames so far."""
-        return self._count
+        self.count += len(self._blocks[-1])
 
     def frames(self, first: int = 0) -> FrameBlock:
         """Return the data frames so far, from index ``first`` on."""
-        block, block_start = len(self._blocks), self._count
+        block, block_start = len(self._blocks), self.count
         while block_start > first:
             block -= 1
             block_start -= len(self._blocks[block])
@@ -263,7 +259,7 @@ class LiveUnit:
     def captured_frames(self) -> int:
         """Return the number of data frames of the dwell in progress so far."""
         self.poll()
-        return self.capture.count() if self.capture else 0
+        return self.capture.count if self.capture else 0
 
     def _store_frames(self, block: FrameBlock) -> None:
         if self._can_log:

@@ -390,7 +390,10 @@ def _read_one(
     if number and not folder.journal.is_file():  # of a process that was killed before anything moved
         return InterruptedRun(folder, plan, ResumeState(), number)
     damage, entries = find_damage(folder, is_log_read=damaged is None)
-    state = _state_of(entries, folder, plan)
+    try:
+        state = resume_state_of(entries, plan)
+    except RunFolderError as error:
+        raise RunFolderError(f"{folder.journal}: {error}") from error
     if not has_dwells:
         state.lost.clear()
     if damaged is None:
@@ -439,10 +442,3 @@ def _is_evaluated(folder: RunFolder) -> bool:
         return all(path.stat().st_mtime >= end_s for path in (folder.acceptance, folder.report))
     except OSError:
         return False
-
-
-def _state_of(entries: Sequence[Mapping[str, Any]], folder: RunFolder, plan: Plan) -> ResumeState:
-    try:
-        return resume_state_of(entries, plan)
-    except RunFolderError as error:
-        raise RunFolderError(f"{folder.journal}: {error}") from error

@@ -101,7 +101,6 @@ class GuardProcess(Guard):
         return f"{problem}; a new one was started"
 
     def _end(self) -> None:
-        """End the guard process."""
         if self._process is not None:
             self._process.kill()
             self._process.wait()

@@ -20,7 +20,7 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal, facts_of, read_journal
 from gyrobench.bench.runs.provenance import identities_in
 from gyrobench.bench.station.instruments import Outputs
-from gyrobench.bench.station.locks import GUARD_COMMAND, BenchLock, Holder, bench_holders
+from gyrobench.bench.station.locks import GUARD_COMMAND, BenchLock, bench_holders
 from gyrobench.bench.station.safe_state import RAMP_PERIOD_S, SafeAction, finish_ramp, make_safe
 from gyrobench.bench.station.station import Station
 
@@ -128,7 +128,7 @@ class Rescue:
             self._clock.sleep(_LOCK_PERIOD_S)
 
     def _does_engine_hold(self) -> bool:
-        holders: list[Holder] = bench_holders(self._station)
+        holders = bench_holders(self._station)
         return not holders or any(holder in self._engine_holders for holder in holders)
 
     def _make_safe(self, outputs: Outputs, only: list[str] | None) -> Iterator[list[SafeAction]]:

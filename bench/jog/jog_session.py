@@ -43,18 +43,11 @@ _TICKS_TO_FIRST_FRAME = 2
 def jog_bench(name: str, commands: Sequence[str], emulation: Emulation, leave: bool) -> bool:
     """Open a bench, execute commands, and leave it in its safe state.
 
-    Returns whether all commands succeeded and the bench was left as intended. Raises DocumentError if the
-    station file is wrong. Raises BenchInUseError if another process holds the bench. Raises InstrumentError
-    if no instrument can be reached when the bench is opened; a single unreachable one is left out.
-
-    Parameters
-    ----------
-    name : str
-        Station file, or the name of a shipped one.
-    commands : sequence of str
-        Commands; if empty, lines of standard input.
-    leave : bool
-        Whether chamber, INS power and servos keep their state at the end.
+    ``name`` is a station file, or the name of a shipped one; without ``commands`` the lines of standard input
+    are executed. ``leave``: whether chamber, INS power and servos keep their state at the end. Returns
+    whether all commands succeeded and the bench was left as intended. Raises DocumentError if the station
+    file is wrong. Raises BenchInUseError if another process holds the bench. Raises InstrumentError if no
+    instrument can be reached when the bench is opened; a single unreachable one is left out.
     """
     station = Station(find_document("stations", name))
     station.check_dbc()

@@ -40,17 +40,8 @@ _T = TypeVar("_T")
 class ManualControl:
     """Executes one command at a time; a command that fails or is interrupted leaves the table stopped.
 
-    Parameters
-    ----------
-    bench : LiveBench
-        Bench after its ``start``.
-    beat_guard : callable
-        Sends the guard its heartbeat; returns a note to print, or None.
-
-    Attributes
-    ----------
-    tripped : list of str
-        Names of the interlocks that are tripped.
+    ``bench`` has been started. ``beat_guard`` sends the guard its heartbeat and returns a note to print, or
+    None.
     """
 
     def __init__(
@@ -70,7 +61,7 @@ class ManualControl:
         self._ticked_s = bench.clock.now()
         if bench.units[0].has_started():
             bench.units[0].state.detected_on()
-        self.tripped: list[str] = []
+        self.tripped: list[str] = []  #: Names of the interlocks that are tripped.
         for trip in bench.trips():
             self.tripped.append(trip.name)
             display.print(f"Interlock {trip.name}: {trip.text}")
@@ -106,7 +97,8 @@ class ManualControl:
 
     def move(self, angles_deg: Mapping[str, float], rate_dps: float | None) -> None:
         """Move axes to angles and wait until they are in position."""
-        rate_dps = self._default_rate_dps() if rate_dps is None else rate_dps
+        if rate_dps is None:
+            rate_dps = min(_DEFAULT_RATE_DPS, *(axis.rate_dps for axis in self.limits.axes.values()))
         if rate_dps <= 0.0:
             raise CommandError("the rate of a move must be above 0 deg/s. Nothing was moved.")
         for axis, angle_deg in angles_deg.items():
@@ -341,9 +333,6 @@ class ManualControl:
                 self.bench.tick()
         return exchange()
 
-    def _default_rate_dps(self) -> float:
-        return min(_DEFAULT_RATE_DPS, *(axis.rate_dps for axis in self.limits.axes.values()))
-
     def _angle_deg(self, axis: str) -> float:
         return self.bench.table_angles()[TABLE_AXES.index(axis)]
 
@@ -374,11 +363,10 @@ def readings(bench: LiveBench, tripped: Sequence[str]) -> list[str]:
     table.append(f"           {servo}; the unit is {_position_text(bench)}")
     lines = ["Table      left out"] if RATE_TABLE in absent else table
     chamber = newest.chamber
-    air, set_point = (
-        _format_or_dash(chamber.temperature_c, ".1f"),
-        _format_or_dash(chamber.set_point_c, ".1f"),
-    )
-    chamber_text = f"air {air} degC, set point {set_point}{_unit_and_state(chamber.is_on)}"
+    air = _format_or_dash(chamber.temperature_c, ".1f")
+    set_point = _format_or_dash(chamber.set_point_c, ".1f")
+    state = {True: ", on", False: ", off", None: ""}[chamber.is_on]
+    chamber_text = f"air {air} degC, set point {set_point} degC{state}"
     lines.append(f"Chamber    {'left out' if CHAMBER in absent else chamber_text}")
     lines += ["INS        left out"] if INSTRUMENT in absent else _ins_lines(newest.ins)
     lines.append(f"Faults     {'; '.join([*newest.table.faults, *newest.chamber.alarms]) or 'none'}")
@@ -421,7 +409,7 @@ def _watch_line(bench: LiveBench) -> str:
         _format_or_dash(newest.chamber.temperature_c, ".1f"),
         _format_or_dash(float(np.mean(ins.optics_c)), ".1f"),
         *(_format_or_dash(each, "+.3f") for each in ins.velocity_enu_mps[:2]),
-        _short_mode(ins),
+        ins.mode.name.lower() if math.isfinite(ins.age_s) else "silent",
     )
 
 
@@ -444,7 +432,6 @@ def limit_lines(limits: ManualLimits) -> list[str]:
 
 
 def _mode_text(ins: InsStatus) -> str:
-    """Mode and alignment of the INS as text."""
     if ins.mode is InsMode.UNKNOWN:
         return "mode unknown"
     aligned = {
@@ -453,10 +440,6 @@ def _mode_text(ins: InsStatus) -> str:
         Alignment.FINE: ", finely aligned",
     }
     return f"{ins.mode.name.lower()}{aligned.get(ins.alignment, '')}"
-
-
-def _short_mode(ins: InsStatus) -> str:
-    return "silent" if not math.isfinite(ins.age_s) else ins.mode.name.lower()
 
 
 def _azimuth_deg(C_nb: FloatArray, C_zero: FloatArray) -> float:
@@ -472,7 +455,3 @@ def _xyz(values: Sequence[float]) -> str:
     return "  ".join(
         f"{axis} {_format_or_dash(value, '.2f')}" for axis, value in zip("xyz", values, strict=True)
     )
-
-
-def _unit_and_state(is_on: bool | None) -> str:
-    return {True: " degC, on", False: " degC, off", None: " degC"}[is_on]

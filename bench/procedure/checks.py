@@ -74,7 +74,7 @@ def find_problems(plan: Plan, limits: StationLimits | None = None) -> list[Docum
             problems += [*_chamber_problems(planned, limits), *_table_problems(planned, limits)]
             problems += _command_problems(planned, limits)
             problems += _reach_problems(plan, planned, limits)
-    problems += [*_test_problems(plan), *_spin_problems(plan)]
+    problems += _test_problems(plan)
     if limits is not None:
         problems += _gyro_problems(plan, limits)
     return problems
@@ -185,16 +185,13 @@ def _test_problems(plan: Plan) -> Iterator[DocumentProblem]:
                 f"the plan has dwells in {len(power_cycles)} power cycles; the test needs {required}. Repeat "
                 "power_on, a dwell and power_off",
             )
-
-
-def _spin_problems(plan: Plan) -> Iterator[DocumentProblem]:
-    test = plan.procedure.tests.scale_factor_stability
+    spins = tests.scale_factor_stability
     spin_dwells = {each.dwell for each in plan.steps if isinstance(each.step, Spin)}
-    if test and len(spin_dwells) < test.min_measurements:
+    if spins and len(spin_dwells) < spins.min_measurements:
         yield DocumentProblem(
             ("tests", "scale_factor_stability"),
-            f"the plan has {len(spin_dwells)} dwells with step spin; the test needs {test.min_measurements}. "
-            "Repeat go_to, align and spin",
+            f"the plan has {len(spin_dwells)} dwells with step spin; the test needs {spins.min_measurements}."
+            " Repeat go_to, align and spin",
         )
 
 
@@ -390,19 +387,14 @@ def _reach_problems(plan: Plan, planned: PlannedStep, limits: StationLimits) -> 
     for count in range(len(turns_deg) + 1):
         reason = limits.unreachable_reason(step.position, step.azimuth_deg, turns_deg[:count])
         if reason:
-            route = ", then turns of ".join(
-                [f"azimuth {step.azimuth_deg:g}", *_turn_texts(turns_deg[:count])]
-            )
+            route, place = f"azimuth {step.azimuth_deg:g}", _unreachable_key(planned, step, limits)
+            if count:
+                route += f", then turns of {', '.join(map(turn_text, turns_deg[:count]))}"
+                last = turns[count - 1][0]
+                place = last.place_of("angle_deg") if isinstance(last.step, Turn) else last.location
             advice = _reach_advice(step, turns_deg, limits)
-            yield DocumentProblem(
-                _turn_place(turns[count - 1][0]) if count else _unreachable_key(planned, step, limits),
-                f"{step.position} at {route} deg can't be reached: {reason}{advice}",
-            )
+            yield DocumentProblem(place, f"{step.position} at {route} deg can't be reached: {reason}{advice}")
             return
-
-
-def _turn_place(planned: PlannedStep) -> KeyPath:
-    return planned.place_of("angle_deg") if isinstance(planned.step, Turn) else planned.location
 
 
 def _unreachable_key(planned: PlannedStep, step: GoTo, limits: StationLimits) -> KeyPath:
@@ -428,7 +420,3 @@ def _reach_advice(step: GoTo, turns_deg: tuple[TurnOrMove, ...], limits: Station
 
 def _reachable_azimuths_deg(position: str, limits: StationLimits) -> list[float]:
     return [each for each in _AZIMUTHS_DEG if limits.unreachable_reason(position, each, ()) is None]
-
-
-def _turn_texts(turns_deg: tuple[TurnOrMove, ...]) -> list[str]:
-    return [", ".join(map(turn_text, turns_deg))] if turns_deg else []

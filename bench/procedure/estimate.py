@@ -8,24 +8,12 @@ from dataclasses import dataclass, replace
 
 @dataclass(frozen=True)
 class ThermalEstimate:
-    """Model of the gyros behind the chamber: a first-order lag.
+    """Model of the gyros behind the chamber: a first-order lag."""
 
-    Parameters
-    ----------
-    time_constant_s : float
-        Time in which the gyros cover 63 % of a temperature difference.
-    self_heating_c : float
-        Excess of their final temperature over the chamber with the INS on.
-    air_lag_s : float
-        Lag of the chamber's air behind its ramping set point.
-    room_c : float
-        Temperature of the bench before the chamber runs and after it is switched off.
-    """
-
-    time_constant_s: float = 2400.0
-    self_heating_c: float = 15.0
-    air_lag_s: float = 120.0
-    room_c: float = 23.0
+    time_constant_s: float = 2400.0  #: Time in which the gyros cover 63 % of a temperature difference.
+    self_heating_c: float = 15.0  #: Excess of their final temperature over the chamber with the INS on.
+    air_lag_s: float = 120.0  #: Lag of the chamber's air behind its ramping set point.
+    room_c: float = 23.0  #: Temperature of the bench before the chamber runs and after it is switched off.
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +49,9 @@ class BenchEstimate:
     def passed(self, duration_s: float) -> BenchEstimate:
         """Return the state of the bench ``duration_s`` later, without commands meanwhile."""
         tau_s, heating_c = self.thermal.time_constant_s, self._heating_c()
-        slope_c_per_s, ramp_s = self._slope_c_per_s(), min(duration_s, self.ramp_left_s())
+        ramp_s, slope_c_per_s = min(duration_s, self.ramp_left_s()), 0.0
+        if self.set_point_c is not None:
+            slope_c_per_s = math.copysign(self.ramp_c_per_s, self.set_point_c - self.chamber_c)
         chamber_c = self.chamber_c + slope_c_per_s * ramp_s
         ramped_c = lagged(self.gyro_c, self.chamber_c + heating_c, slope_c_per_s, tau_s, ramp_s)
         held_c = lagged(ramped_c, chamber_c + heating_c, 0.0, tau_s, duration_s - ramp_s)
@@ -79,11 +69,6 @@ class BenchEstimate:
 
     def _heating_c(self) -> float:
         return self.thermal.self_heating_c if self.powered else 0.0
-
-    def _slope_c_per_s(self) -> float:
-        if self.set_point_c is None:
-            return 0.0
-        return math.copysign(self.ramp_c_per_s, self.set_point_c - self.chamber_c)
 
 
 def lagged(value: float, goal: float, slope_per_s: float, tau_s: float, duration_s: float) -> float:

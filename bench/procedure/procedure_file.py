@@ -183,14 +183,14 @@ def _parse_step(kind: type[Step], values: dict[str, Any]) -> StepTemplate:
     try:
         kind.model_validate(values)
     except ValidationError as error:
-        details = [detail for detail in error.errors() if not _is_about_variable(detail)]
+        details = [
+            detail
+            for detail in error.errors()
+            if detail["type"] == "unknown_key" or variable_in(detail["input"]) is None
+        ]
         if details:
             raise _error_under_key(kind.name, details) from error
     return StepTemplate(kind, values)
-
-
-def _is_about_variable(detail: ErrorDetails) -> bool:
-    return detail["type"] != "unknown_key" and variable_in(detail["input"]) is not None
 
 
 def _error_under_key(key: str, details: Sequence[ErrorDetails]) -> ValidationError:
@@ -351,20 +351,16 @@ def resolve(document: Document, procedure: Procedure) -> list[ResolvedStep]:
 
     Raises DocumentError if the loops give too many steps, or a variable has a value that its step can't take.
     """
-    _check_step_count(document, procedure.steps)
+    count = _count_steps(procedure.steps)
+    if count > MAX_STEPS:
+        largest = max(range(len(procedure.steps)), key=lambda i: _count_steps(procedure.steps[i : i + 1]))
+        message = f"the loops give {count} steps; allowed: at most {MAX_STEPS}"
+        raise document.error([DocumentProblem(("steps", largest), message)])
     problems: list[DocumentProblem] = []
     steps = list(_resolve(procedure.steps, ("steps",), {}, {}, problems))
     if problems:
         raise document.error(problems)
     return steps
-
-
-def _check_step_count(document: Document, entries: Sequence[StepTemplate | Repeat]) -> None:
-    count = _count_steps(entries)
-    if count > MAX_STEPS:
-        largest = max(range(len(entries)), key=lambda index: _count_steps(entries[index : index + 1]))
-        message = f"the loops give {count} steps; allowed: at most {MAX_STEPS}"
-        raise document.error([DocumentProblem(("steps", largest), message)])
 
 
 def _count_steps(entries: Sequence[StepTemplate | Repeat]) -> int:
@@ -424,7 +420,6 @@ def _resolve_step(
 
 
 def _substitute(value: Any, scope: Mapping[str, _LoopValue]) -> Any:
-    """Replace the variables with their values."""
     if isinstance(value, Mapping):
         return {key: _substitute(item, scope) for key, item in value.items()}
     name = variable_in(value)

@@ -13,7 +13,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any, NoReturn, Self
 from urllib.parse import urlsplit
 
@@ -41,16 +41,9 @@ _WIDTH = 110
 def write_station_file(path: Path, station: Station, urls: Mapping[str, str], speed: float) -> None:
     """Write a station file for the served emulators; replaces an existing file.
 
+    All but the addresses comes from ``station``. ``urls`` are the addresses of ``table``, ``chamber`` and
+    ``ins``, and of further units: ``ins-2`` and so on; ``speed`` is the emulators' factor on real time.
     Raises DocumentError if no emulated INS sends the frames of the station's DBC file.
-
-    Parameters
-    ----------
-    station : Station
-        Source of everything except the addresses.
-    urls : mapping of str to str
-        Addresses of ``table``, ``chamber`` and ``ins``, and of further units: ``ins-2`` and so on.
-    speed : float
-        The emulators' factor on real time.
     """
     if emulated_dbc(station) is None:
         raise DocumentError(
@@ -103,16 +96,9 @@ def _ins_section(section: dict[str, Any], url: str) -> dict[str, Any]:
 
 
 def guide(urls: Mapping[str, str], station: Station, speed: float, station_path: Path | None) -> str:
-    """Text with the address of each instrument and a command to reach it.
+    """Text with the address of each instrument and a command to reach it; ``urls`` as above.
 
-    Parameters
-    ----------
-    urls : mapping of str to str
-        Addresses of ``table``, ``chamber`` and ``ins``.
-    station : Station
-        Gives the dialects and the DBC file.
-    station_path : Path, optional
-        The station file that was written for them.
+    ``station`` gives the dialects and the DBC file; ``station_path`` is the file that was written for them.
     """
     pace = "in real time" if speed == 1.0 else f"{speed:g} times as fast as real time"
     file, table, chamber, units = station.file, urls["table"], urls["chamber"], _numbered_units(urls)
@@ -197,16 +183,7 @@ class EmulationSettings:
 class EmulatorProcess:
     """The emulators of one bench, served as long as this context manager is open.
 
-    Parameters
-    ----------
-    options : sequence of str
-        Options of :mod:`gyrobench.drivers.emulators.serve`.
-
-    Attributes
-    ----------
-    urls : dict of str to str
-        Addresses of ``table``, ``chamber`` and ``ins``, and of further units: ``ins-2`` and so on; empty
-        where the emulators did not start and printed the reason on stderr.
+    ``options`` are those of :mod:`gyrobench.drivers.emulators.serve`.
     """
 
     def __init__(self, options: Sequence[str]) -> None:
@@ -215,14 +192,14 @@ class EmulatorProcess:
         )
         assert self._process.stdout is not None  # noqa: S101 - for the type checker
         line = self._process.stdout.readline()
+        #: Addresses of ``table``, ``chamber``, ``ins``, and ``ins-2`` and so on of further units; empty if
+        #: the emulators did not start and printed the reason on stderr.
         self.urls: dict[str, str] = json.loads(line) if line else {}
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._process.terminate()
         self.wait()
         for stream in (self._process.stdin, self._process.stdout):
@@ -263,17 +240,10 @@ def serve_options(
 ) -> list[str]:
     """Options of :mod:`gyrobench.drivers.emulators.serve` for a station.
 
-    Parameters
-    ----------
-    ports : mapping of str to str
-        TCP port or link by ``table``, ``chamber`` and ``ins``. Empty takes the station's address if it
-        can be served: a port of the loopback, or a link outside ``/dev``.
-    tcp : bool
-        Whether to serve TCP ports where neither ``ports`` nor the station gives a place.
-    can : str or None
-        ``slcan`` or ``socketcand``; None takes the station's.
-    settings : EmulationSettings, optional
-        World, speed and so on; the emulators' defaults without it.
+    ``ports`` has a TCP port or link for each of ``table``, ``chamber`` and ``ins``; an empty one takes the
+    station's address if it can be served: a port of the loopback, or a link outside ``/dev``. ``tcp``:
+    whether to serve TCP ports where neither ``ports`` nor the station gives a place. ``can`` is ``slcan`` or
+    ``socketcand``; None takes the station's.
     """
     file = station.file
     addresses = _addresses(file)

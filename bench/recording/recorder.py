@@ -66,20 +66,10 @@ _MAX_PROXY_BYTES = 4096
 
 
 class Recorder:
-    """Records the instruments of a station.
+    """Records the instruments of a station, given by its file or the name of a shipped one.
 
-    Raises DocumentError if the station file is wrong.
-
-    Parameters
-    ----------
-    station : str
-        File, or name of a shipped one.
-    emulation : Emulation
-        World behind emulated instruments.
-    note : str
-        Goes into the header of each recording.
-    report : callable
-        Receives a line of progress.
+    ``note`` goes into the header of each recording; ``report`` receives lines of progress. Raises
+    DocumentError if the station file is wrong.
     """
 
     def __init__(
@@ -121,21 +111,13 @@ class Recorder:
         self._report(f"Recorded {path}")
 
     def proxy(self, instrument: Instrument, path: Path, where: str, duration_s: float | None) -> None:
-        """Serve an instrument to other programs until Ctrl-C, and record the bytes.
+        """Serve an instrument to other programs until Ctrl-C or for ``duration_s``, and record the bytes.
 
-        Raises DocumentError if the instrument is not on a serial line, or nothing can be served at ``where``.
-        Raises ConnectionFailedError if the instrument's port can't be opened, or went away. Raises
-        RunFolderError if the recording can't be written.
-
-        Parameters
-        ----------
-        path : Path
-            Recording to write; must not exist.
-        where : str
-            Number of a TCP port of the loopback, path of a link to a pseudo-terminal, or empty for a
-            pseudo-terminal without a link.
-        duration_s : float or None
-            Time after which it ends without Ctrl-C.
+        ``path`` must not exist. ``where`` is the number of a TCP port of the loopback, the path of a link to
+        a pseudo-terminal, or empty for a pseudo-terminal without a link. Raises DocumentError if the
+        instrument is not on a serial line, or nothing can be served at ``where``. Raises
+        ConnectionFailedError if the instrument's port can't be opened, or went away. Raises RunFolderError if
+        the recording can't be written.
         """
         _check_absent(path)
         clock = WallClock()

@@ -33,15 +33,9 @@ _DEFAULT_BAUDRATE, _DEFAULT_PARITY = 9600, "N"
 def replay(path: Path) -> tuple[Recording, list[Call]]:
     """Make the recorded calls again to the driver of the dialect, on virtual time.
 
-    Raises DocumentError if the recording is wrong, or its dialect is not installed. Raises
+    Returns the recording, whose header has the recorded results, and the same calls with the results of the
+    replay. Raises DocumentError if the recording is wrong, or its dialect is not installed. Raises
     ConnectionFailedError if the driver sends other bytes than recorded while it is opened.
-
-    Returns
-    -------
-    Recording
-        As read; its header has the recorded results.
-    list of Call
-        The same calls with the results of the replay.
     """
     recording = read_recording(path)
     header, calls = recording.header, checked_calls(recording)

@@ -33,11 +33,6 @@ def _value_or_default(value: float | None, default: float) -> float:
     return default if value is None else value
 
 
-def _check_order(unit: str, low: float | None, high: float | None) -> None:
-    if low is not None and high is not None and low >= high:
-        raise ValueError(f"low_{unit} ({low:g}) must be below high_{unit} ({high:g})")
-
-
 class InterlockRule(StrictModel):
     """How the run resumes after a trip: when an operator confirms it."""
 
@@ -47,6 +42,14 @@ class InterlockRule(StrictModel):
     resume: Literal["person", "automatic"] = Field("person", description=_RESUME)
     resume_after_s: NotNegative = Field(60.0, description=_RESUME_AFTER)
     max_resumes: int = Field(5, ge=0, description=_MAX_RESUMES)
+
+    @model_validator(mode="after")
+    def _check_range(self) -> Self:
+        for unit in ("c", "deg"):
+            low, high = getattr(self, f"low_{unit}", None), getattr(self, f"high_{unit}", None)
+            if low is not None and high is not None and low >= high:
+                raise ValueError(f"low_{unit} ({low:g}) must be below high_{unit} ({high:g})")
+        return self
 
 
 class PassingRule(InterlockRule):
@@ -62,11 +65,6 @@ class TemperatureInterlock(InterlockRule):
     low_c: float = Field(-60.0, description="lowest temperature, degC")
     high_c: float = Field(95.0, description="highest temperature, degC")
 
-    @model_validator(mode="after")
-    def _check_range(self) -> Self:
-        _check_order("c", self.low_c, self.high_c)
-        return self
-
 
 class ChamberAirInterlock(InterlockRule):
     """Range of the chamber's air."""
@@ -78,17 +76,10 @@ class ChamberAirInterlock(InterlockRule):
         None, description="highest air temperature, degC; by default 5 K above the chamber's limit"
     )
 
-    @model_validator(mode="after")
-    def _check_range(self) -> Self:
-        _check_order("c", self.low_c, self.high_c)
-        return self
-
     def range_c(self, limits_c: Sequence[float]) -> tuple[float, float]:
         """Allowed range for a chamber with these limits."""
-        low_c, high_c = limits_c
-        return _value_or_default(self.low_c, low_c - _AIR_MARGIN_C), _value_or_default(
-            self.high_c, high_c + _AIR_MARGIN_C
-        )
+        low_c = _value_or_default(self.low_c, limits_c[0] - _AIR_MARGIN_C)
+        return low_c, _value_or_default(self.high_c, limits_c[1] + _AIR_MARGIN_C)
 
 
 class TemperatureRateInterlock(PassingRule):
@@ -138,17 +129,10 @@ class AngleInterlock(InterlockRule):
         None, description="highest angle, deg; by default 1 deg above the axis's limit"
     )
 
-    @model_validator(mode="after")
-    def _check_range(self) -> Self:
-        _check_order("deg", self.low_deg, self.high_deg)
-        return self
-
     def range_deg(self, limits_deg: Sequence[float]) -> tuple[float, float]:
         """Allowed range for an axis with these limits."""
-        low_deg, high_deg = limits_deg
-        return _value_or_default(self.low_deg, low_deg - _ANGLE_MARGIN_DEG), _value_or_default(
-            self.high_deg, high_deg + _ANGLE_MARGIN_DEG
-        )
+        low_deg = _value_or_default(self.low_deg, limits_deg[0] - _ANGLE_MARGIN_DEG)
+        return low_deg, _value_or_default(self.high_deg, limits_deg[1] + _ANGLE_MARGIN_DEG)
 
 
 class SilenceInterlock(PassingRule):

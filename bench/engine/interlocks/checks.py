@@ -408,12 +408,6 @@ class _WatchedTemperature:
             self._rate.add(now_s, self.value_c)
             self.valid_s = now_s
 
-    def is_within_limits(self) -> bool:
-        rate_per_s = self._rate.per_s()
-        return self._low_c <= self.value_c <= self._high_c and (
-            rate_per_s is None or abs(rate_per_s) * 60.0 <= self._rate_c_per_min
-        )
-
     def findings(self, is_checked: bool) -> Iterator[InterlockFinding]:
         """Yield the violations; ``is_checked``: the value is valid, or has been missing for long."""
         problem = _out_of_range(self._description, self.value_c, self._low_c, self._high_c, "degC")
@@ -461,11 +455,10 @@ class InsChecks:
         if readings.ins.mode is InsMode.FAULT and self._observed_s >= self._on_s:
             yield InterlockFinding("ins_fault", "the INS reports a fault", "Read its built-in test results.")
         for temperature in self._temperatures:
-            if not temperature.is_within_limits():
-                # Counted in observations: the first of them may come before the first temperatures.
-                missing_s = self._observed_s - max(temperature.valid_s, self._on_s)
-                is_checked = math.isfinite(temperature.value_c) or missing_s > self._silence_s
-                yield from temperature.findings(is_checked)
+            # Counted in observations: the first of them may come before the first temperatures.
+            missing_s = self._observed_s - max(temperature.valid_s, self._on_s)
+            is_checked = math.isfinite(temperature.value_c) or missing_s > self._silence_s
+            yield from temperature.findings(is_checked)
 
     def untripped_until_s(self, readings: Readings) -> float:  # noqa: ARG002 - signature of all checks
         """Return the time until which nothing trips without a new reading or command, s."""

@@ -54,20 +54,10 @@ def check_bench(
 ) -> list[Check]:
     """Check whether a bench is ready for a procedure, or in general if none is given. Moves nothing.
 
-    An INS that is off and that the bench can switch on is on during the check.
-
-    Raises DocumentError if the station file is wrong. Raises BenchInUseError if a run holds the bench.
-
-    Parameters
-    ----------
-    station, procedure : str
-        Files, or names of shipped ones.
-    folder : Path
-        Parent of the run folder.
-    clock : Clock, optional
-        Default: the clock of the station.
-    acknowledged : sequence of str
-        Instruments whose calibration may be past due, in the operator's name.
+    An INS that is off and that the bench can switch on is on during the check. ``station`` and ``procedure``
+    are files or names of shipped ones, ``folder`` the parent of the run folder, and ``clock`` by default that
+    of the station; ``acknowledged`` instruments may be past due. Raises DocumentError if the station file is
+    wrong, and BenchInUseError if a run holds the bench.
     """
     bench = Station(find_document("stations", station))
     bench.check_dbc()

@@ -135,11 +135,9 @@ def _wait_for_start(station: Station, ins: CanIns, clock: Clock) -> None:
     while not ins.sends_frames(_FIRST_FRAME_S):
         if deadline.expired():
             other_frames = f", but {frames}" if (frames := ins.describe_foreign_frames()) else ""
-            subject = (
-                "the DBC file and ins.identifier_offset"
-                if other_frames
-                else "the bus, its bit rate and the cable"
-            )
+            subject = "the bus, its bit rate and the cable"
+            if other_frames:
+                subject = "the DBC file and ins.identifier_offset"
             raise NoReplyError(_SUBJECT, f"sends nothing{other_frames}. Check its power, {subject}.")
     while ins.status().mode is InsMode.BOOT and not deadline.expired():
         clock.sleep(1.0)
@@ -160,7 +158,7 @@ def _observe(ins: CanIns, clock: Clock, period_s: float, traffic: CanTraffic) ->
 def _resolution_check(station: Station, ins: CanIns) -> Check:
     limits = resolution_report(station.file.ins.signals, ins.codec)
     worst = max(limits, key=lambda limit: limit.worst_dph)
-    steps = {f"{limit.unit}": limit.lsb for limit in limits}
+    steps = {limit.unit: limit.lsb for limit in limits}
     return _check(
         "resolution",
         all(limit.sufficient for limit in limits),
