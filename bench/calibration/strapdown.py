@@ -84,17 +84,10 @@ def white_rows(
 ) -> tuple[FloatArray, FloatArray]:
     """Rows (m, c) and data (m,), white with unit variance, of a unit that begins at rest.
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-        Of the corrected increments, with the responses to c columns.
-    lengths_s : ndarray, shape (n,)
-        Of the epochs.
-    whole_turns : float, optional
-        Standard uncertainty, rad, of the table's return after whole turns; without it spins are rotations.
-    heading : float, optional
-        Standard uncertainty, rad, of the change of heading in the table's rotations about Up; without it
-        these are not used.
+    ``trajectory`` is that of the corrected increments, with the responses to c columns; ``lengths_s``, shape
+    (n,), are those of the epochs. ``whole_turns`` and ``heading`` are standard uncertainties, rad: of the
+    table's return after whole turns, without which spins are rotations, and of the change of heading in the
+    table's rotations about Up, which are not used without it.
     """
     n, turns = len(lengths_s), _turns(epochs, whole_turns, heading)
     starts, ends = np.full((2, n + 1), -1, np.int64)

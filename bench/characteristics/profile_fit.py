@@ -35,9 +35,8 @@ class ProfileFit:
     coefficients: FloatArray  #: Shape (k,). Coefficients of the best design.
     fitted: FloatArray  #: Shape (n,). Values of the best fit.
     weights: FloatArray  #: Shape (d,). Of each design; they add up to 1.
-    deviance: (
-        FloatArray  #: Shape (d,). chi2 of each design with its penalty, relative to the best, over scale^2.
-    )
+    #: Shape (d,). chi2 of each design with its penalty, relative to the best, over scale^2.
+    deviance: FloatArray
     scale: float  #: Factor on the standard uncertainties that explains the scatter; 1 or more.
     designs: IntArray  #: Shape (m,). Index of the design of each draw.
     draws: FloatArray  #: Shape (m, k). Coefficients of each draw.

@@ -32,22 +32,11 @@ from gyrobench.bench.runs.provenance import read_provenance
 
 _TEXT_COLUMNS = frozenset(
     {
-        *(
-            "unit",
-            "run",
-            "position",
-            "gyro",
-            "coefficient",
-            "method",
-            "finding",
-            "flags",
-            "effect",
-            "compensation",
-            "term",
-        ),
-        *("result", "quantity", "axis", "contribution", "type", "distribution", "input_unit", "note"),
+        "unit", "run", "position", "gyro", "coefficient", "method", "finding", "flags", "effect",
+        "compensation", "term", "result", "quantity", "axis", "contribution", "type", "distribution",
+        "input_unit", "note",
     }
-)
+)  # fmt: skip
 _INTEGER_COLUMNS = frozenset(
     {"dwell", "cycle", "stop", "plateau", "dwells", "turned_dwell", "count", "part", "step", "mode"}
 )

@@ -27,21 +27,8 @@ _SEPARATORS = {"comma": ",", "semicolon": ";", "tab": "\t", "whitespace": " "}
 _BLOCK_BYTES = 1 << 22
 _GZIP_SIGNATURE = b"\x1f\x8b"
 _NOT_MEASURED = (
-    "",
-    "nan",
-    "NaN",
-    "NAN",
-    "-nan",
-    "-NaN",
-    "na",
-    "NA",
-    "n/a",
-    "N/A",
-    "null",
-    "NULL",
-    "None",
-    "none",
-)
+    "", "nan", "NaN", "NAN", "-nan", "-NaN", "na", "NA", "n/a", "N/A", "null", "NULL", "None", "none"
+)  # fmt: skip
 _NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?|[-+]?(inf|infinity)", re.IGNORECASE)
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 

@@ -364,7 +364,6 @@ def _cycles(
 
 
 def _position(window: Window, log_map: LogMap) -> str:
-    """Position of the unit in a window."""
     rule = log_map.averages.position
     if rule.constant is not None:
         return rule.constant

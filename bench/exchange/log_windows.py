@@ -347,7 +347,7 @@ def cut_windows(batches: Iterable[Samples], window_s: float, skip_s: float) -> I
         if index.size == 0 or index[0] == index[-1]:
             continue
         last_window = int(np.searchsorted(index, index[-1]))
-        for samples in _split_windows(pending, index, 0, last_window):
+        for samples in _split_windows(pending, index[:last_window]):
             yield _window(samples, window_s, skip_s, before_s)
             before_s = float(samples["time_s"][-1])
         pending = {name: values[last_window:] for name, values in pending.items()}
@@ -364,9 +364,9 @@ def _window_index(time_s: FloatArray, window_s: float, skip_s: float) -> NDArray
     return np.asarray((time_s - skip_s + _TIME_RESOLUTION_S) // window_s, dtype=np.intp)
 
 
-def _split_windows(samples: Samples, index: NDArray[np.intp], begin: int, end: int) -> Iterator[Samples]:
-    borders = np.flatnonzero(np.diff(index[begin:end])) + 1 + begin
-    for first, last in zip([begin, *borders], [*borders, end], strict=True):
+def _split_windows(samples: Samples, index: NDArray[np.intp]) -> Iterator[Samples]:
+    borders = np.flatnonzero(np.diff(index)) + 1
+    for first, last in zip([0, *borders], [*borders, len(index)], strict=True):
         yield {name: values[first:last] for name, values in samples.items()}
 
 

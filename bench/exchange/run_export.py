@@ -154,15 +154,12 @@ def _export_telemetry(folder: RunFolder, start: datetime, name: str, destination
     Raises RunFolderError if telemetry can't be read, or the file can't be written.
     """
     readings = read_telemetry(folder.telemetry)
-    columns = {column: _with_nulls(column, values) for column, values in readings.items()}
+    columns = {
+        column: pa.array(values, pa.float64(), from_pandas=True).cast(type_of(column))
+        for column, values in readings.items()
+    }
     table = pa.table({UTC_FIELD.name: calendar_times(start, readings["time_s"]), **columns})
     destination.table(name, _SCHEMA, iter([table]), source=folder.telemetry.name)
-
-
-def _with_nulls(column: str, values: np.ndarray) -> pa.Array:
-    """Values in the type of their column, with null for NaN."""
-    with_nulls = pa.array(values, pa.float64(), from_pandas=True)
-    return with_nulls.cast(type_of(column))
 
 
 _TABLE_NAMES = MappingProxyType(
@@ -242,7 +239,6 @@ def _files(kind: DataKind, selection: ExportSelection) -> list[str]:
 
 
 def _write(folder: RunFolder, kind: DataKind, selection: ExportSelection, destination: ExportFolder) -> None:
-    """Write the files of one kind."""
     if kind is DataKind.COMPENSATION:
         _write_compensation(folder, selection.suffixes(kind), destination)
         return
@@ -354,14 +350,9 @@ def _polynomial(compensation: Compensation, gyro: int, temperature_c: FloatArray
 
 _TERMS_SCHEMA = pa.schema(
     [
-        pa.field("gyro", pa.string()),
-        pa.field("number", pa.string()),
-        pa.field("index", pa.string()),
-        pa.field("value", pa.float64()),
-        pa.field("sigma", pa.float64()),
-        pa.field("unit", pa.string()),
-        pa.field("term", pa.string()),
-        pa.field("meaning", pa.string()),
+        *((name, pa.string()) for name in ("gyro", "number", "index")),
+        *((name, pa.float64()) for name in ("value", "sigma")),
+        *((name, pa.string()) for name in ("unit", "term", "meaning")),
     ]
 )
 

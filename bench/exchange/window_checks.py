@@ -76,16 +76,10 @@ def _sample_interval_s(windows: Sequence[Window]) -> float:
     return float(np.median(intervals)) if intervals else 0.0
 
 
-def _max_gap_s(windows: Sequence[Window], log_map: LogMap) -> float:
-    """Longest time between samples of a valid window."""
-    if log_map.max_gap_s is not None:
-        return log_map.max_gap_s
-    return max(5.0 * _sample_interval_s(windows), 0.01 * log_map.averages.window_s)
-
-
 def rejection_reasons(windows: Sequence[Window], log_map: LogMap) -> list[str]:
     """Reason why each window of a log is left out; empty for a valid window."""
-    interval_s, gap_s = _sample_interval_s(windows), _max_gap_s(windows, log_map)
+    interval_s = _sample_interval_s(windows)
+    gap_s = log_map.max_gap_s or max(5.0 * interval_s, 0.01 * log_map.averages.window_s)
     saturation = _saturation_dph(windows, log_map)
     stuck = _stuck_temperature(windows, log_map)
     return [

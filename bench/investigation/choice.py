@@ -122,20 +122,11 @@ def linearize(
     noise_scale: float,
     run_spread_dph: float,
 ) -> LinearizedHypothesis:
-    """Linearize a hypothesis about its fit to the measured dwells of a campaign.
+    """Linearize a hypothesis about its fit to the ``measured`` ones (n,) of the n dwells of a campaign.
 
-    Parameters
-    ----------
-    campaign : Campaign
-        n dwells; new ones have forecast temperatures and expected uncertainties.
-    measured : ndarray of bool, shape (n,)
-        Whether a dwell was measured.
-    candidates : sequence of Candidate
-        The effects of the hypothesis, with their fitted parameters.
-    noise_scale : float
-        Ratio of the noise to the stated uncertainties.
-    run_spread_dph : float
-        Standard deviation of the bias from one power-on to the next.
+    New dwells have forecast temperatures and expected uncertainties. ``candidates`` are the effects of the
+    hypothesis, with their fitted parameters; ``noise_scale`` is the ratio of the noise to the stated
+    uncertainties, ``run_spread_dph`` the standard deviation of the bias from one power-on to the next.
     """
     sigma_dph = campaign.sigma_dph * noise_scale
     linear_columns = [_linear_columns(campaign, candidates, gyro) for gyro in range(3)]

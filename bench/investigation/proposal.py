@@ -143,20 +143,10 @@ def propose(
 ) -> list[Proposal]:
     """Possible blocks, best first: by entropy decrease per hour, or with a profile by remaining hours.
 
-    Parameters
-    ----------
-    forecast : Forecast
-        Forecast from all dwells measured.
-    rivals : sequence of Rival
-        Hypotheses fitted to these dwells.
-    possible : PossibleBlocks, optional
-        By default all blocks, on a bench that stays in the state after the last dwell.
-    profile : Profile, optional
-        Adds blocks with its dwells.
-    calibration : ProfileCalibration, optional
-        If given, information about the biases of the profile counts too.
-    is_settled : bool
-        Whether only this information counts; the proposals then have no predictions.
+    ``forecast`` is from all dwells measured, ``rivals`` are the hypotheses fitted to them. ``possible``: by
+    default all blocks, on a bench that stays in the state after the last dwell; a ``profile`` adds blocks
+    with its dwells. With a ``calibration``, information about the biases of the profile counts too;
+    ``is_settled``: whether only this counts, and the proposals have no predictions.
     """
     rows, possible = forecast.measured, possible or PossibleBlocks()
     start = possible.planner.start(rows)
