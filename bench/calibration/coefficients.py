@@ -114,23 +114,16 @@ _GYRO_BIAS, _GYRO_MATRIX = slice(0, 3), slice(3, 12)
 _FORCE_BIAS, _FORCE_MATRIX = slice(12, 15), slice(15, 21)
 
 
-def _zero_vector() -> FloatArray:
-    return np.zeros(3)
-
-
-def _zero_matrix() -> FloatArray:
-    return np.zeros((3, 3))
-
-
 @dataclass(frozen=True, eq=False)
 class SensorErrors:
     """Errors of three gyros and three accelerometers, SI."""
 
-    gyro_bias: FloatArray = field(default_factory=_zero_vector)  #: Shape (3,), rad/s.
-    #: Shape (3, 3). Scale factors and misalignments.
-    gyro_matrix: FloatArray = field(default_factory=_zero_matrix)
-    force_bias: FloatArray = field(default_factory=_zero_vector)  #: Shape (3,), m/s^2, of the accelerometers.
-    force_matrix: FloatArray = field(default_factory=_zero_matrix)  #: Shape (3, 3), of the accelerometers.
+    #: gyro_bias, force_bias: Shapes (3,), rad/s and m/s^2, of gyros and accelerometers.
+    #: gyro_matrix, force_matrix: Shapes (3, 3), their scale factors and misalignments.
+    gyro_bias: FloatArray = field(default_factory=lambda: np.zeros(3))
+    gyro_matrix: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+    force_bias: FloatArray = field(default_factory=lambda: np.zeros(3))
+    force_matrix: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
 
     @classmethod
     def from_vector(cls, values: FloatArray) -> Self:

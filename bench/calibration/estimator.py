@@ -223,7 +223,8 @@ def _problem(
     recordings: Sequence[IncrementRecording], noise: SensorNoise, site: Site, options: CalibrationOptions
 ) -> tuple[list[list[RecordedRotation]], CalibrationProblem]:
     """Rotations found in each recording, and the least-squares problem with them."""
-    bias = _initial_bias(recordings)
+    mean_rate = np.concatenate([each.rest_means()[0] for each in recordings]).mean(axis=0)
+    bias = mean_rate if np.linalg.norm(mean_rate) > 3.0 * EARTH_RATE else np.zeros(3)
 
     def problem(options: CalibrationOptions) -> CalibrationProblem:
         sections = [IncrementSection.between_rests(*each) for each in zip(recordings, rotations, strict=True)]
@@ -368,9 +369,3 @@ def _check_size(values: FloatArray, is_observed: BoolArray) -> None:
                 f"{_MAX_ELEMENT:g} is possible. Check unit, signs and axes of '{columns}' in the import map; "
                 "of a run, those of ins.signals, and whether the table turns as its angles say"
             )
-
-
-def _initial_bias(recordings: Sequence[IncrementRecording]) -> FloatArray:
-    """Mean gyro rates as initial biases if they exceed the Earth's rate by far; otherwise zero."""
-    mean = np.concatenate([each.rest_means()[0] for each in recordings]).mean(axis=0)
-    return np.asarray(mean if np.linalg.norm(mean) > 3.0 * EARTH_RATE else np.zeros(3))

@@ -282,7 +282,6 @@ def _noise(means: FloatArray) -> FloatArray:
 
 
 def _agrees_with_neighbours(means: FloatArray, tolerance: float) -> BoolArray:
-    """Whether each block agrees with its neighbours."""
     steps = np.abs(np.diff(means, axis=0)) <= tolerance + _SIGMAS * np.sqrt(2.0) * _noise(means)
     same = np.concatenate([[True], steps.all(axis=1), [True]])
     return np.asarray(same[1:] & same[:-1])

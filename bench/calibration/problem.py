@@ -258,7 +258,6 @@ class CalibrationProblem:
         return widened, widened.solve(), offset, text
 
     def _spin_errors(self, estimates: Estimates) -> list[SpinError]:
-        """Error of each spin for these estimates."""
         pairs = zip(self.sections, estimates.starts, strict=True)
         return [
             spin for each, start in pairs for spin in each.spin_errors(start, estimates.common, self.site)

@@ -97,7 +97,8 @@ def white_rows(
     for number, (a, b, R, _) in enumerate(turns):
         starts[a], ends[b] = number, number
         stacked[n + number, :, :columns] = trajectory.response[b, :3] - R @ trajectory.response[a, :3]
-        stacked[n + number, :, columns] = _turn_error(trajectory, a, b, R)
+        error = trajectory.attitude[b] @ trajectory.attitude[a].T @ R.T
+        stacked[n + number, :, columns] = -rotation_vectors(error[np.newaxis])[0]
     white = float(np.mean(noise.white_velocity**2)) + _MIN_VELOCITY**2
     output = 2.0 * float(np.mean(noise.white_angle**2)) + _MIN_ANGLE**2
     R = np.array([each[2] for each in turns]).reshape(-1, 3, 3)
@@ -356,12 +357,6 @@ def _turns(epochs: IncrementEpochs, whole_turns: float | None, heading: float | 
     if whole_turns is not None:
         turns |= {a: (a, b, R, (whole_turns, whole_turns, whole_turns)) for a, b, R in epochs.spins}
     return list(turns.values())
-
-
-def _turn_error(trajectory: Trajectory, a: int, b: int, rotation: FloatArray) -> FloatArray:
-    """Negative error (3,) of the computed attitude after a known rotation."""
-    turn = trajectory.attitude[b] @ trajectory.attitude[a].T @ rotation.T
-    return np.asarray(-rotation_vectors(turn[np.newaxis])[0])
 
 
 def _intervals(

@@ -105,7 +105,8 @@ class Engine:
                 self._handle_pending_events(planned)
                 self._perform(planned)
                 index += 1
-                if planned.dwell and self._is_last_of_dwell(planned):
+                is_last = index == len(self._plan.steps) or self._plan.steps[index].dwell != planned.dwell
+                if planned.dwell and is_last:
                     if self._units.finish_dwell(planned.dwell):
                         index, retained = self._after_dwell(planned.dwell, None)
                     else:
@@ -266,10 +267,6 @@ class Engine:
                     f"no answer within {max_hold_s / 3600.0:g} h on the compensation stored in the INS. "
                     "Resume the run and choose: clear, keep or stop"
                 )
-
-    def _is_last_of_dwell(self, planned: PlannedStep) -> bool:
-        later = self._plan.steps[planned.number : planned.number + 1]
-        return not later or later[0].dwell != planned.dwell
 
     # interruptions
 

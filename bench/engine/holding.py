@@ -145,9 +145,12 @@ class Holding:
         """Wait until the run may continue; returns the source of the continuation."""
         clock, begin_s = self._bench.clock, self._bench.clock.now()
         max_hold_s = self._bench.station.file.interlocks.max_hold_s
+        held_for = {trip.name for trip in trips}
         for source in self._continuations(reason, needs_operator=after_s is None):
             held_s = clock.now() - begin_s
-            self._raise_other_trips(trips)
+            others = [trip for trip in self._bench.trips() if trip.name not in held_for]
+            if others:
+                raise TrippedError(others)
             if source and self._is_clear(trips):
                 return source
             if after_s is not None and self._untripped_for_s(trips, held_s) >= after_s:
@@ -155,12 +158,6 @@ class Holding:
             if held_s > max_hold_s:
                 break
         raise RunStoppedError(f"held for longer than {max_hold_s / 3600.0:g} h: {reason}")
-
-    def _raise_other_trips(self, trips: Sequence[Trip]) -> None:
-        held_for = {trip.name for trip in trips}
-        others = [trip for trip in self._bench.trips() if trip.name not in held_for]
-        if others:
-            raise TrippedError(others)
 
     def _untripped_for_s(self, trips: Sequence[Trip], held_s: float) -> float:
         """Time since the causes of the hold have cleared, s; zero while anything is tripped or unsafe."""

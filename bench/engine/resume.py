@@ -397,7 +397,9 @@ def _read_one(
     if not has_dwells:
         state.lost.clear()
     if damaged is None:
-        damage = replace(damage, dwells=(*damage.dwells, *sorted(state.lost - _given_up_dwells(entries))))
+        given_up = (entry["dwells"] for entry in entries if entry.get("event") == "data_given_up")
+        lost = state.lost.difference(*given_up)
+        damage = replace(damage, dwells=(*damage.dwells, *sorted(lost)))
     else:
         damage = damaged[number]
     state.mark_lost(damage.dwells)
@@ -427,12 +429,6 @@ def give_up_damage(resumption: Resumption) -> None:
         for part in resumption.parts:
             if part.damage:
                 part.damage.give_up(part.folder, resumption.clock)
-
-
-def _given_up_dwells(entries: Sequence[Mapping[str, Any]]) -> set[int]:
-    """Dwells whose data were given up before."""
-    dwell_lists = (entry["dwells"] for entry in entries if entry.get("event") == "data_given_up")
-    return {dwell for dwells in dwell_lists for dwell in dwells}
 
 
 def _is_evaluated(folder: RunFolder) -> bool:

@@ -183,12 +183,6 @@ class _Start:
     #: Identities that table and chamber must have.
     expected_identities: Mapping[str, str] = field(default_factory=dict)
 
-    def open_folder(self) -> RunFolder:
-        """Return the run folder; that of a new run is created."""
-        if isinstance(self.folder, RunFolder):
-            return self.folder
-        return create_run_folder(self.folder, self.job.plan.procedure.procedure)
-
 
 def _write_inputs(job: Job, clock: Clock, folder: RunFolder, identities: Mapping[str, str]) -> None:
     units = [(unit, folder.unit(unit.number)) for unit in job.station.units if unit.number]
@@ -249,7 +243,9 @@ def _open(
     )
     identities = {each: instruments.identify(each) for each in (RATE_TABLE, CHAMBER)}
     instruments.require_no_profile()
-    folder = start.open_folder()
+    folder = start.folder
+    if not isinstance(folder, RunFolder):
+        folder = create_run_folder(folder, job.plan.procedure.procedure)
     bench_lock.sign(folder.path)
     run_lock = resources.enter_context(RunLock(folder.path, clock))
     units = start.prepare(folder, identities)

@@ -377,6 +377,7 @@ def _window(samples: Samples, window_s: float, skip_s: float, before_s: float) -
     rates = np.column_stack([samples[name] for name in RATES])
     valid = np.isfinite(rates).all(axis=1)
     rates = rates[valid]
+    abs_rates = np.abs(rates)
     steps = np.diff(time_s, prepend=time_s[0] if np.isnan(before_s) else before_s)
     means, slopes, smallest, spans = {}, {}, {}, {}
     for name, values in samples.items():
@@ -395,8 +396,10 @@ def _window(samples: Samples, window_s: float, skip_s: float, before_s: float) -
         scatter_dph=rates.std(axis=0, ddof=1) if is_sufficient else unknown,
         blocks_dph=_blocks(rates) if is_sufficient else np.empty((0, 3)),
         rate_step_dph=np.array([_smallest_step(rate) for rate in rates.T]),
-        extreme_dph=np.abs(rates).max(axis=0, initial=0.0),
-        max_samples_at_extreme=np.array([_max_samples_at_extreme(rate) for rate in rates.T]),
+        extreme_dph=abs_rates.max(axis=0, initial=0.0),
+        max_samples_at_extreme=np.array(
+            [max_consecutive(each == each.max(initial=0.0)) for each in abs_rates.T]
+        ),
         max_samples_unchanged=np.array([1 + max_consecutive(np.diff(rate) == 0.0) for rate in rates.T]),
         means=means,
         slopes_per_h=slopes,
@@ -427,11 +430,6 @@ def _smallest_step(values: FloatArray) -> float:
     steps = np.abs(np.diff(values))
     steps = steps[steps > _ROUNDING * np.abs(values).max(initial=0.0)]
     return float(steps.min(initial=np.inf))
-
-
-def _max_samples_at_extreme(rate: FloatArray) -> int:
-    magnitudes = np.abs(rate)
-    return max_consecutive(magnitudes == magnitudes.max(initial=0.0))
 
 
 def _mean(values: FloatArray) -> float:

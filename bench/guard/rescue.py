@@ -115,7 +115,8 @@ class Rescue:
                     resources.enter_context(lock)
                     return resources.pop_all()
                 except BenchInUseError:
-                    if not self._does_engine_hold():
+                    holders = bench_holders(self._station)
+                    if holders and not any(each in self._engine_holders for each in holders):
                         raise
                     if self._killed:  # a killed engine can't act, so its lock protects nothing
                         return nullcontext()
@@ -126,10 +127,6 @@ class Rescue:
                 self._log.add("the engine does not release the bench")
                 self._kill()
             self._clock.sleep(_LOCK_PERIOD_S)
-
-    def _does_engine_hold(self) -> bool:
-        holders = bench_holders(self._station)
-        return not holders or any(holder in self._engine_holders for holder in holders)
 
     def _make_safe(self, outputs: Outputs, only: list[str] | None) -> Iterator[list[SafeAction]]:
         """Make the bench safe; yields the actions performed, then those of a ramp as they complete."""

@@ -359,7 +359,8 @@ def _linearize_rivals(
         above_c = campaign.board_c - campaign.gyro_c
         above_c[measured] = measured_campaign.above_optics_c
         campaign = replace(campaign, forecast_above_optics_c=above_c)
-    spread_dph = _run_spread_dph(forecast)
+    sigma_dph = float(np.nanmedian([row.sigma_dph for row in forecast.measured]))
+    spread_dph = _RUN_SPREAD * forecast.noise_scale * sigma_dph
     result = []
     for each in rivals:
         candidates, unpredictable_dph = _predictable(each, campaign, measured, measured_campaign)
@@ -390,12 +391,6 @@ def _predictable(
     )
     size_dph = rms(solution.bias_dph - solve_with(problem, ()).bias_dph)
     return [each for each in candidates if each not in missing], size_dph
-
-
-def _run_spread_dph(forecast: Forecast) -> float:
-    """Standard deviation of the bias from one power-on to the next."""
-    sigma_dph = float(np.nanmedian([row.sigma_dph for row in forecast.measured]))
-    return _RUN_SPREAD * forecast.noise_scale * sigma_dph
 
 
 @dataclass(frozen=True)

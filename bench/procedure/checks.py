@@ -332,8 +332,11 @@ def _unpaired_check_problems(plan: Plan) -> Iterator[DocumentProblem]:
     A gyro bias changes the two headings in opposite directions, an azimuth error of the table in the same.
     """
     groups: dict[tuple[int, int, str | None], list[PlannedStep]] = defaultdict(list)
-    for number, plateau in enumerate(_plateaus(plan)):
-        for window in _check_navigations(plateau):
+    plateaus = itertools.groupby(
+        plan.steps, lambda planned: (planned.before.powered, planned.before.set_point_c)
+    )
+    for number, (_, plateau) in enumerate(plateaus):
+        for window in _check_navigations(list(plateau)):
             groups[number, window.cycle, window.before.position].append(window)
     for windows in groups.values():
         for check, partner in half_turn_pairs(windows, lambda window: window.before.azimuth_deg):
@@ -346,14 +349,6 @@ def _unpaired_check_problems(plan: Plan) -> Iterator[DocumentProblem]:
                 f"Add the same position ({check.before.position}) at azimuth {opposite_deg:g} deg, "
                 "in the same cycle, before the next chamber or power step",
             )
-
-
-def _plateaus(plan: Plan) -> Iterator[list[PlannedStep]]:
-    """Split a plan where the set point of the chamber or the power changes."""
-    for _, steps in itertools.groupby(
-        plan.steps, key=lambda planned: (planned.before.powered, planned.before.set_point_c)
-    ):
-        yield list(steps)
 
 
 def _check_navigations(steps: Sequence[PlannedStep]) -> Iterator[PlannedStep]:
@@ -387,7 +382,11 @@ def _reach_problems(plan: Plan, planned: PlannedStep, limits: StationLimits) -> 
     for count in range(len(turns_deg) + 1):
         reason = limits.unreachable_reason(step.position, step.azimuth_deg, turns_deg[:count])
         if reason:
-            route, place = f"azimuth {step.azimuth_deg:g}", _unreachable_key(planned, step, limits)
+            route = f"azimuth {step.azimuth_deg:g}"
+            is_azimuth_wrong = "azimuth_deg" in step.model_fields_set and _reachable_azimuths_deg(
+                step.position, limits
+            )
+            place = planned.place_of("azimuth_deg" if is_azimuth_wrong else "position")
             if count:
                 route += f", then turns of {', '.join(map(turn_text, turns_deg[:count]))}"
                 last = turns[count - 1][0]
@@ -395,13 +394,6 @@ def _reach_problems(plan: Plan, planned: PlannedStep, limits: StationLimits) -> 
             advice = _reach_advice(step, turns_deg, limits)
             yield DocumentProblem(place, f"{step.position} at {route} deg can't be reached: {reason}{advice}")
             return
-
-
-def _unreachable_key(planned: PlannedStep, step: GoTo, limits: StationLimits) -> KeyPath:
-    has_other_azimuth = "azimuth_deg" in step.model_fields_set and _reachable_azimuths_deg(
-        step.position, limits
-    )
-    return planned.place_of("azimuth_deg" if has_other_azimuth else "position")
 
 
 def _reach_advice(step: GoTo, turns_deg: tuple[TurnOrMove, ...], limits: StationLimits) -> str:

@@ -84,7 +84,11 @@ def _checked_arguments(
     protocol: type[RateTable | Chamber], ask: str, arguments: Mapping[str, Any], axes: Sequence[int]
 ) -> dict[str, Any] | DocumentProblem:
     """Arguments of a call converted to their types, or a problem located within the call."""
-    methods = dict(_methods(protocol))
+    methods: dict[str, Callable[..., object]] = {
+        name: method
+        for name, method in vars(protocol).items()
+        if inspect.isfunction(method) and not name.startswith("_") and name != "close"
+    }
     if ask not in methods:
         return DocumentProblem(
             ("ask",), f"a {protocol.__name__} has no method '{ask}'{did_you_mean(ask, methods)}"
@@ -105,12 +109,6 @@ def _checked_arguments(
     if unknown:
         return DocumentProblem(("arguments",), f"{ask}: there is no axis {min(unknown)}, only {list(axes)}")
     return typed
-
-
-def _methods(protocol: type[RateTable | Chamber]) -> Iterator[tuple[str, Callable[..., object]]]:
-    for name, method in vars(protocol).items():
-        if inspect.isfunction(method) and not name.startswith("_") and name != "close":
-            yield name, method
 
 
 def _open_driver(recording: Recording, line: SerialLine) -> RateTable | Chamber:

@@ -109,12 +109,6 @@ class CorrectionIndices(StrictModel):
         "highest: in the order of the keys above; 0 and 0 where those of the gyro's bias are",
     )
 
-    def first_index(self, sensor: str, sensed: int | None) -> int:
-        """First index of a coefficient; ``sensed`` is the sensed axis, None for a bias."""
-        if sensed is None:
-            return self.accelerometer_bias
-        return (self.gyro if sensor == "gyro" else self.accelerometer)[sensed]
-
     def first_indices(self) -> list[int]:
         """First indices of all coefficients of one axis, in the order of the keys."""
         return [*self.gyro, self.accelerometer_bias, *self.accelerometer]
@@ -273,7 +267,8 @@ class CoefficientCommand(Command):
             for name, each in compensation.coefficients.items():
                 sensor, sensor_axis, sensed = correction_axes(name)
                 if sensor_axis == axis:
-                    first = self.others.first_index(sensor, sensed)
+                    row = self.others.gyro if sensor == "gyro" else self.others.accelerometer
+                    first = self.others.accelerometer_bias if sensed is None else row[sensed]
                     numbers |= dict(enumerate(each.numbers().tolist(), first))
                     if each.range_c is not None and first in limits:
                         numbers |= dict(enumerate(each.range_c, limits[first]))

@@ -238,9 +238,8 @@ class _Layout:
         }
         little, big = np.zeros(count, "<u8"), np.zeros(count, ">u8")
         for name, field in self.fields.items():
-            bits = np.where(
-                self._is_selected(name, raw.__getitem__), field.shift_into_place(raw[name]), np.uint64(0)
-            )
+            bits = (raw[name] << field.right_shift) >> field.left_shift
+            bits = np.where(self._is_selected(name, raw.__getitem__), bits, np.uint64(0))
             if field.big_endian:
                 big |= bits
             else:
@@ -361,10 +360,6 @@ class BitField:
             raise MeasurementError(f"the integer signal {self.signal.name} can't carry NaN")
         return _rounded(scaled, length, self.signal.is_signed) & np.uint64(2**length - 1)
 
-    def shift_into_place(self, raw: Words) -> Words:
-        """Move right-aligned bits to their place in a word."""
-        return (raw << self.right_shift) >> self.left_shift
-
 
 def _rounded(values: FloatArray, length: int, signed: bool) -> Words:
     low, high = (-(2 ** (length - 1)), 2 ** (length - 1) - 1) if signed else (0, 2**length - 1)
@@ -419,9 +414,12 @@ def _find_oversized(text: str) -> Iterator[str]:
 
 def _find_undecodable(database: Database) -> Iterator[str]:
     """Find duplicate messages, and signals of classic CAN messages whose values can't be computed."""
+    identifiers = [
+        f"{each.frame_id}{' with 29 bits' if each.is_extended_frame else ''}" for each in database.messages
+    ]
     for kind, keys in (
         ("message called", [message.name for message in database.messages]),
-        ("message numbered", [_identifier_text(message) for message in database.messages]),
+        ("message numbered", identifiers),
     ):
         duplicates = [each for each, count in Counter(keys).items() if count > 1]
         yield from (f"a second {kind} {each}" for each in duplicates)
@@ -432,10 +430,6 @@ def _find_undecodable(database: Database) -> Iterator[str]:
                 yield f"{name}: a floating-point number of {signal.length} bits"
             if signal.scale == 0 or not math.isfinite(signal.scale) or not math.isfinite(signal.offset):
                 yield f"{name}: scale {signal.scale} and offset {signal.offset}"
-
-
-def _identifier_text(message: Message) -> str:
-    return f"{message.frame_id}{' with 29 bits' if message.is_extended_frame else ''}"
 
 
 def _line(text: str, match: re.Match[str]) -> int:

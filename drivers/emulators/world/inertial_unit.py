@@ -166,23 +166,12 @@ class InertialUnit:
         return up / math.sqrt(up @ up) if self._counts[_SECOND] else np.zeros(3)
 
     def advance(self, first_sample: int, rotation: FloatArray, velocity: FloatArray) -> Epochs | None:
-        """Process the next sensor samples.
+        """Process the next sensor samples; the epochs within them, None while the unit is off or boots.
 
-        They must not extend beyond the next whole second, unless they start at a whole second. During
-        alignment the samples are processed only up to the second in which the alignment quality changes;
-        ``used_samples`` of the result gives their number.
-
-        Parameters
-        ----------
-        first_sample : int
-            Index of the first sample; sample k ends at time (k + 1) / 100 s.
-        rotation, velocity : ndarray, shape (n, 3)
-            Measured increments, rad and m/s, compensation already subtracted.
-
-        Returns
-        -------
-        Epochs or None
-            The epochs within the processed samples; None while the unit is off or boots.
+        Sample k ends at time (k + 1) / 100 s. ``rotation`` and ``velocity``, (n, 3), are measured increments,
+        rad and m/s, compensation already subtracted. They must not extend beyond the next whole second,
+        unless they start at a whole second. During alignment the samples are processed only up to the second
+        in which the alignment quality changes; ``used_samples`` of the result gives their number.
         """
         n = len(rotation)
         if self.mode is Mode.OFF:

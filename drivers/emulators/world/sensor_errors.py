@@ -110,30 +110,15 @@ def measure(
     reference_c: float, gyro_bias: FloatArray, added_dph: FloatArray, compensated_dph: FloatArray,
     normal: FloatArray, count: int, dt: float, walks: FloatArray, pulses: FloatArray, remainders: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """Compute the output of gyros and accelerometers for ``count`` samples of each of n seconds.
+    """Compute the increments measured in ``count`` samples of each of n seconds, each as by :func:`sense`.
 
-    Each sample is computed as by :func:`sense`.
-
-    Parameters
-    ----------
-    rotation, velocity : ndarray, shape (m, 3)
-        True increments of all seconds, or those of one second at rest, which are repeated.
-    polynomials, walks, pulses : ndarray, shape (2, 6, 12), (2,), (2,)
-        Errors of gyros and accelerometers; see :class:`TriadErrors`.
-    temperature_c : ndarray, shape (n, 7)
-        See :class:`~gyrobench.drivers.emulators.world.thermal.ThermalNetwork`; the accelerometers have the
-        temperature of the case.
-    gyro_bias, added_dph, compensated_dph : ndarray, shape (3,), (n, 3), (3,)
-        Added to the gyros' biases, rad/s and deg/h, and subtracted from them, deg/h.
-    normal : ndarray, shape (n, k)
-        Standard normal numbers: first six for each sample; others are ignored.
-    remainders : ndarray, shape (2, 3)
-        Quantisation remainders of gyros and accelerometers; updated.
-
-    Returns
-    -------
-    rotation, velocity : ndarray, shape (n * count, 3)
-        Measured increments.
+    ``rotation`` and ``velocity``, (m, 3), are the true increments of all seconds, or those of one second at
+    rest, which are repeated. ``polynomials`` (2, 6, 12), ``walks`` (2,) and ``pulses`` (2,) are the errors of
+    gyros and accelerometers, see :class:`TriadErrors`. ``temperature_c`` (n, 7) is that of
+    :class:`~gyrobench.drivers.emulators.world.thermal.ThermalNetwork`; the accelerometers have the
+    temperature of the case. ``gyro_bias`` (3,) in rad/s and ``added_dph`` (n, 3) are added to the gyros'
+    biases, ``compensated_dph`` (3,) is subtracted. ``normal`` (n, k) has standard normal numbers, first six
+    for each sample; others are ignored. The quantisation ``remainders`` (2, 3) are updated.
     """
     n = normal.shape[0]
     measured = np.empty((2, n * count, 3))
@@ -168,16 +153,9 @@ def sense(
 ) -> FloatArray:  # fmt: skip
     """Compute the sensor output for true increments: the paper's (1) or (2), integrated over each sample.
 
-    Parameters
-    ----------
-    true, noise : ndarray, shape (n, 3)
-        True increments, and noise to add, in the same unit.
-    error_matrix : ndarray, shape (3, 3)
-        Scale factor errors on the diagonal, misalignments off the diagonal.
-    bias : ndarray, shape (3,)
-        Bias, in the unit of the increment per second.
-    pulse : float
-        Size of one output pulse; 0 for no quantisation. ``remainder``, shape (3,), carries the remainder.
+    ``true`` and ``noise``, (n, 3), have the same unit; ``bias`` (3,) is in that unit per second.
+    ``error_matrix`` has scale factor errors on its diagonal and misalignments off the diagonal. ``pulse`` is
+    the size of one output pulse, 0 for no quantisation; ``remainder`` (3,) carries the remainder.
     """
     out = noise.copy()
     _sense(out, true, error_matrix, bias, dt, pulse, remainder)

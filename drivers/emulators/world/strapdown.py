@@ -101,19 +101,10 @@ def true_increments(
     outer_axis: FloatArray, inner_axis: FloatArray, mounting: FloatArray, outer: FloatArray,
     inner: FloatArray, latitude: float, height: float, dt: float,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """Compute the output of ideal sensors at the table's centre.
+    """Compute the output of ideal sensors at the table's centre, body axes, each of shape (n, 3).
 
-    Parameters
-    ----------
-    outer, inner : ndarray, shape (n + 1,)
-        Axis angles in rad at the edges of the n samples.
-
-    Returns
-    -------
-    rotation : ndarray, shape (n, 3)
-        Rotation vector of the body against inertial space in each sample, rad, body axes.
-    velocity : ndarray, shape (n, 3)
-        Integral of the specific force over each sample, m/s, body axes.
+    It is the rotation vector against inertial space, rad, and the integral of the specific force, m/s, of
+    each sample. ``outer`` and ``inner``, (n + 1,), are the axis angles in rad at the edges of the samples.
     """
     n = outer.size - 1
     rotation = np.empty((n, 3))
@@ -233,21 +224,10 @@ def navigate(
     state: FloatArray, rotation: FloatArray, velocity: FloatArray, dt: float, height: float,
     first: int, every: int,
 ) -> FloatArray:  # fmt: skip
-    """Navigate at fixed altitude; updates ``state`` in place.
+    """Navigate at fixed altitude; updates ``state``, see :data:`STATE_SIZE`, and returns copies (m, 8) of it.
 
-    Parameters
-    ----------
-    state : ndarray, shape (8,)
-        See :data:`STATE_SIZE`.
-    rotation, velocity : ndarray, shape (n, 3)
-        Measured increments, body axes, rad and m/s.
-    first, every : int
-        The state is copied after sample ``first`` and after each ``every``-th sample from there.
-
-    Returns
-    -------
-    ndarray, shape (m, 8)
-        The copies.
+    ``rotation`` and ``velocity``, (n, 3), are measured increments, body axes, rad and m/s. The state is
+    copied after sample ``first`` and after each ``every``-th sample from there.
     """
     n = rotation.shape[0]
     copies = np.empty((max(0, (n - 1 - first) // every + 1) if first < n else 0, STATE_SIZE))
@@ -326,10 +306,7 @@ def euler_angles(C: FloatArray, pitch_first: bool) -> tuple[float, float, float]
 def euler_output(states: FloatArray, pitch_first: bool) -> FloatArray:
     """Velocity and :func:`euler_angles` of navigation states (n, 8), laid out as in :data:`STATE_SIZE`.
 
-    Returns
-    -------
-    ndarray, shape (n, 5)
-        Velocity north and east in m/s; roll, pitch and heading in rad, heading in [0, 2 pi).
+    The columns are velocity north and east in m/s; roll, pitch and heading in rad, heading in [0, 2 pi).
     """
     out = np.empty((states.shape[0], 5))
     for k in range(states.shape[0]):
