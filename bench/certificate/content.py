@@ -339,7 +339,6 @@ def certificate_of(folder: RunFolder, order: Order, *, simulated: bool = False) 
 
 
 def _label_with_unit(name: str) -> str:
-    """Name of a quantity with its unit in brackets."""
     match = _UNIT.search(name)
     if match is None:
         return plain_name(name)

@@ -100,8 +100,6 @@ def validate_dcc(content: bytes, schema: Path) -> None:
 
 
 class _Document:
-    """Builds the elements of a DCC."""
-
     def __init__(self, xml: Any) -> None:
         self._xml = xml
 

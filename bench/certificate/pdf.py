@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import io
 import math
 import tempfile
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-
-from matplotlib.figure import Figure
 
 from gyrobench.bench.certificate.content import BiasResult, Certificate, ModelNumber
 from gyrobench.bench.foundations.text import bin_label, decimals_of
@@ -222,13 +219,7 @@ def _figures(certificate: Certificate, folder: Path, watermark: str) -> Iterator
     dwells = [replace(each, paper_bias_dph=nan_biases) for each in run.dwells]
     bins = [replace(each, paper_bias_dph=math.nan) for each in run.bins]
     for name, draw in figures_of(replace(run, dwells=dwells, bins=bins)):
-        path = folder / f"{name}.svg"
-        path.write_bytes(_svg(draw(), watermark))
+        path, figure = folder / f"{name}.svg", draw()
+        draw_watermark(figure, watermark)
+        figure.savefig(path, metadata={"Date": None, "Title": watermark or None})
         yield name, path
-
-
-def _svg(figure: Figure, watermark: str) -> bytes:
-    stream = io.BytesIO()
-    draw_watermark(figure, watermark)
-    figure.savefig(stream, format="svg", metadata={"Date": None, "Title": watermark or None})
-    return stream.getvalue()

@@ -228,7 +228,6 @@ def _missing_reason(folder: RunFolder, kind: DataKind) -> str:
 
 
 def _files(kind: DataKind, selection: ExportSelection) -> list[str]:
-    """Names of the files of a kind."""
     suffixes = selection.suffixes(kind)
     if kind is DataKind.COMPENSATION:
         return compensation_files(suffixes)

@@ -208,8 +208,6 @@ class _JogCommand:
 
 
 class _Shell:
-    """Parses commands and executes them."""
-
     def __init__(self, control: ManualControl, display: Display) -> None:
         self._control = control
         self._display = display

@@ -44,7 +44,8 @@ class TimelineRow:
 
 def timeline_rows(plan: Plan) -> list[TimelineRow]:
     """Two rows for each plateau: one for the way to it, one for all its positions."""
-    return [_row(list(group)) for _, group in itertools.groupby(plan.steps, _plateau_and_placement)]
+    groups = itertools.groupby(plan.steps, lambda planned: (planned.plateau, planned.in_position))
+    return [_row(list(group)) for _, group in groups]
 
 
 def unsettled_soaks(plan: Plan) -> list[str]:
@@ -102,10 +103,6 @@ def position_spans(plan: Plan) -> list[tuple[float, float, str]]:
             is_rotated = any(planned.purpose is DwellPurpose.ROTATIONS for planned in visit)
             spans.append((visit[0].start_s, visit[-1].end_s, ROTATIONS if is_rotated else position))
     return spans
-
-
-def _plateau_and_placement(planned: PlannedStep) -> tuple[str, bool]:
-    return planned.plateau, planned.in_position
 
 
 def _row(group: Sequence[PlannedStep]) -> TimelineRow:

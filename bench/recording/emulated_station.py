@@ -13,8 +13,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
-from typing import Any, NoReturn, Self
+from typing import Any, Self
 from urllib.parse import urlsplit
 
 import yaml
@@ -80,7 +79,6 @@ def _station_text(station: Station, urls: Mapping[str, str], speed: float) -> st
 
 
 def _numbered_units(urls: Mapping[str, str]) -> list[tuple[int, str]]:
-    """Number and address of each unit, in order."""
     numbered = {int(name.partition("-")[2] or 1): url for name, url in urls.items() if name.startswith("ins")}
     return sorted(numbered.items())
 
@@ -217,11 +215,7 @@ class EmulatorProcess:
 
 def end_at_sigterm() -> None:
     """Make SIGTERM end this process like Ctrl-C."""
-    signal.signal(signal.SIGTERM, _interrupt)
-
-
-def _interrupt(number: int, frame: FrameType | None) -> NoReturn:  # noqa: ARG001 - handles a signal
-    raise KeyboardInterrupt
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
 
 
 def emulated_dbc(station: Station) -> str | None:

@@ -95,16 +95,11 @@ class TextChamber(ABC):
         require_no_profile(self, self._line.instrument, self.end_profiles)
 
     def _format(self, value: float) -> str:
-        """Format a number for a command."""
         return f"{value:.{_DECIMALS}f}"
-
-    def _ask(self, query: str) -> bytes:
-        """Send a query; returns its reply."""
-        return self._text.ask(query)
 
     def _number(self, query: str) -> float:
         """Send a query; returns its reply as a number."""
-        return self._text.number(query, self._ask(query))
+        return self._text.number(query, self._text.ask(query))
 
     def _set_rate(self, name: str, rate_c_per_min: float) -> None:
         """Set a ramp rate by its name; raises as :meth:`_set_number`."""
@@ -144,7 +139,6 @@ class TextChamber(ABC):
         return True
 
     def _refused(self, message: str) -> RefusedError:
-        """Return a RefusedError of this instrument."""
         return RefusedError(self._line.instrument, message)
 
 

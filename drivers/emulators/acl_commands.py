@@ -221,8 +221,6 @@ class AxisCommands:
         return command
 
     def _axis_query(self, answer: Callable[[AclAxis], str]) -> Handler:
-        """Make the handler of a query with an axis."""
-
         def query(arguments: Arguments) -> str:
             expect(arguments, 1)
             return answer(self._axis(arguments[0]))
@@ -275,8 +273,6 @@ class AxisCommands:
         return command
 
     def _limit_query(self, value: Callable[[AclAxis, ServoMode], float]) -> Handler:
-        """Make the handler of a query with a mode and an axis."""
-
         def query(arguments: Arguments) -> str:
             expect(arguments, 2)
             return _limit_values(value(self._axis(arguments[1]), _mode(arguments[0])))

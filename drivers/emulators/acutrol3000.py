@@ -170,8 +170,6 @@ class Acutrol3000Emulator:
 
     @staticmethod
     def _answer(value: Callable[[], str]) -> Handler:
-        """Make the handler of a query without arguments."""
-
         def query(arguments: Arguments) -> str:
             expect(arguments, 0)
             return value()

@@ -20,8 +20,6 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from types import FrameType
-from typing import NoReturn
 
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import DocumentError
@@ -214,7 +212,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 unit.power_event = event
         except DocumentError as error:
             parser.exit(2, f"gyrobench emulate: {error}\n")
-        signal.signal(signal.SIGTERM, _end)
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
         try:
             daemon_port = int(options.ins_port) if options.ins_port.isdecimal() else 0
             server = _Server(bench, _port_maker(opened, options), options.can == "socketcand", daemon_port)
@@ -277,10 +275,6 @@ def _speed(text: str) -> float:
     if not 1.0 <= speed <= _MAX_SPEED:
         raise argparse.ArgumentTypeError(f"the speed must be 1 to {_MAX_SPEED:g}; found {text}")
     return speed
-
-
-def _end(number: int, frame: FrameType | None) -> NoReturn:  # noqa: ARG001 - the handler of a signal
-    raise KeyboardInterrupt
 
 
 def _end_with_stdin() -> None:

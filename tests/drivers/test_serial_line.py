@@ -167,7 +167,7 @@ def test_a_line_that_is_never_silent_is_an_error(line, plug):
     thread.start()
     try:
         with pytest.raises(ReplyError, match="all the time"):
-            line.await_silence(2.0, 2.5)
+            line.await_silence(1.0, 1.2)
     finally:
         ended.set()
         thread.join()

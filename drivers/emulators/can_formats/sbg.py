@@ -15,7 +15,6 @@ import can
 import numpy as np
 from typing_extensions import override
 
-from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.drivers.emulators.can_formats import (
     FRAME_S,
     CanFormat,
@@ -61,15 +60,11 @@ class SbgFormat(CanFormat):
         )
         fast["data"].view("<u4")[:, 0, 0] = stamps_us
         halves = fast["data"].view("<i2")
-        halves[:, 1] = np.rint(_forward_right_down(epochs.states[:, :4]) * _INT16_MAX)
+        # From right-forward-up and ENU to forward-right-down and NED.
+        w, x, y, z = epochs.states[:, :4].T
+        halves[:, 1] = np.rint(np.stack([w, y, x, -z], axis=-1) * _INT16_MAX)
         halves[:, 2, :2] = np.rint(100.0 * epochs.states[:, [5, 4]]).clip(-_INT16_MAX, _INT16_MAX)
         return in_order(slow, fast)
-
-
-def _forward_right_down(quaternions: FloatArray) -> FloatArray:
-    """Convert quaternions (n, 4) from right-forward-up and ENU to forward-right-down and NED."""
-    w, x, y, z = quaternions.T
-    return np.stack([w, y, x, -z], axis=-1)
 
 
 def _solution(epochs: Epochs) -> int:

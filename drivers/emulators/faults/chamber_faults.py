@@ -100,7 +100,7 @@ class DoorOpened(Fault):
 
     def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         air = bench.world.air
-        air.disturb(self.share * (air.parameters.ambient_c - air.air_c))
+        air.air_c += self.share * (air.parameters.ambient_c - air.air_c)
         air.faults.door_open = True
         return partial(setattr, air.faults, "door_open", False)
 

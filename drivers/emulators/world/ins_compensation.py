@@ -1,16 +1,9 @@
 """Gyro compensation inside the INS: a loaded table of coefficients, evaluated on the INS's own sensors.
 
-Bias subtracted from gyro i, with its optics at T, its electronics at B and Up in body axes::
-
-    polynomial(T) + rate dT/dt + gradient (B - T)
-    + ((saturating . Up) / (1 + exp(-c)) + (growing . Up) ln(1 + exp(c))) (B - T),  c = (onset - T) / width
-    + gravity . Up + warm_up exp(-t / tau) + hysteresis (play(T) - T)
-
-After the biases, the errors of the other coefficients are removed: those of the gyros' matrix, and of the
-accelerometers' biases and matrix. Each is ``polynomial(T) + rate dT/dt + gravity . Up`` with T and dT/dt of
-the gyro along the sensor's axis. T, B - T and dT/dt are clipped to the limits in the table; for each of the
-other coefficients T is also clipped to separate limits, unless both are zero. ``play`` follows T with a slack
-of the half width on either side, starting at the temperature at power-on.
+The formula is that of :mod:`gyrobench.drivers.ins.compensation`. After the biases, the errors of the other
+coefficients are removed: those of the gyros' matrix, and of the accelerometers' biases and matrix, with T and
+dT/dt of the gyro along the sensor's axis. The separate limits of T of another coefficient do not apply if
+both are zero. The play starts at the temperature at power-on.
 """
 
 from __future__ import annotations

@@ -102,10 +102,6 @@ class ChamberAir:
         )  # fmt: skip
         return course
 
-    def disturb(self, delta_c: float) -> None:
-        """Change the air temperature by a step, as an opened door does."""
-        self.air_c += delta_c
-
 
 @compiled
 def _clip(value: float, low: float, high: float) -> float:

@@ -53,7 +53,7 @@ AddedBias = Callable[[Conditions], FloatArray]
 
 
 class _Effect(StrictModel):
-    """Base class of the effects. A subclass implements ``_added_dph``, or ``start`` if it has a state."""
+    """Base class of the effects. A subclass overrides one of the errors, or ``start`` if it has a state."""
 
     def start(self) -> AddedBias:
         """Return the function that evaluates the effect, with its initial state."""
@@ -72,7 +72,7 @@ class _Effect(StrictModel):
         return np.zeros(now.optics_c.shape)
 
     def _added_dph(self, now: Conditions) -> FloatArray:
-        raise NotImplementedError(f"{type(self).__name__} defines neither _added_dph nor start")
+        return np.zeros(now.optics_c.shape)
 
 
 class TemperatureRate(_Effect):
@@ -99,9 +99,6 @@ class ScaleFactorRate(_Effect):
     def added_scale_factor_ppm(self, now: Conditions) -> FloatArray:
         return np.array(self.sensitivity_ppm_per_c_per_h) * now.optics_rate_c_per_h
 
-    def _added_dph(self, now: Conditions) -> FloatArray:
-        return np.zeros(now.optics_c.shape)
-
 
 class ScaleFactorDrift(_Effect):
     """The scale factor of each gyro drifts after power-on, and swings with the time since."""
@@ -116,9 +113,6 @@ class ScaleFactorDrift(_Effect):
         hours = np.where(np.isfinite(now.since_power_on_s), now.since_power_on_s, 0.0) / _HOUR_S
         swing = np.array(self.swing_ppm) * np.sin(2.0 * math.pi * hours / self.period_h)
         return np.asarray(np.array(self.drift_ppm_per_h) * hours + swing)
-
-    def _added_dph(self, now: Conditions) -> FloatArray:
-        return np.zeros(now.optics_c.shape)
 
 
 class ThermalGradient(_Effect):
@@ -275,9 +269,6 @@ class AccelerometerGravity(_Effect):
         up = now.up_body[..., np.newaxis]
         growth = 1.0 + self.per_c * (now.optics_c - _ROOM_C)
         return np.asarray((linear @ up + square @ up**2)[..., 0] * growth)
-
-    def _added_dph(self, now: Conditions) -> FloatArray:
-        return np.zeros(now.optics_c.shape)
 
 
 class ChamberState(_Effect):

@@ -67,10 +67,11 @@ def test_an_estimate_in_the_gyros_frame_has_the_covariance_of_converted_values(e
     np.testing.assert_allclose(
         converted.values[names.index(("accelerometer_misalignment", "xy"))], there.force_matrix[0, 1]
     )
-    drawn = [
-        CoefficientEstimate(each, root, np.full(21, True)).in_gyro_frame().values
-        for each in errors.vector() + random.normal(0.0, 1.0, (400, 21)) @ root.T
-    ]
+    drawn = []
+    for each in errors.vector() + random.normal(0.0, 1.0, (400, 21)) @ root.T:
+        there, _ = SensorErrors.from_vector(each).in_gyro_frame()
+        gyros = [there.gyro_bias, there.gyro_matrix[np.tril_indices(3)]]
+        drawn.append(np.concatenate([*gyros, there.force_bias, there.force_matrix.ravel()]))
     np.testing.assert_allclose(np.std(drawn, axis=0), converted.sigmas, rtol=0.15)
 
 

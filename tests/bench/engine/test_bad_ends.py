@@ -82,23 +82,19 @@ def test_a_log_that_can_not_be_written_leaves_the_reason_in_the_journal(tmp_path
     assert "The bench was brought to its safe state." in lines
 
 
-def test_a_trip_of_the_table_that_is_not_fixed_ends_the_run_safely(tmp_path):
-    def trip(bench, clock):
-        bench.serial["table"].trip(1, SoftwareFault.RATE_TRIP, clock.now())
-
-    folder, outcome, bench = run_with(tmp_path, "navigate", trip)
+@pytest.mark.parametrize(
+    ("step", "happen", "reason"),
+    [
+        ("navigate", lambda table, now_s: table.trip(1, SoftwareFault.RATE_TRIP, now_s), "rate trip"),
+        ("turn", lambda table, now_s: table.open_interlock(2, now_s), "axis 2: user interlock 1"),
+    ],
+)
+def test_a_fault_of_the_table_that_is_not_fixed_ends_the_run_safely(tmp_path, step, happen, reason):
+    folder, outcome, bench = run_with(
+        tmp_path, step, lambda bench, clock: happen(bench.serial["table"], clock.now())
+    )
     assert outcome.ended == "stopped"
-    assert "rate trip" in outcome.reason
-    assert_safe(folder, outcome, bench)
-
-
-def test_an_interlock_that_opens_in_a_turn_ends_the_run_safely(tmp_path):
-    def open_door(bench, clock):
-        bench.serial["table"].open_interlock(2, clock.now())
-
-    folder, outcome, bench = run_with(tmp_path, "turn", open_door)
-    assert outcome.ended == "stopped"
-    assert "axis 2: user interlock 1" in outcome.reason
+    assert reason in outcome.reason
     assert_safe(folder, outcome, bench)
 
 

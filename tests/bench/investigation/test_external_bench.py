@@ -75,7 +75,7 @@ import subprocess, time
 child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(1000)"])
 open({str(tmp_path / "child")!r}, "w").write(str(child.pid))
 time.sleep(1000)"""
-    bench = ExternalBench(bench_that(tmp_path, code).command, rows, time_limit_s=3.0)
+    bench = ExternalBench(bench_that(tmp_path, code).command, rows, time_limit_s=1.5)
     with pytest.raises(GyrobenchError, match="did not end"):
         bench.measure(plan_of(rows, "reversal"), tmp_path)
     with suppress(FileNotFoundError, psutil.NoSuchProcess):

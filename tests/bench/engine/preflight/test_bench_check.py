@@ -223,12 +223,22 @@ def test_values_of_a_new_station_file_that_are_not_filled_in_are_named(failures_
     assert failures["station: file filled in"].found == "not filled in yet: description"
 
 
-def test_a_silent_unit_that_the_operator_switches_is_skipped(tmp_path):
-    station = changed_station(tmp_path, {"power: chamber_event": "power: operator"})
+@pytest.mark.parametrize(
+    ("old", "new", "subject", "what", "advice"),
+    [
+        ("power: chamber_event", "power: operator", "INS", "answers", "Switch it on"),
+        (
+            "    latitude: POSITION.LATITUDE\n", "", "INS", "latitude",
+            "compare the one entered in it with location.latitude_deg",
+        ),
+    ],
+)  # fmt: skip
+def test_what_only_the_operator_can_do_is_skipped(tmp_path, old, new, subject, what, advice):
+    station = changed_station(tmp_path, {old: new})
     checks = check_bench(str(station), None, Emulation("ideal"), tmp_path)
-    (of_unit,) = [each for each in checks if each.subject == "INS"]
-    assert of_unit.verdict is CheckVerdict.SKIPPED
-    assert "Switch it on" in of_unit.advice
+    (check,) = [each for each in checks if (each.subject, each.what) == (subject, what)]
+    assert check.verdict is CheckVerdict.SKIPPED
+    assert advice in check.advice
 
 
 def test_a_chamber_at_another_address_fails_with_its_address_and_the_unit_with_its_supply(failures_of):
@@ -249,14 +259,6 @@ def test_frames_that_are_not_in_the_dbc_file_lead_to_that_file(failures_of, tmp_
     found = failures_of(("  dbc: gyrobench_ins.dbc", "  dbc: own.dbc"))["INS: answers"].found
     assert "frames arrive, such as 0x001, but none that is in the DBC file" in found
     assert found.endswith("Check its power, the DBC file and ins.identifier_offset.")
-
-
-def test_without_the_latitude_of_the_ins_comparing_it_is_left_to_the_operator(tmp_path):
-    station = changed_station(tmp_path, {"    latitude: POSITION.LATITUDE\n": ""})
-    checks = check_bench(str(station), None, Emulation("ideal"), tmp_path)
-    (latitude,) = [each for each in checks if each.what == "latitude"]
-    assert latitude.verdict is CheckVerdict.SKIPPED
-    assert "compare the one entered in it with location.latitude_deg" in latitude.advice
 
 
 def test_a_silent_unit_that_is_always_on_fails(failures_of):

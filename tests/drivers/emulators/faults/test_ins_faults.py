@@ -113,7 +113,7 @@ def test_a_frozen_temperature_sensor_keeps_a_plausible_value(rig):
     bench = rig({"fault": "temperature_sensor_frozen", "sensor": "case", "at_s": 40})
     navigate(bench)
     frozen_c = temperatures_c(bench, 45.0)[6]
-    bench.world.air.disturb(-30.0)
+    bench.world.air.air_c -= 30.0
     assert temperatures_c(bench, 300.0)[6] == frozen_c
     assert bench.world.thermal.nodes_c[0] < frozen_c - 5.0
 

@@ -140,7 +140,7 @@ def test_the_compressor_stops_with_the_chamber():
 def test_a_disturbance_is_controlled_away():
     air = running(50.0)
     run(air, HOUR)
-    air.disturb(-4.0)
+    air.air_c -= 4.0
     assert air.air_c == pytest.approx(46.0, abs=0.01)
     run(air, HOUR)
     assert air.air_c == pytest.approx(50.0, abs=0.01)

@@ -71,6 +71,7 @@ def test_level_errors_swing_with_the_schuler_period():
 
 
 # pyins 1.0.1 passes pandas an argument that pandas 3 ignores with a warning.
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:The copy keyword is deprecated")
 def test_agrees_with_an_independent_mechanisation_with_biases_and_a_turn():
     import pandas as pd
