@@ -185,15 +185,9 @@ class _HiddenSensitivity:
     def of(cls, problem: CalibrationProblem, estimates: Estimates) -> _HiddenSensitivity:
         """Effect of sensitivities of the usual size; none if it is small."""
         options = replace(problem.options, g_sensitivity=True)
-        fixed = problem.sections, estimates.starts, estimates.common, problem.site, options
-        information = Information.of(
-            problem.sections,
-            integrate_sections(*fixed),
-            estimates.common,
-            problem.noise,
-            problem.site,
-            options,
-        )
+        common, site = estimates.common, problem.site
+        trajectories = integrate_sections(problem.sections, estimates.starts, common, site, options)
+        information = Information.of(problem.sections, trajectories, common, problem.noise, site, options)
         is_sensitivity = np.zeros(len(information.sizes), dtype=bool)
         is_sensitivity[: len(options.columns)] = [
             each in range(G_SENSITIVITIES.start, G_SENSITIVITIES.stop) for each in options.columns
@@ -312,11 +306,9 @@ def bias_per_asymmetry(calibration: Calibration, site: Site) -> FloatArray:
     An asymmetry looks like a bias if rotations in both directions do not separate the two.
     """
     options = replace(calibration.options, asymmetries=(0, 1, 2))
-    fixed = calibration.sections, calibration.starts, calibration.common
-    trajectories = integrate_sections(*fixed, site, options)
-    estimates = Information.of(
-        calibration.sections, trajectories, calibration.common, calibration.noise, site, options
-    )
+    sections, common = calibration.sections, calibration.common
+    trajectories = integrate_sections(sections, calibration.starts, common, site, options)
+    estimates = Information.of(sections, trajectories, common, calibration.noise, site, options)
     omitted_columns = [
         options.columns.index(ASYMMETRIES.start + axis)
         for axis in range(3)

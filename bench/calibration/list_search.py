@@ -260,19 +260,11 @@ class _Search:
         self, part: _PartialList, movement: _Movement, rotations: tuple[TableRotation, ...], angles: Angles
     ) -> _PartialList:
         state, covariance, information = part.state.copy(), part.covariance.copy(), part.information.copy()
+        is_spin = movement.is_spin and self._setup.whole_turns is not None
         _filter(
-            movement.transition,
-            movement.covariance,
-            movement.drive,
-            movement.at_rest,
-            movement.is_spin and self._setup.whole_turns is not None,
-            self._measured,
-            self._white,
-            self._turn,
-            state,
-            covariance,
-            information,
-        )
+            movement.transition, movement.covariance, movement.drive, movement.at_rest, is_spin,
+            self._measured, self._white, self._turn, state, covariance, information,
+        )  # fmt: skip
         return _PartialList(rotations, angles, state, covariance, information)
 
     def _movement(self, angles: Angles, rotation: TableRotation | None) -> _Movement:
@@ -286,15 +278,9 @@ class _Search:
             angle, velocity = ideal_increments(attitude, self._setup.site)
             size = round(_EPOCH_S / STEP_S)
             ends = np.append(np.arange(size, len(angle), size), len(angle)).astype(np.int64)
+            noise, site = self._setup.noise, self._setup.site
             transition, covariance, drive = epoch_steps(
-                angle,
-                velocity,
-                STEP_S,
-                ends,
-                attitude[0],
-                self._setup.noise,
-                self._setup.site.latitude,
-                self._setup.site.gravity,
+                angle, velocity, STEP_S, ends, attitude[0], noise, site.latitude, site.gravity
             )
             drive = np.ascontiguousarray(drive[:, :, _COLUMNS] * self._sizes)
             self._cache[key] = _Movement(transition, covariance, drive, at_rest[ends], bool(spins))
@@ -357,13 +343,9 @@ def _propagate(transition: FloatArray, rows: FloatArray) -> None:
 
 @compiled
 def _update(
-    row: FloatArray,
-    spread: FloatArray,
-    variance: float,
-    Z: FloatArray,
-    P: FloatArray,
+    row: FloatArray, spread: FloatArray, variance: float, Z: FloatArray, P: FloatArray,
     information: FloatArray,
-) -> None:
+) -> None:  # fmt: skip
     """Update state, covariance and information by a measurement.
 
     ``row``, ``spread``, ``variance``: its row, its covariance with the state, and its variance.

@@ -154,18 +154,9 @@ def integrate_increments(
     correction = SensorErrors().correction(interval_s) if are_corrected else error_correction
     has_sums = any(COUNT <= each < G_SENSITIVITIES.start for each in columns)
     _integrate(
-        angle,
-        velocity,
-        correction,
-        error_correction,
-        interval_s,
-        ends,
-        has_sums,
-        *turns,
-        gravity,
-        column_array,
-        *states,
-    )
+        angle, velocity, correction, error_correction, interval_s, ends, has_sums, *turns, gravity,
+        column_array, *states,
+    )  # fmt: skip
     return Trajectory(attitude, integral, gravity, response)
 
 
@@ -364,16 +355,10 @@ def _intervals(
 ) -> tuple[FloatArray, FloatArray]:
     """Transition and noise (n, 6, 6) of psi and u over each epoch."""
     transition, covariance = np.zeros((2, len(lengths_s), 6, 6))
-    walks = noise.angle_random_walk**2, noise.velocity_random_walk**2
     _set_intervals(
-        trajectory.attitude,
-        trajectory.gravity,
-        lengths_s,
-        *walks,
-        earth_rate_enu(latitude),
-        transition,
-        covariance,
-    )
+        trajectory.attitude, trajectory.gravity, lengths_s, noise.angle_random_walk**2,
+        noise.velocity_random_walk**2, earth_rate_enu(latitude), transition, covariance,
+    )  # fmt: skip
     return transition, covariance
 
 
