@@ -24,12 +24,13 @@ from gyrobench.bench.bias import parameters, window_filter
 from gyrobench.bench.bias.bias_steps import MIN_STEP_P_VALUE, BiasStep, WindowChange, find_bias_step
 from gyrobench.bench.bias.damping import Damping
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, RestOutput, TurnPath
+from gyrobench.bench.bias.error_sources import SOURCES
 from gyrobench.bench.bias.error_split import ErrorPart, ErrorParts, noise_parts, prior_parts
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.bias.statistics import Chi2Test, chi2_p_value, chi2_test, least_chi2, solve
 from gyrobench.bench.bias.window_filter import WindowFilter
-from gyrobench.bench.foundations.arrays import FloatArray, IntArray, block_diagonal
+from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, FloatArray, IntArray, block_diagonal
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vectors
 from gyrobench.bench.navigation.earth import EARTH_RATE, earth_rate_enu
@@ -87,6 +88,12 @@ class StateSpaceEstimate(BiasEstimate):
     #: For the joint solution of several dwells; None if only :class:`JointInformation` of it is kept.
     information: DwellInformation | None
     parts: Mapping[str, ErrorPart]  #: Errors of the biases by source; empty for an incomplete dwell.
+
+    @property
+    def common_sigma_dph(self) -> FloatArray:
+        """Standard uncertainties (3,) due to the errors that are the same in all dwells of the attitude."""
+        columns = [part.columns for name, part in self.parts.items() if SOURCES[name].is_of_attitude]
+        return np.asarray(RADPS_TO_DPH * np.linalg.norm(np.hstack([np.zeros((3, 1)), *columns]), axis=1))
 
     @property
     def probable_step(self) -> BiasStep | None:

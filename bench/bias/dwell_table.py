@@ -22,6 +22,7 @@ _TRIPLES = {
     "board_c": "board_{}_c",
     "bias_dph": "bias_{}_dph",
     "sigma_dph": "sigma_{}_dph",
+    "common_sigma_dph": "common_sigma_{}_dph",
     "paper_bias_dph": "paper_bias_{}_dph",
     "paper_sigma_dph": "paper_sigma_{}_dph",
     "accelerometer_ug": "accelerometer_{}_ug",
@@ -86,6 +87,9 @@ class DwellRow:
     case_c: float = math.nan
     #: Mean temperature of each gyro's electronics; NaN if there is no sensor.
     board_c: Triple = NOT_MEASURED
+    #: Part of the standard uncertainties that is the same error in all dwells of one attitude, at any
+    #: temperature; NaN if it is not known.
+    common_sigma_dph: Triple = NOT_MEASURED
     #: paper_bias_dph, paper_sigma_dph: The same by the paper's method; NaN if that does not apply.
     paper_bias_dph: Triple = NOT_MEASURED
     paper_sigma_dph: Triple = NOT_MEASURED
@@ -143,7 +147,9 @@ class PackedDwells(Sequence[DwellRow]):
 def paper_rows(rows: Iterable[DwellRow]) -> list[DwellRow]:
     """Rows with the paper's biases instead of the state-space ones; rows without any are left out."""
     return [
-        replace(row, bias_dph=row.paper_bias_dph, sigma_dph=row.paper_sigma_dph)
+        replace(
+            row, bias_dph=row.paper_bias_dph, sigma_dph=row.paper_sigma_dph, common_sigma_dph=NOT_MEASURED
+        )
         for row in rows
         if not all(map(math.isnan, row.paper_bias_dph))
     ]

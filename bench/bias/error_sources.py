@@ -26,6 +26,8 @@ class ErrorSource:
     per_si: float  #: Factor from SI to the unit.
     is_common: bool = False  #: Whether the error is the same in all dwells of a bin.
     note: str = ""
+    #: Whether it is the same in all dwells of one attitude, at any temperature.
+    is_of_attitude: bool = False
 
 
 _DECLARED = "declared in ins.uncertainty"
@@ -56,9 +58,11 @@ SOURCES: Mapping[str, ErrorSource] = MappingProxyType(
         "accelerometer_settling": ErrorSource(
             "settling of the accelerometers after the turn", "ug", 1 / UG_TO_MPS2, True, _DECLARED
         ),
-        "gyro_scale_factor": ErrorSource("gyro scale factor in the turn", "ppm", 1e6, True, _DECLARED),
+        "gyro_scale_factor": ErrorSource(
+            "gyro scale factor in the turn", "ppm", 1e6, True, _DECLARED, is_of_attitude=True
+        ),
         "gyro_misalignment": ErrorSource(
-            "gyro misalignment in the turn", "arcsec", RAD_TO_ARCSEC, True, _DECLARED
+            "gyro misalignment in the turn", "arcsec", RAD_TO_ARCSEC, True, _DECLARED, is_of_attitude=True
         ),
         "tilt_step": ErrorSource(
             "tilt of the sensors on their mount in the turn", "arcsec", RAD_TO_ARCSEC, False, _DECLARED
@@ -69,6 +73,7 @@ SOURCES: Mapping[str, ErrorSource] = MappingProxyType(
             RAD_TO_ARCMIN,
             True,
             "declared in location.latitude_uncertainty_arcmin",
+            is_of_attitude=True,
         ),
         "bias_slope": ErrorSource(
             "gyro temperature within the dwell", "deg/h/K", RADPS_TO_DPH, True, _DECLARED

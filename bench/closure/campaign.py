@@ -24,6 +24,8 @@ from gyrobench.bench.navigation.positions import POSITIONS
 
 #: Largest share of dwells without a reading of a sensor, other than a gyro's, that is interpolated.
 _MAX_MISSING = 0.1
+#: Largest share of a standard uncertainty that counts as common to the dwells of an attitude.
+_MAX_COMMON = 0.99
 #: Headings that differ by less than this are the same.
 _SAME_HEADING_DEG = 5.0
 
@@ -66,10 +68,12 @@ class Campaign:
     gyro_c: FloatArray
     rate_c_per_h: FloatArray
     board_c: FloatArray
-    #: bias_dph, sigma_dph: Shape (n, 3). Measured biases, or values of another :attr:`quantity`, and their
-    #: standard uncertainties: infinite if not measured.
+    #: bias_dph, sigma_dph, common_sigma_dph: Shape (n, 3). Measured biases, or values of another
+    #: :attr:`quantity`; their standard uncertainties that are independent from dwell to dwell, infinite if
+    #: not measured; and those due to one error in all dwells of an attitude, zero if unknown.
     bias_dph: FloatArray
     sigma_dph: FloatArray
+    common_sigma_dph: FloatArray
     record: TemperatureRecord  #: Temperatures of the gyros at all times, also between dwells.
     unit: str  #: Serial number of the INS.
     #: Shape (n,). Dwells that must not influence a fit to the others, not even by their temperatures.
@@ -177,6 +181,25 @@ class Campaign:
     def known_sigma_dph(self) -> FloatArray:
         """Standard uncertainties (n, 3), NaN if not measured."""
         return np.where(self.is_measured, self.sigma_dph, np.nan)
+
+    def noise_dph(self, scale: float) -> FloatArray:
+        """Standard deviation of each error (n, 3) at a ratio of the noise to that stated; NaN if unknown."""
+        return np.hypot(scale * self.known_sigma_dph, self.common_sigma_dph)
+
+    @cached_property
+    def common_errors_dph(self) -> FloatArray:
+        """Errors (3, n, c) for one standard uncertainty of each of c errors that dwells have in common.
+
+        A gyro has one such error in each attitude (position and azimuth) where it is level, and one for all
+        where it is vertical, which follows Up as those of latitude and scale factor do. No dwell has two.
+        """
+        azimuth_deg = np.full(len(self), np.nan) if self.azimuth_deg is None else self.azimuth_deg
+        attitudes = list(zip(self.position, [f"{each:.0f}" for each in azimuth_deg], strict=True))
+        in_attitude = np.array([[each == other for other in dict.fromkeys(attitudes)] for each in attitudes])
+        up = np.rint(self.up_body)
+        level_dph = np.where(up == 0.0, self.common_sigma_dph, 0.0).T
+        vertical_dph = (self.common_sigma_dph * up).T
+        return np.dstack([level_dph[..., np.newaxis] * in_attitude, vertical_dph])
 
     @property
     def middle_s(self) -> FloatArray:
@@ -324,6 +347,9 @@ def _campaign_of_rows(
     run_names = list(dict.fromkeys(row.run for row in rows))
     start_s, end_s, gyro_c, rate_c_per_h = map(gather, ("start_s", "end_s", "gyro_c", "gyro_rate_c_per_h"))
     bias_dph, sigma_dph, boards_c = gather("bias_dph"), gather("sigma_dph"), gather("board_c").T
+    # At most this part is common, so that no dwell counts as if it had no noise.
+    common_sigma_dph = np.fmin(np.nan_to_num(gather("common_sigma_dph")), _MAX_COMMON * sigma_dph)
+    sigma_dph = np.sqrt(sigma_dph**2 - common_sigma_dph**2)
     if not quantity.is_gyro_bias:
         is_unknown = ~(np.isfinite(bias_dph) & np.isfinite(sigma_dph))
         bias_dph[is_unknown], sigma_dph[is_unknown] = 0.0, np.inf
@@ -345,6 +371,7 @@ def _campaign_of_rows(
         board_c=np.stack([_interpolated(start_s, board_c) for board_c in boards_c], axis=1),
         bias_dph=bias_dph,
         sigma_dph=sigma_dph,
+        common_sigma_dph=common_sigma_dph,
         record=record or record_of_dwells(start_s, end_s, gyro_c, rate_c_per_h),
         unit=rows[0].unit,
         held_out=np.zeros(len(rows), dtype=bool),

@@ -83,7 +83,8 @@ def held_out_test(problem: Problem, errors_dph: FloatArray, deviations_dph: Floa
     up_body, rate = campaign.up_body[held_out], np.nan_to_num(campaign.rate_c_per_h[held_out])
     prediction_dph = np.sqrt(np.mean(deviations_dph**2, axis=0))
     centred_dph = _without_medians(errors_dph, constants)
-    deviations_sigma = np.nan_to_num(centred_dph / np.hypot(noise_dph, prediction_dph))
+    expected_dph = np.sqrt(noise_dph**2 + campaign.common_sigma_dph[held_out] ** 2 + prediction_dph**2)
+    deviations_sigma = np.nan_to_num(centred_dph / expected_dph)
     is_outlier = _are_outliers(deviations_sigma)
     sigma_dph = noise_dph * np.where(is_outlier, np.abs(deviations_sigma), 1.0)
     p_values = []
@@ -91,6 +92,7 @@ def held_out_test(problem: Problem, errors_dph: FloatArray, deviations_dph: Floa
         regressors = time_polynomial[is_measured], np.column_stack([up_body, rate[:, gyro]])[is_measured]
         arguments = (
             sigma_dph[is_measured, gyro],
+            campaign.common_errors_dph[gyro, held_out][is_measured],
             deviations_dph[:, is_measured, gyro],
             constants[is_measured],
             regressors,
@@ -152,18 +154,20 @@ def _p_values(
     gyro: int,
     errors_dph: FloatArray,
     sigma_dph: FloatArray,
+    common_dph: FloatArray,
     deviations_dph: FloatArray,
     constants: FloatArray,
     regressors: Sequence[FloatArray],
 ) -> list[float]:
     """p-values of those tests of one gyro for which its k held-out values suffice.
 
-    ``constants`` (k, r): flags of the power cycles that were not searched. ``regressors``: columns (k, c) for
-    one test each.
+    ``common_dph`` (k, c): as of :attr:`Campaign.common_errors_dph`. ``constants`` (k, r): flags of the power
+    cycles that were not searched. ``regressors``: columns (k, c) for one test each.
     """
     if not len(errors_dph):
         return []
-    covariance = np.diag(sigma_dph**2) + deviations_dph.T @ deviations_dph / len(deviations_dph)
+    covariance = np.diag(sigma_dph**2) + common_dph @ common_dph.T
+    covariance += deviations_dph.T @ deviations_dph / len(deviations_dph)
     covariance_root = np.linalg.cholesky(covariance)
     whitened = [
         np.linalg.solve(covariance_root, each) for each in (errors_dph[:, np.newaxis], constants, *regressors)
@@ -210,19 +214,21 @@ _MAX_ERROR, _MAX_HELD_OUT_NOISE = 5.0, 2.0
 _SIZE_ITERATIONS = 30
 
 
-def is_confirmed(before_dph: FloatArray, after_dph: FloatArray, noise_dph: FloatArray) -> bool:
+def is_confirmed(before: FloatArray, after: FloatArray) -> bool:
     """Whether effects reduce the errors in held-out dwells by more than chance, down to the noise.
 
-    Required of all gyros together, and of each gyro in which the effects predict enough. ``before_dph``,
-    ``after_dph`` (n, 3): measured minus predicted bias without and with the effects. ``noise_dph`` (n, 3):
-    standard deviation of the noise.
+    Required of all gyros together, and of each gyro in which the effects predict enough. ``before``,
+    ``after`` (n, 3): measured minus predicted bias without and with the effects, as of
+    :meth:`~gyrobench.bench.closure.problem.Problem.whitened`; NaN if not measured.
 
-    Notes ----- The size of the prediction is fitted to the errors without the effects, with a lower weight
-    for outliers: it is 1 if the effects are right, and 0 if these dwells do not show them. Its standard
-    deviation follows from the remaining errors. The sum of squared errors, with outliers clipped at
-    :data:`_MAX_ERROR`, must decrease too.
+    Notes
+    -----
+    The size of the prediction is fitted to the errors without the effects, with a lower weight for outliers:
+    it is 1 if the effects are right, and 0 if these dwells do not show them. Its standard deviation follows
+    from the remaining errors. The sum of squared errors, with outliers clipped at :data:`_MAX_ERROR`, must
+    decrease too.
     """
-    before, after = (np.nan_to_num(each / noise_dph) for each in (before_dph, after_dph))
+    before, after = np.nan_to_num(before), np.nan_to_num(after)
     predicted_sizes = np.linalg.norm(before - after, axis=0)
     decisive = np.flatnonzero(predicted_sizes > _SINGLE_GYRO_FACTOR * _MIN_T)
     pairs = [(before.ravel(), after.ravel()), *((before[:, each], after[:, each]) for each in decisive)]

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
+from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow, read_dwells
 from gyrobench.bench.closure.campaign import Campaign, Table, campaign_of
 from gyrobench.bench.closure.quantity import GYRO_BIAS, Quantity
 from gyrobench.bench.closure.temperature_record import TemperatureRecord
@@ -177,6 +177,7 @@ def _with_values(row: DwellRow, pairs: FloatArray, sensors: Sequence[int]) -> Dw
         for name in ("gyro_c", "gyro_rate_c_per_h", "board_c")
     }
     triples |= {"bias_dph": tuple(pairs[:, 0].tolist()), "sigma_dph": tuple(pairs[:, 1].tolist())}
+    triples |= {"common_sigma_dph": NOT_MEASURED}
     return replace(row, **triples)
 
 

@@ -81,7 +81,9 @@ def _search_and_test(campaign: Campaign, searched: BoolArray, candidates: Sequen
         errors_dph[1],
         model_draws.bias_dph(campaign) - model.bias_dph,
     )
-    noise_dph = campaign.sigma_dph[~searched] * problem.noise_scale
+    noise_dph = campaign.noise_dph(problem.noise_scale)[~searched]
+    of_held_out = replace(problem, searched=~searched)
+    errors_white = [of_held_out.whitened(each.T[..., None])[..., 0].T for each in (before_dph, after_dph)]
     held_out_part = campaign.part(~searched)
     circular = tuple(
         each.effect.name for each in accepted.candidates if _is_circular(each.effect, held_out_part)
@@ -95,7 +97,7 @@ def _search_and_test(campaign: Campaign, searched: BoolArray, candidates: Sequen
             is_confirmed=bool(accepted.candidates)
             and not searched.all()
             and not circular
-            and is_confirmed(before_dph, after_dph, noise_dph),
+            and is_confirmed(*errors_white),
         ),
         circular=circular,
         posterior=selected.posterior,
@@ -108,7 +110,7 @@ def _search_and_test(campaign: Campaign, searched: BoolArray, candidates: Sequen
         held_out=held_out,
         declared=declared,
         model=model,
-        noise_dph=selected.noise.scale * nan_rms(campaign.known_sigma_dph[searched]),
+        noise_dph=nan_rms(campaign.noise_dph(selected.noise.scale)[searched]),
         confounding=confounding(campaign, searched),
         noise=selected.noise,
         error_before_dph=nan_rms(before_dph),
@@ -170,7 +172,7 @@ def _with_cycle_held_out(campaign: Campaign, cycle: int, effects: Sequence[Effec
         closure.names,
         closure.error_before_dph,
         closure.error_after_dph,
-        closure.noise_scale * nan_rms(campaign.known_sigma_dph[campaign.cycle == cycle]),
+        nan_rms(campaign.noise_dph(closure.noise_scale)[campaign.cycle == cycle]),
     )
 
 

@@ -114,6 +114,7 @@ def planned_campaign(plan: Plan, unit: UnitProperties) -> Campaign:
         board_c=mean_of(forecast.electronics_c, measured=unit.has_boards),
         bias_dph=np.zeros((len(navigations), 3)),
         sigma_dph=sigma_dph,
+        common_sigma_dph=np.zeros_like(sigma_dph),
         record=TemperatureRecord(forecast.time_s, forecast.optics_c, air_c=forecast.air_c),
         unit="planned",
         held_out=np.zeros(len(navigations), dtype=bool),

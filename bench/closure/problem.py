@@ -49,6 +49,33 @@ class Problem:
         return np.ascontiguousarray(1.0 / self.sigma_dph.T)[..., np.newaxis]
 
     @cached_property
+    def _common(self) -> tuple[FloatArray, FloatArray] | None:
+        """Directions ``Q`` (3, m, c) of errors that dwells have in common, and how much these shrink, ``D``.
+
+        None without such errors. ``1 - Q D Q'`` whitens noise and common errors, in units of the noise.
+        """
+        if not self.campaign.common_sigma_dph[self.searched].any():
+            return None
+        errors = self.campaign.common_errors_dph[:, self.searched] * self._inverse_sigma
+        lengths = np.linalg.norm(errors, axis=1)
+        return (errors / np.maximum(lengths, 1e-300)[:, np.newaxis], 1.0 - 1.0 / np.sqrt(1.0 + lengths**2))
+
+    def whitened(self, values: FloatArray) -> FloatArray:
+        """Values of the dwells searched (3, m, k), deg/h, in units of the noise and with white errors."""
+        return self._whitened(values, slice(None))
+
+    def whitened_of(self, gyro: int, values: FloatArray) -> FloatArray:
+        """The same for one gyro, (m, k)."""
+        return self._whitened(values, gyro)
+
+    def _whitened(self, values: FloatArray, gyros: int | slice) -> FloatArray:
+        values = values * self._inverse_sigma[gyros]
+        if self._common is not None:
+            directions, shrinkage = (each[gyros] for each in self._common)
+            values -= directions @ (shrinkage[..., np.newaxis] * (directions.mT @ values))
+        return values
+
+    @cached_property
     def _stacked_bases(self) -> FloatArray:
         """Bases of the three gyros, padded with zero columns, shape (3, m, r)."""
         widest = max(basis.shape[1] for basis in self.bases)
@@ -91,7 +118,7 @@ class Problem:
         the standard deviation of the whole column: if nearly all of a column is fitted, its remainder does
         not measure its size.
         """
-        weighted = np.moveaxis(columns / self.sigma_dph[..., np.newaxis], 1, 0)
+        weighted = self.whitened(np.moveaxis(columns, 1, 0))
         residual = np.stack(
             [_residual(basis, each) for basis, each in zip(self.bases, weighted, strict=True)]
         )
@@ -110,7 +137,7 @@ class Problem:
 
     def independent_lengths(self, columns: FloatArray, kept: BoolArray) -> FloatArray:
         """Length of the part of each kept term that is independent of the columns so far, in sigma."""
-        weighted = [columns[self.searched, gyro] / self.sigma_dph[:, gyro, np.newaxis] for gyro in range(3)]
+        weighted = self.whitened(np.moveaxis(columns[self.searched], 1, 0))
         lengths = [
             np.linalg.norm(_residual(basis, gyro_columns[:, gyro_kept]), axis=0)
             for basis, gyro_columns, gyro_kept in zip(self.bases, weighted, kept, strict=True)
@@ -134,7 +161,7 @@ class Problem:
 
     def independent_part(self, columns: FloatArray, gyro: int, kept: BoolArray | None) -> FloatArray:
         """Terms of one gyro scaled to length one, minus their projection onto the columns so far."""
-        weighted = columns[self.searched, gyro] / self.sigma_dph[:, gyro, np.newaxis]
+        weighted = self.whitened_of(gyro, columns[self.searched, gyro])
         if kept is not None:
             weighted = weighted[:, kept[gyro]]
         lengths = np.linalg.norm(weighted, axis=0)
@@ -142,7 +169,7 @@ class Problem:
 
     def independent_parts(self, columns: FloatArray, kept: BoolArray | None) -> FloatArray:
         """:meth:`independent_part` of all three gyros, shape (3, m, k); zero if not kept."""
-        terms = columns.take(self._searched_indices, axis=0).transpose(1, 0, 2) * self._inverse_sigma
+        terms = self.whitened(columns.take(self._searched_indices, axis=0).transpose(1, 0, 2))
         if kept is not None:
             terms *= kept[:, np.newaxis]
         lengths = np.sqrt(np.einsum("gmk,gmk->gk", terms, terms))[:, np.newaxis]
@@ -163,13 +190,14 @@ def explained_by(products: FloatArray, residual_products: FloatArray) -> tuple[f
 
 def declared_problem(campaign: Campaign, searched: BoolArray, noise_scale: float = 1.0) -> Problem:
     """Problem with the declared model's columns."""
-    sigma_dph = campaign.sigma_dph[searched] * noise_scale
+    empty = Problem(campaign, searched, noise_scale, (), np.zeros((0, 3)))
     bases, residuals = [], []
     for gyro in range(3):
-        weighted = declared_columns(campaign, gyro)[searched] / sigma_dph[:, gyro, np.newaxis]
+        weighted = empty.whitened_of(gyro, declared_columns(campaign, gyro)[searched])
         bases.append(_basis(weighted / np.maximum(np.linalg.norm(weighted, axis=0), 1e-300)))
-        residuals.append(_residual(bases[gyro], campaign.bias_dph[searched, gyro] / sigma_dph[:, gyro]))
-    return Problem(campaign, searched, noise_scale, tuple(bases), np.stack(residuals, axis=1))
+        data = empty.whitened_of(gyro, campaign.bias_dph[searched, gyro, np.newaxis])[:, 0]
+        residuals.append(_residual(bases[gyro], data))
+    return replace(empty, bases=tuple(bases), residuals=np.stack(residuals, axis=1))
 
 
 def declared_columns(campaign: Campaign, gyro: int) -> FloatArray:
@@ -199,9 +227,9 @@ def solve_terms(problem: Problem, terms: Sequence[tuple[FloatArray, BoolArray]])
         declared_terms = declared_columns(campaign, gyro)
         is_used = np.any(declared_terms[searched] != 0.0, axis=0)
         blocks = [declared_terms[:, is_used], *(columns[:, gyro, kept[gyro]] for columns, kept in terms)]
-        weighted = np.concatenate(blocks, axis=1)[searched] / problem.sigma_dph[:, gyro, np.newaxis]
+        weighted = problem.whitened_of(gyro, np.concatenate(blocks, axis=1)[searched])
         lengths = np.maximum(np.linalg.norm(weighted, axis=0), 1e-300)
-        data = campaign.bias_dph[searched, gyro] / problem.sigma_dph[:, gyro]
+        data = problem.whitened_of(gyro, campaign.bias_dph[searched, gyro, np.newaxis])[:, 0]
         values = np.linalg.lstsq(weighted / lengths, data, rcond=MIN_SHARE)[0] / lengths
         split_values = np.split(values, np.cumsum([block.shape[1] for block in blocks])[:-1])
         declared[gyro, is_used] = split_values[0]

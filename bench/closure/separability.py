@@ -97,7 +97,7 @@ def _independent_part(problem: Problem, columns: FloatArray) -> FloatArray:
 
     Zero for columns that depend on the declared model.
     """
-    weighted = np.moveaxis(columns / problem.sigma_dph[:, :, np.newaxis], 1, 0)
+    weighted = problem.whitened(np.moveaxis(columns, 1, 0))
     remainder = np.stack(
         [
             columns_of_gyro - basis @ (basis.T @ columns_of_gyro)

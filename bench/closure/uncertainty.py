@@ -19,7 +19,14 @@ import numpy as np
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, after_fit, owners, stack
 from gyrobench.bench.closure.effects.effect import Parameter
-from gyrobench.bench.closure.problem import DEGREE, MIN_SHARE, Problem, declared_columns, with_mean_constants
+from gyrobench.bench.closure.problem import (
+    DEGREE,
+    MIN_SHARE,
+    Problem,
+    declared_columns,
+    declared_problem,
+    with_mean_constants,
+)
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 
 #: Number of draws, of proposed points of the nonlinear parameters, and of those spread over all bounds.
@@ -132,7 +139,7 @@ def _with_noise_of_residuals(problem: Problem, candidates: Sequence[Candidate]) 
     after = after_fit(problem, candidates)
     dof = max(after.dof - sum(len(each.values) for each in candidates), 1)
     ratio = max(after.chi2 / dof, 1e-12) ** (0.5 / (1.0 + 0.5 / dof / _PRIOR_SCALE**2))
-    return replace(problem, noise_scale=problem.noise_scale * ratio, residuals=problem.residuals / ratio)
+    return declared_problem(problem.campaign, problem.searched, problem.noise_scale * ratio)
 
 
 class _NormalEquations:
@@ -143,14 +150,14 @@ class _NormalEquations:
         base = declared_columns(campaign, gyro)[searched]
         self.is_used: BoolArray = np.any(base != 0.0, axis=0)  #: Columns of the declared model in use.
         terms = [each.columns(campaign)[searched, gyro] for each in candidates]
-        sigma_dph = problem.sigma_dph[:, gyro]
-        columns = np.concatenate([base[:, self.is_used], *terms], axis=1) / sigma_dph[:, np.newaxis]
+        columns = problem.whitened_of(gyro, np.concatenate([base[:, self.is_used], *terms], axis=1))
         lengths = np.linalg.norm(columns, axis=0)
         # Coefficients that no measured value depends on stay zero.
         self._lengths = np.where(lengths > 0.0, lengths, np.inf)
         columns /= self._lengths
         self._matrix = columns.T @ columns
-        self._vector = columns.T @ (campaign.bias_dph[searched, gyro] / sigma_dph)
+        data = problem.whitened_of(gyro, campaign.bias_dph[searched, gyro, np.newaxis])[:, 0]
+        self._vector = columns.T @ data
         self._roots: dict[bytes, tuple[FloatArray, float]] = {}
 
     def root(self, used: BoolArray, priors: FloatArray) -> tuple[FloatArray, float]:

@@ -85,7 +85,10 @@ def _corrected(dwell: MeasuredDwell, *biases: np.ndarray) -> MeasuredDwell:
         _replace_axis(values, axis, float(joint[axis]))
         for values, joint in zip((row.bias_dph, row.sigma_dph), biases, strict=True)
     )
-    return replace(dwell, row=replace(row, bias_dph=bias_dph, sigma_dph=sigma_dph))
+    common_dph = _replace_axis(row.common_sigma_dph, axis, 0.0)
+    return replace(
+        dwell, row=replace(row, bias_dph=bias_dph, sigma_dph=sigma_dph, common_sigma_dph=common_dph)
+    )
 
 
 def _replace_axis(values: Triple, axis: int, value: float) -> Triple:

@@ -85,7 +85,10 @@ class MeasuredDwell:
             covariance = covariance + (factor**2 - 1.0) * columns @ columns.T
             parts[name] = replace(parts[name], columns=factor * columns, sigma=factor * parts[name].sigma)
         estimate = replace(self.estimate, covariance=covariance, parts=ErrorParts(parts))
-        return replace(self, estimate=estimate, row=replace(self.row, sigma_dph=triple(estimate.sigma_dph)))
+        row = replace(
+            self.row, sigma_dph=triple(estimate.sigma_dph), common_sigma_dph=triple(estimate.common_sigma_dph)
+        )
+        return replace(self, estimate=estimate, row=row)
 
     def with_flag(self, flag: str) -> MeasuredDwell:
         """Copy of the dwell with one more flag."""
@@ -284,6 +287,7 @@ def _row(
         board_c=temperatures.board_c,
         bias_dph=triple(estimate.bias_dph) if estimate else NOT_MEASURED,
         sigma_dph=triple(estimate.sigma_dph) if estimate else NOT_MEASURED,
+        common_sigma_dph=triple(estimate.common_sigma_dph) if estimate else NOT_MEASURED,
         paper_bias_dph=triple(paper.bias_dph) if paper else NOT_MEASURED,
         paper_sigma_dph=triple(paper.sigma_dph) if paper else NOT_MEASURED,
         accelerometer_ug=triple(estimate.accelerometer_bias / UG_TO_MPS2) if estimate else NOT_MEASURED,

@@ -179,7 +179,7 @@ def test_a_dwell_with_flags_may_be_without_result():
 
 def test_rows_by_the_papers_method_are_those_that_it_applies_to():
     both = replace(ROW, paper_bias_dph=(0.01, 0.02, 0.03), paper_sigma_dph=(0.003,) * 3)
-    (row,) = paper_rows([ROW, both])
+    (row,) = paper_rows([ROW, replace(both, common_sigma_dph=(0.001,) * 3)])
     assert (row.bias_dph, row.sigma_dph) == ((0.01, 0.02, 0.03), (0.003,) * 3)
     same = replace(row, bias_dph=ROW.bias_dph, sigma_dph=ROW.sigma_dph)
     assert repr(same) == repr(both)  # NaN does not equal itself
@@ -252,7 +252,7 @@ def test_refuses_a_dwell_number_given_twice():
         ),
         ("unit,run\n", "x:1: the header lacks the columns dwell, cycle"),
         (",".join((*COLUMNS, "unit")) + "\n", "x:1: the header gives unit more than once"),
-        (",".join(COLUMNS) + "\n1,2\n", "x:2: 2 cells where the header has 42"),
+        (",".join(COLUMNS) + "\n1,2\n", "x:2: 2 cells where the header has 45"),
         (",".join(COLUMNS) + '\n"open', "x:2: not valid CSV"),
     ],
 )

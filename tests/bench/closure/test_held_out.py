@@ -201,12 +201,12 @@ def test_effects_are_confirmed_by_held_out_dwells_that_follow_them(held_out, is_
     random = np.random.default_rng(3)
     true = 2.0 * random.standard_normal((40, 3))
     measured = held_out(true, random.standard_normal((40, 3)))
-    assert is_confirmed(measured, measured - true, np.ones((40, 3))) == is_so
+    assert is_confirmed(measured, measured - true) == is_so
 
 
 def test_an_effect_that_predicts_nothing_in_the_held_out_dwells_is_not_confirmed():
     measured = np.random.default_rng(3).standard_normal((40, 3))
-    assert not is_confirmed(measured, measured, np.ones((40, 3)))
+    assert not is_confirmed(measured, measured)
 
 
 def share_confirmed(predicted, size, *, outliers=0.0):
@@ -217,7 +217,7 @@ def share_confirmed(predicted, size, *, outliers=0.0):
         noise = random.standard_normal(predicted.shape)
         noise += 30.0 * (random.random(predicted.shape) < outliers)
         measured = size * predicted + noise
-        confirmed += is_confirmed(measured, measured - predicted, np.ones(predicted.shape))
+        confirmed += is_confirmed(measured, measured - predicted)
     return confirmed / 50.0
 
 

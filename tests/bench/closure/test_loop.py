@@ -51,6 +51,52 @@ def rms(values):
     return np.sqrt(np.mean(values**2))
 
 
+def with_common_errors(rows, sizes, *, is_stated=True):
+    """Rows with errors that the dwells of an attitude share, in sigmas, and their standard uncertainties.
+
+    Each gyro gets one in each attitude where it is level, and one along Up where it is vertical.
+    """
+    random = np.random.default_rng(4)
+    level = {name: sizes * SIGMA_DPH * random.standard_normal(3) for name in sorted(UP)}
+    vertical_dph, common = sizes * SIGMA_DPH * random.standard_normal(3), (sizes * SIGMA_DPH,) * 3
+    return [
+        replace(
+            row,
+            bias_dph=tuple(row.bias_dph + np.where(up == 0.0, level[row.position], vertical_dph * up)),
+            sigma_dph=(np.hypot(1.0, sizes) * SIGMA_DPH,) * 3,
+            **({"common_sigma_dph": common} if is_stated else {}),
+        )
+        for row in rows
+        for up in [np.rint(UP[row.position])]
+    ]
+
+
+@pytest.mark.parametrize("sizes", [0.7, 4.0])
+def test_errors_that_the_dwells_of_an_attitude_share_are_no_effect_and_no_noise(sizes):
+    rows = measure().rows
+    assert (
+        close_loop(
+            campaign_of(with_common_errors(rows, sizes, is_stated=False)), effects=[G_SENSITIVITY]
+        ).verdict
+        != "clean"
+    )
+    closure = close_loop(campaign_of(with_common_errors(rows, sizes)), effects=[G_SENSITIVITY])
+    assert (closure.verdict, closure.noise_scale) == ("clean", 1.0)
+    assert closure.noise_dph == pytest.approx(np.hypot(1.0, sizes) * SIGMA_DPH)
+
+
+def test_effects_are_as_visible_beside_common_errors_as_without():
+    rows = measure({"temperature_rate": 1.0}).rows
+    alone, beside = (
+        close_loop(campaign_of(each), effects=[TEMPERATURE_RATE, G_SENSITIVITY])
+        for each in (rows, with_common_errors(rows, 4.0))
+    )
+    assert (alone.names, alone.verdict) == (("temperature_rate",), "explained")
+    assert (beside.names, beside.verdict) == (alone.names, alone.verdict)
+    sigmas = [each.effects[0].sizes_sigma_dph for each in (alone, beside)]
+    np.testing.assert_allclose(sigmas[1], sigmas[0], rtol=0.2)
+
+
 def test_clean_data_are_called_clean(closed):
     closure = closed()
     assert closure.verdict == "clean"

@@ -43,6 +43,8 @@ def test_a_wrong_latitude_is_corrected_in_the_vertical_biases_and_in_the_bins():
     error = vertical(results.dwells) - truth
     assert abs(np.mean(signs * error)) < 0.0005
     assert np.abs(error / vertical(results.dwells, "sigma_dph")).max() < 3.0
+    assert vertical(dwells, "common_sigma_dph").min() > 0.0  # of the latitude
+    assert not vertical(results.dwells, "common_sigma_dph").any()
     binned = {(each.position, each.gyro): each.bias_dph for each in results.bins}
     assert binned["z_up", "z"] == pytest.approx(vertical(results.dwells)[ALL.index("z_up")])
     assert [dwell.row.flags for dwell in results.dwells] == [()] * len(ALL)

@@ -154,6 +154,17 @@ def test_dwells_allow_for_gyro_errors_larger_than_declared(measured, results, mo
         expected = np.square(dwell.row.sigma_dph) + added.sum(axis=1)
         np.testing.assert_allclose(np.square(wide.row.sigma_dph), expected)
         assert wide.row.bias_dph == dwell.row.bias_dph
+        common = np.square(dwell.row.common_sigma_dph) + added.sum(axis=1)
+        np.testing.assert_allclose(np.square(wide.row.common_sigma_dph), common)
+
+
+def test_common_sigmas_are_those_of_latitude_misalignments_and_scale_factors(results):
+    for dwell in results.dwells:
+        common = dwell.row.common_sigma_dph
+        names = ("gyro_misalignment", "gyro_scale_factor", "latitude")
+        columns = np.hstack([dwell.estimate.parts[name].columns for name in names])
+        np.testing.assert_allclose(common, RADPS_TO_DPH * np.linalg.norm(columns, axis=1))
+        assert (np.array(common) < dwell.row.sigma_dph).all()
 
 
 def test_dwells_without_a_result_are_left_out(measured):
