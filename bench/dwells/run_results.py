@@ -94,7 +94,6 @@ def evaluate(
     bin_width_c: float,
     limits: AcceptanceLimits | None = None,
     planned: Sequence[PlannedDwell] = (),
-    calibration_check: Sequence[CalibrationCheckRow] = (),
 ) -> RunResults:
     """Evaluate the dwells of one run without those that have flags.
 
@@ -110,8 +109,6 @@ def evaluate(
         Limits of acceptance; without them the unit is not judged.
     planned : sequence of PlannedDwell
         Dwells that were planned; see :func:`planned_dwells`.
-    calibration_check : sequence of CalibrationCheckRow
-        Of the run's check dwells.
     """
     noise = _pooled_noise([dwell for dwell in dwells if not dwell.is_disturbed], setup)
     dwells = flag_rest_of_wrong_setup(_flag_held_heading(dwells, setup))
@@ -132,7 +129,6 @@ def evaluate(
         up_rate=rate,
         declared_latitude=setup.prior.latitude,
         noise=noise,
-        calibration_check=list(calibration_check),
         acceptance=judge(
             [dwell.row for dwell in evaluated],
             limits,
@@ -238,6 +234,12 @@ def _with_larger_gyro_errors(
     ]
 
 
+def _with_errors_found(setup: MeasurementSetup, joint: Sequence[JointSolution]) -> MeasurementSetup:
+    """Setup that allows for the largest errors of the gyros' matrix found on any plateau."""
+    factor = max((each.gyro_error_factor for each in joint), default=1.0)
+    return replace(setup, prior=setup.prior.with_larger_gyro_errors(factor))
+
+
 def _flag_held_heading(dwells: Sequence[MeasuredDwell], setup: MeasurementSetup) -> Sequence[MeasuredDwell]:
     """Flag all dwells if an aid of the INS holds the heading, which hides the biases of vertical gyros."""
     accelerometers = [np.abs(each.estimate.accelerometer_bias).max() for each in dwells if each.estimate]
@@ -265,16 +267,17 @@ def evaluate_run(
 ) -> RunResults:
     """Compute the results of all dwells of a run, and write them into its folder.
 
-    ``check_dwells`` are compared with ``calibration``, or with the run's own dwells if that is empty.
+    ``check_dwells`` are compared with ``calibration``, or with the results of the run's own dwells if that is
+    empty; a latitude error or larger gyro errors that these show count in the comparison.
     ``rotations``: as measured during the run; if they are not those of the journal, the log is read.
     Raises RunFolderError if the tables can't be written.
     """
-    check = calibration_check_rows(check_dwells, calibration or [dwell.row for dwell in dwells], setup)
     procedure = plan.procedure
-    results = evaluate(
-        dwells, setup, procedure.bin_width_c, procedure.acceptance, planned_dwells(plan), check
-    )
+    results = evaluate(dwells, setup, procedure.bin_width_c, procedure.acceptance, planned_dwells(plan))
     rows = [dwell.row for dwell in results.dwells]
+    check = calibration_check_rows(
+        check_dwells, calibration or rows, _with_errors_found(setup, results.joint)
+    )
     rotations_of_run = _rotations(folder, setup, rotations or RunRotations()).calibrate(setup)
     flagged = {row.dwell for row in rows if row.flags}
     consistent = [each for each in results.joint if flagged.isdisjoint(dwell.number for dwell in each.dwells)]
@@ -287,7 +290,9 @@ def evaluate_run(
     errors = _errors(results.dwells)
     shared = shared_errors(errors, ["accelerometer_slope"])
     characteristics = procedure.tests.evaluate(rows, records, spins, shared, split_errors(errors))
-    results = replace(results, coefficients=coefficients, characteristics=characteristics)
+    results = replace(
+        results, calibration_check=check, coefficients=coefficients, characteristics=characteristics
+    )
     if results.dwells:
         write_dwells(folder.dwells, rows)
     write_results(folder, results)

@@ -2,12 +2,14 @@
 
 import io
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from rich.console import Console
 
 from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.bias.joint_solution import solve_jointly
 from gyrobench.bench.dwells.run_results import recompute_run
 from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.operator import ConsentingOperator
@@ -131,6 +133,23 @@ def test_measured_again_from_the_log_the_table_is_the_same_to_the_last_digit(req
     copy.calibration_check.unlink()
     recompute_run(copy.path)
     assert copy.calibration_check.read_bytes() == folder.calibration_check.read_bytes()
+
+
+def test_gyro_errors_larger_than_declared_count_in_the_comparison(one_run, tmp_path, monkeypatch):
+    def solve(*arguments):
+        return replace(solve_jointly(*arguments), gyro_error_factor=30.0)
+
+    folder = RunFolder(tmp_path / "run")
+    shutil.copytree(one_run[0].path, folder.path)
+    monkeypatch.setattr("gyrobench.bench.dwells.run_results.solve_jointly", solve)
+    recompute_run(folder.path)
+    rows = read_calibration_check(folder.calibration_check)
+    for wide, declared in zip(rows, one_run[1].results.calibration_check, strict=True):
+        assert wide.bias_dph == pytest.approx(declared.bias_dph)
+        assert wide.sigma_dph > 1.4 * declared.sigma_dph
+        assert wide.calibrated_sigma_dph > declared.calibrated_sigma_dph
+    # The turn of the calibration acts on the gyros in Y-Up.
+    assert rows[3].calibrated_sigma_dph > 2.0 * one_run[1].results.calibration_check[3].calibrated_sigma_dph
 
 
 def test_a_later_run_is_held_against_the_calibration_of_an_earlier_one(one_run, later_run):
