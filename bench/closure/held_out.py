@@ -53,7 +53,8 @@ class HeldOutTest:
 def held_out_test(problem: Problem, errors_dph: FloatArray, deviations_dph: FloatArray) -> HeldOutTest:
     """Test the errors of each gyro in the held-out dwells.
 
-    Tested are the sum of squares, a slow course in time, and terms of attitude and temperature rate.
+    Tested are the sum of squares, a slow course in time, a step at any time, and terms of attitude and
+    temperature rate.
 
     Parameters
     ----------
@@ -169,14 +170,16 @@ def _p_values(
     covariance = np.diag(sigma_dph**2) + common_dph @ common_dph.T
     covariance += deviations_dph.T @ deviations_dph / len(deviations_dph)
     covariance_root = np.linalg.cholesky(covariance)
+    steps = np.tri(len(errors_dph))[:, _CONSECUTIVE : len(errors_dph) - _CONSECUTIVE + 1]
     whitened = [
-        np.linalg.solve(covariance_root, each) for each in (errors_dph[:, np.newaxis], constants, *regressors)
+        np.linalg.solve(covariance_root, each)
+        for each in (errors_dph[:, np.newaxis], constants, steps, *regressors)
     ]
     free_basis = _independent_basis(whitened[1], whitened[1])
-    errors, _, *columns = (each - free_basis @ (free_basis.T @ each) for each in whitened)
+    errors, _, steps, *columns = (each - free_basis @ (free_basis.T @ each) for each in whitened)
     projections = [
         _independent_basis(remaining, original).T @ errors
-        for remaining, original in zip(columns, whitened[2:], strict=True)
+        for remaining, original in zip(columns, whitened[3:], strict=True)
     ]
     residuals = problem.residuals[:, gyro]
     gyro_dof = int(problem.campaign.is_measured[problem.searched, gyro].sum()) - problem.bases[gyro].shape[1]
@@ -193,7 +196,12 @@ def _p_values(
         (len(errors) - free_basis.shape[1] - 1, float(squares.sum() - squares.max())),
         *((len(each), float(np.sum(each**2))) for each in projections),
     ]
-    return [p_value(count, chi2) for count, chi2 in tests if count > 0]
+    p_values = [p_value(count, chi2) for count, chi2 in tests if count > 0]
+    lengths = np.linalg.norm(steps, axis=0)
+    steps = steps[:, lengths > _MIN_SHARE] / lengths[lengths > _MIN_SHARE]
+    if steps.size:
+        p_values.append(min(1.0, steps.shape[1] * p_value(1, float(np.max((steps.T @ errors) ** 2)))))
+    return p_values
 
 
 def _independent_basis(columns: FloatArray, originals: FloatArray) -> FloatArray:

@@ -60,6 +60,12 @@ def test_a_jump_in_the_held_out_cycle_is_unexplained_and_its_gyro_is_named(share
     assert "do not explain the errors of the x gyro (p " in held_out_error_sentence(closure)
 
 
+@pytest.mark.parametrize("seed", [6, 7])
+def test_a_step_of_three_sigma_in_the_last_tenth_of_the_held_out_cycle_is_unexplained(seed):
+    closure = closed(jumped(measure(cycles=2, seed=seed).rows, 0.9, 3.0))
+    assert (closure.verdict, closure.held_out_axes) == ("unexplained", ["x"])
+
+
 def test_of_two_cycles_another_one_is_to_be_measured_and_of_three_another_one_held_out():
     of_two, of_three = (closed(jumped(measure(cycles=cycles).rows, 0.5, 9.0, "yz")) for cycles in (2, 3))
     assert "the y and z gyros differ from the prediction" in verdict_sentence(of_two)
