@@ -18,7 +18,7 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.quantity import GYRO_BIAS, Quantity
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.text import counted, plural
 from gyrobench.bench.navigation.positions import AXES
 
@@ -39,6 +39,10 @@ _RATE_UNITS = {"deg/s": 3600.0, "rad/s": math.degrees(3600.0)}
 _MAX_SPREAD_TO_SIGMA = 1e3
 #: Equal dwells are copies, not chance, from this number and this share of the dwells on.
 _MIN_COPIES, _MIN_COPIED = 3, 0.05
+#: Rows are in two units if their sizes form two groups of at least this share of the rows, with a ratio of
+#: the medians of about 1000, and decadic logarithms that scatter by less than this in each.
+_MIN_GROUP, _THOUSAND, _MAX_SCATTER = 0.1, (300.0, 3000.0), 0.5
+_OTHER_UNITS = {"deg/h": "mdeg/h", "ug": "mg"}
 _TEMPERATURES = {
     "gyro_{}_c": "gyro_c",
     "board_{}_c": "board_c",
@@ -56,6 +60,7 @@ def implausible(rows: Sequence[DwellRow], quantity: Quantity = GYRO_BIAS) -> lis
     problems = [
         *_times(unflagged),
         *_copies(unflagged),
+        *_mixed_units(unflagged, quantity),
         *_temperatures(unflagged),
         *_large_sigmas(unflagged, quantity),
         *(_large_biases(unflagged) if quantity.is_gyro_bias else ()),
@@ -101,6 +106,43 @@ def _copies(rows: Sequence[DwellRow]) -> Iterator[str]:
             f" and {counted(others, 'other')} {plural(others, 'has', 'have')} those of another one: leave "
             "the copies out"
         )
+
+
+def _mixed_units(rows: Sequence[DwellRow], quantity: Quantity) -> Iterator[str]:
+    """Values, perhaps with their uncertainties, a thousand times as large in some rows as in the others."""
+    is_large, has_large_sigma = (
+        _thousand_times_larger(np.abs(_values(rows, name))) for name in ("bias_dph", "sigma_dph")
+    )
+    if is_large.any():
+        columns = f"{quantity.label} values{' and uncertainties' if has_large_sigma.any() else ''}"
+        first, count = rows[int(np.argmax(is_large))].dwell, int(is_large.sum())
+        other = _OTHER_UNITS.get(quantity.unit, "another unit")
+        yield (
+            f"{columns} of {counted(count, quantity.row)}, the first is {first}, are about 1000 times as "
+            f"large as those of the other {len(rows) - count}: some seem to be in {other}; give all in "
+            f"{quantity.unit}"
+        )
+
+
+def _thousand_times_larger(sizes: FloatArray) -> BoolArray:
+    """Whether each row of sizes (n, 3) is in a separate group of larger ones; all false without one.
+
+    The median of a row counts, so that one failed gyro makes no group.
+    """
+    row_sizes = np.array(
+        [np.median(each[np.isfinite(each)]) if np.isfinite(each).any() else 0.0 for each in sizes]
+    )
+    is_used = row_sizes > 0.0
+    logs, count = np.sort(np.log10(row_sizes[is_used])), int(is_used.sum())
+    smallest = max(_MIN_COPIES, math.ceil(_MIN_GROUP * count))
+    splits = range(smallest, count - smallest + 1)
+    if not splits:
+        return np.zeros_like(is_used)
+    split = min(splits, key=lambda each: each * np.var(logs[:each]) + (count - each) * np.var(logs[each:]))
+    ratio = 10.0 ** float(np.median(logs[split:]) - np.median(logs[:split]))
+    scatter = max(np.std(logs[:split]), np.std(logs[split:]))
+    is_separate = _THOUSAND[0] < ratio < _THOUSAND[1] and scatter < _MAX_SCATTER
+    return np.asarray(is_used & (row_sizes >= 10.0 ** logs[split] * (1.0 - 1e-9)) & is_separate)
 
 
 def _temperatures(rows: Sequence[DwellRow]) -> Iterator[str]:

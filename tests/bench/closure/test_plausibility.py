@@ -59,6 +59,28 @@ def test_a_bias_that_lost_its_decimal_point_is_named(rows):
     )
 
 
+@pytest.mark.parametrize("factor", [1e3, 1e-3])
+@pytest.mark.parametrize("columns", [("bias_dph", "sigma_dph"), ("bias_dph",)])
+@pytest.mark.parametrize("step", [2, 7])
+def test_rows_in_a_unit_a_thousand_times_smaller_or_larger_are_named(rows, factor, columns, step):
+    scaled = [
+        replace(row, **{name: tuple(factor * each for each in getattr(row, name)) for name in columns})
+        if index % step
+        else row
+        for index, row in enumerate(rows)
+    ]
+    problems = implausible(scaled)
+    words = {"bias_dph": "bias values", "sigma_dph": "uncertainties"}
+    (problem,) = [each for each in problems if "about 1000 times" in each]
+    assert problem.startswith(f"{' and '.join(words[name] for name in columns)} of ")
+    assert problem.endswith("some seem to be in mdeg/h; give all in deg/h")
+
+
+def test_a_gyro_that_fails_is_no_wrong_unit(rows):
+    failed = [replace(row, bias_dph=(1000.0 * row.bias_dph[0], *row.bias_dph[1:])) for row in rows[30:]]
+    assert implausible([*rows[:30], *failed]) == []
+
+
 def test_sigmas_too_cautious_by_a_factor_of_five_are_no_problem(rows):
     assert implausible([replace(row, sigma_dph=tuple(5.0 * s for s in row.sigma_dph)) for row in rows]) == []
 
