@@ -188,18 +188,9 @@ class Campaign:
 
     @cached_property
     def common_errors_dph(self) -> FloatArray:
-        """Errors (3, n, c) for one standard uncertainty of each of c errors that dwells have in common.
-
-        A gyro has one such error in each attitude (position and azimuth) where it is level, and one for all
-        where it is vertical, which follows Up as those of latitude and scale factor do. No dwell has two.
-        """
+        """See :func:`common_errors`."""
         azimuth_deg = np.full(len(self), np.nan) if self.azimuth_deg is None else self.azimuth_deg
-        attitudes = list(zip(self.position, [f"{each:.0f}" for each in azimuth_deg], strict=True))
-        in_attitude = np.array([[each == other for other in dict.fromkeys(attitudes)] for each in attitudes])
-        up = np.rint(self.up_body)
-        level_dph = np.where(up == 0.0, self.common_sigma_dph, 0.0).T
-        vertical_dph = (self.common_sigma_dph * up).T
-        return np.dstack([level_dph[..., np.newaxis] * in_attitude, vertical_dph])
+        return common_errors(self.position, azimuth_deg.tolist(), self.common_sigma_dph)
 
     @property
     def middle_s(self) -> FloatArray:
@@ -290,6 +281,35 @@ class Campaign:
         return network_c
 
 
+def common_errors(
+    position: Sequence[str], azimuth_deg: Sequence[float], common_sigma_dph: FloatArray
+) -> FloatArray:
+    """Errors (3, n, c) for one standard uncertainty of each of c errors that n dwells have in common.
+
+    A gyro has one such error in each attitude (position and azimuth) where it is level, and one for all where
+    it is vertical, which follows Up as those of latitude and scale factor do. No dwell has two.
+    """
+    attitudes = list(zip(position, [f"{each:.0f}" for each in azimuth_deg], strict=True))
+    in_attitude = np.array([[each == other for other in dict.fromkeys(attitudes)] for each in attitudes])
+    up = np.array([np.rint(POSITIONS[name].C_nb()[2]) for name in position])
+    level_dph = np.where(up == 0.0, common_sigma_dph, 0.0).T
+    return np.dstack([level_dph[..., np.newaxis] * in_attitude, (common_sigma_dph * up).T])
+
+
+def noise_and_common(rows: Sequence[DwellRow]) -> tuple[FloatArray, FloatArray]:
+    """Parts (n, 3) of the uncertainties: independent from dwell to dwell, and common to those of an attitude.
+
+    Together they are the stated uncertainties. Part of these is always independent, so that no dwell counts
+    as if it had no noise.
+    """
+    sigma_dph, common_sigma_dph = (
+        np.array([getattr(row, name) for row in rows], dtype=np.float64).reshape(-1, 3)
+        for name in ("sigma_dph", "common_sigma_dph")
+    )
+    common_sigma_dph = np.fmin(np.nan_to_num(common_sigma_dph), _MAX_COMMON * sigma_dph)
+    return np.sqrt(sigma_dph**2 - common_sigma_dph**2), common_sigma_dph
+
+
 def campaign_of(
     rows: Sequence[DwellRow],
     record: TemperatureRecord | None = None,
@@ -346,10 +366,8 @@ def _campaign_of_rows(
 
     run_names = list(dict.fromkeys(row.run for row in rows))
     start_s, end_s, gyro_c, rate_c_per_h = map(gather, ("start_s", "end_s", "gyro_c", "gyro_rate_c_per_h"))
-    bias_dph, sigma_dph, boards_c = gather("bias_dph"), gather("sigma_dph"), gather("board_c").T
-    # At most this part is common, so that no dwell counts as if it had no noise.
-    common_sigma_dph = np.fmin(np.nan_to_num(gather("common_sigma_dph")), _MAX_COMMON * sigma_dph)
-    sigma_dph = np.sqrt(sigma_dph**2 - common_sigma_dph**2)
+    bias_dph, boards_c = gather("bias_dph"), gather("board_c").T
+    sigma_dph, common_sigma_dph = noise_and_common(rows)
     if not quantity.is_gyro_bias:
         is_unknown = ~(np.isfinite(bias_dph) & np.isfinite(sigma_dph))
         bias_dph[is_unknown], sigma_dph[is_unknown] = 0.0, np.inf

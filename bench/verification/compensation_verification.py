@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import chi2, norm
 
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.campaign import campaign_of, common_errors, noise_and_common
 from gyrobench.bench.closure.loadable_model import LoadableModel
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.uncertainty import Draws
@@ -261,7 +261,10 @@ def _measured_rows(
         of_plateau = varying[is_included], deviations[:, is_included]
         rows.append(_plateau_row(run.compensation, number, check, *of_plateau, fitted_c))
     total_rows = [row for row, is_counted in zip(usable, counts, strict=True) if is_counted]
-    total = _total_row(run.compensation, total_rows, varying[counts], deviations[:, counts])
+    common = _common_deviations(usable, counts)
+    total = _total_row(
+        run.compensation, total_rows, varying[counts], deviations[:, counts], common[:, counts]
+    )
     return CompensationResult(run.compensation, tuple(checks.values()), tuple(rows), total)
 
 
@@ -348,6 +351,17 @@ def _compensation_deviations(rows: Sequence[DwellRow], run: MeasuredRun, counts:
     return np.asarray((varying - varying.mean(axis=0)) / math.sqrt(len(varying)))
 
 
+def _common_deviations(rows: Sequence[DwellRow], counts: BoolArray) -> FloatArray:
+    """Varying biases (c, n, 3) for one standard uncertainty of each error that dwells have in common."""
+    _, common_sigma_dph = noise_and_common(rows)
+    if not common_sigma_dph.any():
+        return np.zeros((0, len(rows), 3))
+    positions, azimuths_deg = [row.position for row in rows], [row.azimuth_deg for row in rows]
+    errors = common_errors(positions, azimuths_deg, common_sigma_dph)
+    of_each_gyro = np.einsum("gnc,gh->gcnh", errors, np.eye(3)).reshape(-1, len(rows), 3)
+    return _varying_bias(rows, of_each_gyro, counts)
+
+
 def _sigma_dph(deviations: FloatArray) -> float:
     return rms(np.sqrt(np.sum(deviations**2, axis=0))) if len(deviations) else math.nan
 
@@ -382,10 +396,15 @@ def _plateau_row(
 
 
 def _total_row(
-    compensation: str, compared: Sequence[DwellRow], varying: FloatArray, deviations: FloatArray
+    compensation: str,
+    compared: Sequence[DwellRow],
+    varying: FloatArray,
+    deviations: FloatArray,
+    common: FloatArray,
 ) -> VerificationRow:
     """Row for all plateaus together, without the maxima over them."""
     sigma = np.array([row.sigma_dph for row in compared]).reshape(-1, 3)
+    noise, _ = noise_and_common(compared)
     dof = varying.size - varying.shape[1] * len({row.run for row in compared})
     return VerificationRow(
         compensation=compensation,
@@ -398,19 +417,19 @@ def _total_row(
         bias_rms_dph=rms(np.array([row.bias_dph for row in compared])),
         bias_noise_dph=rms(sigma),
         varying_rms_dph=rms(varying),
-        varying_p_value=float(chi2.sf(np.sum((varying / sigma) ** 2), dof)) if dof > 0 else math.nan,
+        varying_p_value=_agreement_p_value(varying / noise, common / noise, dof),
         compensation_sigma_dph=_sigma_dph(deviations),
-        agreement_p_value=_agreement_p_value(varying / sigma, deviations / sigma, dof)
+        agreement_p_value=_agreement_p_value(varying / noise, np.vstack([deviations, common]) / noise, dof)
         if len(deviations)
         else math.nan,
     )
 
 
 def _agreement_p_value(varying: FloatArray, deviations: FloatArray, dof: int) -> float:
-    """p-value of a bias (n, 3), given noise and deviations of the compensation, in standard deviations."""
+    """p-value of a bias (n, 3), given noise and other deviations (N, n, 3), in standard deviations."""
     if dof < 1:
         return math.nan
-    columns = deviations.reshape(len(deviations), -1)
+    columns = deviations.reshape(len(deviations), varying.size)
     covariance = np.eye(varying.size) + columns.T @ columns
     return float(chi2.sf(varying.ravel() @ np.linalg.solve(covariance, varying.ravel()), dof))
 

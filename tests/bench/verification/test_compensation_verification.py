@@ -6,11 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gyrobench.bench.bias.dwell_table import NOT_MEASURED
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.effects.laws import G_SENSITIVITY
 from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.closure.problem import predict
 from gyrobench.bench.closure.uncertainty import Draws
+from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.verification.compensation_verification import (
     MeasuredRun,
     compare_runs,
@@ -53,6 +55,30 @@ def test_noise_is_not_significant_and_a_bias_along_up_is():
     assert residual(0.0).total.varying_p_value > 0.01
     assert residual(0.02).total.varying_p_value < 1e-9
     assert residual(0.0).total.bias_noise_dph == pytest.approx(SIGMA_DPH)
+
+
+def with_common_error(rows, common_dph):
+    """The same rows with a part of the uncertainty of vertical gyros that all dwells have in common."""
+    for row in rows:
+        common = common_dph * np.abs(POSITIONS[row.position].C_nb()[2])
+        sigma_dph = np.hypot(row.sigma_dph, common)
+        yield replace(row, sigma_dph=tuple(sigma_dph.tolist()), common_sigma_dph=tuple(common.tolist()))
+
+
+def test_an_error_that_dwells_have_in_common_counts_once_and_hides_no_other_bias():
+    def p_value(rows):
+        return compensation_result("none", rows, [], SITE, FITTED_C).total.varying_p_value
+
+    along_up = [*with_common_error(rows_of(3.5 * SIGMA_DPH), 1.5 * SIGMA_DPH)]
+    assert p_value([replace(row, common_sigma_dph=NOT_MEASURED) for row in along_up]) < 1e-3
+    assert p_value(along_up) > 0.01
+    varying = [
+        replace(
+            row, bias_dph=tuple(np.array(row.bias_dph) + (5.0 * SIGMA_DPH if row.gyro_c[0] > 40.0 else 0.0))
+        )
+        for row in with_common_error(rows_of(0.0), 10.0 * SIGMA_DPH)
+    ]
+    assert p_value(varying) < 1e-9
 
 
 def test_the_stated_noise_is_that_of_noise_alone():
