@@ -8,10 +8,12 @@ import math
 import numpy as np
 
 from gyrobench.bench.bias.dwell import Dwell, NavigationWindow, RestOutput
+from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.dwells.clock_check import clock_fault
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.dwells.setup_check import latitude_fault
 from gyrobench.bench.dwells.temperatures import temperatures_at, valid_temperatures
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError, SignalMapError
 from gyrobench.bench.foundations.text import flag_text
 from gyrobench.bench.navigation.attitude import angle_between
@@ -22,6 +24,14 @@ from gyrobench.drivers.ins.readout import InsMode
 
 #: Difference between the turns of INS and table: angle, rad, and standard uncertainties of the scale factor.
 _MAX_TURN_ERROR, _TURN_SIGMAS = math.radians(0.05), 5.0
+#: Time over which the velocity at the edge of a window is fitted, s, and share of the output's noise that
+#: remains; velocity at the start of navigation, m/s, and in standard uncertainties of its noise; largest
+#: change in a turn as a multiple of that, and as a share of what the acceleration before makes in that time.
+_EDGE_S, _EDGE_NOISE, _START_MPS, _START_SIGMAS = 30.0, 0.6, 1e-3, 5.0
+_MAX_CHANGE, _MAX_CHANGE_SHARE = 2.0, 0.5
+
+#: In each message of :func:`turn_fault`.
+ALIGNED_AGAIN = "the INS aligned again"
 
 
 def decode_dwell(
@@ -83,11 +93,12 @@ def dwell_at_rest(marks: DwellMarks, navigation: NavigationData, setup: Measurem
     )
 
 
-def turn_fault(dwell: Dwell, setup: MeasurementSetup) -> str:
-    """Message that the INS turned by another angle than the table between two windows; empty if it did not.
+def turn_fault(dwell: Dwell, setup: MeasurementSetup, noise: NoiseModel) -> str:
+    """Message that the INS turned by another angle than the table, or aligned again; empty if it did not.
 
     The angle of a rotation does not depend on the axes, so mounting, azimuth and tilt of the table have no
-    effect. An INS that aligns again changes its heading error by twice the bias East over the Earth rate.
+    effect. An INS that aligns again changes its heading error by twice the bias East over the Earth rate, and
+    starts at rest.
     """
     for number, (earlier, later) in enumerate(itertools.pairwise(dwell.windows), 2):
         table = angle_between(dwell.C_nb_table[number - 1], dwell.C_nb_table[number - 2])
@@ -102,10 +113,44 @@ def turn_fault(dwell: Dwell, setup: MeasurementSetup) -> str:
         if abs(ins - table) > limit:
             return (
                 f"before window {number} the INS turned by {math.degrees(ins):.3f} deg, the table by "
-                f"{math.degrees(table):.3f} deg: the INS aligned again or corrected its heading, or the unit "
+                f"{math.degrees(table):.3f} deg: {ALIGNED_AGAIN} or corrected its heading, or the unit "
                 "slipped on the table. Switch its corrections off, and check its screws"
             )
+        if lost_mps := _lost_velocity(earlier, later, noise):
+            return (
+                f"window {number} begins with a velocity of zero, after {1e3 * lost_mps:.2g} mm/s at the end "
+                f"of the one before: {ALIGNED_AGAIN} or corrected its velocity. Switch its corrections off"
+            )
     return ""
+
+
+def _lost_velocity(earlier: NavigationWindow, later: NavigationWindow, noise: NoiseModel) -> float:
+    """Velocity, m/s, that an INS had before it started again at rest; 0 if it did not.
+
+    By chance velocity and acceleration East and North are hardly ever all zero after a turn, and the velocity
+    before must differ by more than a turn explains.
+    """
+    gap_s = later.time_s[0] - earlier.time_s[-1]
+    (before_mps, before_mps2), (after_mps, after_mps2) = (
+        _velocity_at_edge(earlier, -1),
+        _velocity_at_edge(later, 0),
+    )
+    rest_mps = _START_MPS + _START_SIGMAS * (
+        _EDGE_NOISE * noise.velocity_white + noise.velocity_random_walk * math.sqrt(gap_s)
+    )
+    if max(np.abs(after_mps).max(), gap_s * np.abs(after_mps2).max()) > rest_mps:
+        return 0.0
+    lost_mps = float(np.linalg.norm(before_mps))
+    explained_mps = _MAX_CHANGE * rest_mps + _MAX_CHANGE_SHARE * gap_s * float(np.linalg.norm(before_mps2))
+    return lost_mps if lost_mps > explained_mps else 0.0
+
+
+def _velocity_at_edge(window: NavigationWindow, index: int) -> tuple[FloatArray, FloatArray]:
+    """Velocity East and North (2,), and its rate, at the first or last epoch of a window."""
+    since_s = window.time_s - window.time_s[index]
+    near = np.abs(since_s) <= _EDGE_S
+    slope, constant = np.polyfit(since_s[near], window.velocity_enu_mps[near, :2], 1)
+    return constant, slope
 
 
 def _windows(marks: DwellMarks, navigation: NavigationData) -> tuple[NavigationWindow, ...]:

@@ -134,9 +134,9 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
     try:
         navigation = decoder.decode(marks, frames, setup)
         dwell = dwell_at_rest(marks, navigation, setup)
-        if fault := turn_fault(dwell, setup):
-            flags.append(fault)
         noise = setup.noise_in(dwell.windows)
+        if fault := turn_fault(dwell, setup, noise):
+            flags.append(fault)
         faults = setup.output_faults(dwell.windows, noise)
         evidence = None if flags else setup.evidence(dwell, noise, faults)
         raise_setup_fault(evidence)

@@ -16,6 +16,7 @@ import numpy as np
 
 from gyrobench.bench.bias.damping import Damping
 from gyrobench.bench.characteristics.allan_test import RateRecord
+from gyrobench.bench.dwells.dwell_output import ALIGNED_AGAIN
 from gyrobench.bench.dwells.measure_dwell import CheckDwell, MeasuredDwell, measure_check_dwell, measure_dwell
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.dwells.rotated_dwell import increments_from_navigation
@@ -78,16 +79,26 @@ def _flag_setup(dwells: list[MeasuredDwell]) -> None:
 
 
 def flag_rest_of_wrong_setup(dwells: Sequence[MeasuredDwell]) -> Sequence[MeasuredDwell]:
-    """Flag the other dwells of a finished run if most contradict the set-up, which is the same for all.
+    """Flag the other dwells of a finished run if most contradict the set-up, or show a new alignment.
 
-    Not done while dwells are added: the flags of a first dwell that is wrong by itself would remain on those
-    that follow.
+    Both are the same for all dwells. Not done while dwells are added: the flags of a first dwell that is
+    wrong by itself would remain on those that follow.
     """
-    faults = [dwell.setup_fault for dwell in dwells if dwell.setup_fault]
-    if 2 * len(faults) <= len(dwells):
+    faults = [dwell.setup_fault for dwell in dwells]
+    dwells = _flag_rest(dwells, faults, "most dwells of the run contradict the station file")
+    aligned_again = [next((each for each in dwell.flags if ALIGNED_AGAIN in each), "") for dwell in dwells]
+    return _flag_rest(dwells, aligned_again, "in most dwells of the run")
+
+
+def _flag_rest(
+    dwells: Sequence[MeasuredDwell], faults: Sequence[str], introduction: str
+) -> Sequence[MeasuredDwell]:
+    """Flag the dwells without a fault if most have one; ``faults``: of each dwell, empty for none."""
+    found = [fault for fault in faults if fault]
+    if 2 * len(found) <= len(dwells):
         return dwells
-    flag = f"most dwells of the run contradict the station file: {faults[0]}"
-    return [dwell if dwell.setup_fault else dwell.with_flag(flag) for dwell in dwells]
+    flag = f"{introduction}: {found[0]}"
+    return [dwell if fault else dwell.with_flag(flag) for dwell, fault in zip(dwells, faults, strict=True)]
 
 
 def _thin_navigation(dwells: list[MeasuredDwell]) -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from gyrobench.bench.bias.bins import read_bins
 from gyrobench.bench.bias.joint_solution import solve_jointly
+from gyrobench.bench.dwells.dwell_output import ALIGNED_AGAIN
 from gyrobench.bench.dwells.measure_dwell import lack_of_fit_text
 from gyrobench.bench.dwells.measurement_setup import measurement_setup
 from gyrobench.bench.dwells.run_results import RunResults, evaluate, planned_dwells, write_results
@@ -129,16 +130,16 @@ def test_a_heading_that_the_ins_holds_flags_all_dwells(measured, results, time_c
 
 
 @pytest.mark.parametrize(("contradicting", "are_flagged"), [(0.5, False), (0.75, True)])
-def test_a_dwell_that_fits_by_chance_is_flagged_where_most_contradict_the_set_up(
-    measured, contradicting, are_flagged
+@pytest.mark.parametrize("fault", ["wrong latitude", f"{ALIGNED_AGAIN} before window 2"])
+def test_a_dwell_that_fits_by_chance_is_flagged_where_most_have_a_fault_of_the_set_up(
+    measured, contradicting, are_flagged, fault
 ):
     dwells, setup = measured
     count = round(contradicting * len(dwells))
-    wrong = [replace(dwell.with_flag("a"), setup_fault="wrong latitude") for dwell in dwells[:count]]
+    setup_fault = "" if ALIGNED_AGAIN in fault else fault
+    wrong = [replace(dwell.with_flag(fault), setup_fault=setup_fault) for dwell in dwells[:count]]
     others = evaluate([*wrong, *dwells[count:]], setup, 5.0).dwells[count:]
-    assert [any("wrong latitude" in flag for flag in dwell.flags) for dwell in others] == [are_flagged] * len(
-        others
-    )
+    assert [any(fault in flag for flag in dwell.flags) for dwell in others] == [are_flagged] * len(others)
 
 
 def test_dwells_allow_for_gyro_errors_larger_than_declared(measured, results, monkeypatch):

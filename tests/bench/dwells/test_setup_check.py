@@ -133,6 +133,13 @@ def test_no_error_of_the_unit_passes_for_a_wrong_set_up(unit, latitude_deg):
         assert abs(scale - 1.0) < 4.0 * sigma
 
 
+@pytest.mark.parametrize("aligns_again", [False, True])
+def test_an_ins_that_aligns_again_is_flagged_by_its_velocity_if_the_heading_does_not_show_it(aligns_again):
+    # Without a bias East a new alignment finds the same heading.
+    (dwell,) = dwells_of(aligns_again=aligns_again, gyro_bias_dph=(0.0, 0.01, 0.0), positions=ALL[:1])
+    assert ("window 2 begins with a velocity of zero" in str(dwell.flags)) == aligns_again
+
+
 def test_a_drift_of_the_accelerometers_beyond_what_is_declared_is_named_as_such():
     drift = (300.0, -300.0, 300.0)
     flags = [str(dwell.row.flags) for dwell in dwells_of(accelerometer_drift_ug_per_h=drift)]
