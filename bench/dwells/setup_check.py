@@ -6,7 +6,8 @@ station file a dwell still looks good:
 * If the velocities have a wrong scale, the biases of the level gyros are wrong by the same factor. If their
   axes are rotated about Up, as wander azimuth or grid axes, parts of the level biases are exchanged. The
   regression on the tilt detects both, and a drift of the accelerometers
-  (:mod:`gyrobench.bench.dwells.velocity_regression`).
+  (:mod:`gyrobench.bench.dwells.velocity_regression`). With several positions, so do drifts that seem to
+  follow the biases of the level gyros.
 * The heading turns by ``V_E tan(latitude)/R``. The effect of a wrong latitude on it looks like a bias with a
   slope, so the latitude of an INS that sends it is compared with that of the station.
 * A latitude of the wrong hemisphere reverses the Coriolis acceleration and the rate of the heading. The full
@@ -23,6 +24,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import ndtr, stdtrit
 
 from gyrobench.bench.bias.bias_filter import dwell_chi2, estimate_state_space
 from gyrobench.bench.bias.dwell import Dwell
@@ -38,11 +40,14 @@ from gyrobench.bench.navigation.positions import AXES
 
 #: A scale, or an angle in rad, is wrong if it is off by more than this number of standard uncertainties,
 #: which noise exceeds with a probability of 3e-5, and by more than this value.
-_MIN_SIGMAS, _MIN_ERROR = 4.2, 0.03
+_MIN_SIGMAS, _MIN_ERROR = 4.2, 0.02
 #: Accelerometers drift more than expected if the p-value is smaller.
 _MIN_DRIFT_P_VALUE = 1e-5
 #: Other deviations of the matrix from the identity reduce the evidence for a fault by at most this factor.
 _MAX_GAIN_REDUCTION = 4.0
+#: Fewest degrees of freedom of the drifts of all dwells, and p-value below which their scatter counts, not
+#: the declared size; regularisation of their common part.
+_MIN_DRIFT_DOF, _MIN_SCATTER_P_VALUE, _TINY_INFORMATION = 5, 0.1, 1e-9
 #: Angles per step of the search, and its final width, rad.
 _ANGLES, _ANGLE_STEP = 73, 1e-5
 #: Epochs of a window in the comparison of the two latitudes.
@@ -140,7 +145,35 @@ def _pooled(dwells: Sequence[SetupEvidence]) -> tuple[FloatArray, FloatArray]:
     information = inverses.sum(axis=0)
     matrix = np.linalg.solve(information, np.einsum("nij,nj->i", inverses, matrices))
     chi2 = float(np.einsum("ni,nij,nj->", matrices - matrix, inverses, matrices - matrix))
-    return matrix, information / max(1.0, chi2 / max(4 * (len(dwells) - 1), 1))
+    information = information / max(1.0, chi2 / max(4 * (len(dwells) - 1), 1))
+    products, by_drift = _information_of_drift([each.velocities for each in dwells])
+    total = information + by_drift
+    return np.linalg.solve(total, information @ matrix + by_drift @ np.eye(2).ravel() + products), total
+
+
+def _information_of_drift(dwells: Sequence[VelocityRegression]) -> tuple[FloatArray, FloatArray]:
+    """Information (4, 4) on the matrix in what seems to be a drift of the accelerometers.
+
+    Also returns its product (4,) with the deviation from the identity. A drift that all dwells have in common
+    is free.
+    """
+    normal, right_side, chi2 = np.zeros((7, 7)), np.zeros(7), 0.0
+    for each in dwells:
+        rows = np.hstack([each.drift_response, np.sqrt(np.diag(each.drift_covariance).min()) * np.eye(3)])
+        weighted = np.linalg.solve(each.drift_covariance, np.column_stack([rows, each.drift]))
+        normal, right_side = normal + rows.T @ weighted[:, :7], right_side + rows.T @ weighted[:, 7]
+        chi2 += float(each.drift @ weighted[:, 7])
+    dof = 2 * len(dwells) - len(normal)  # two axes are level
+    if dof < _MIN_DRIFT_DOF:
+        return np.zeros(4), np.zeros((4, 4))
+    common = normal[:, 4:] @ np.linalg.inv(normal[4:, 4:] + _TINY_INFORMATION * np.eye(3))
+    reduced, products = (normal - common @ normal[4:])[:4, :4], (right_side - common @ right_side[4:])[:4]
+    unexplained = chi2 - float(right_side @ np.linalg.lstsq(normal, right_side)[0])
+    if chi2_p_value(dof, unexplained) < _MIN_SCATTER_P_VALUE:
+        # Drifts larger than declared: their size is known from few dwells.
+        sigmas = _MIN_SIGMAS / float(stdtrit(dof, ndtr(_MIN_SIGMAS)))
+        reduced, products = (each * sigmas**2 * dof / unexplained for each in (reduced, products))
+    return products, reduced
 
 
 def _scale(matrix: FloatArray, information: FloatArray, is_scaled: FloatArray) -> tuple[float, float]:

@@ -10,7 +10,8 @@ integrals of the tilt, which gives a matrix (2, 2): the identity if the velociti
 * A steady drift of each accelerometer is a free parameter of each dwell, since it changes the velocity as the
   tilt by a bias of a level gyro does. From window to window it may change by its prior uncertainty, or by the
   change estimated with correct velocities. The matrix then depends on the random walk of the gyros, and on
-  errors that a turn does not reverse.
+  errors that a turn does not reverse. Wrong velocities seem to be a drift, in proportion to the biases of the
+  level gyros, which several positions distinguish from a drift of the accelerometers.
 """
 
 from __future__ import annotations
@@ -62,6 +63,10 @@ class VelocityRegression:
     damping: Damping
     drift: FloatArray
     drift_sigma: FloatArray
+    #: drift_response, drift_covariance: Shapes (3, 4), (3, 3). Change of the drift that a unit of each
+    #: element of the matrix seems to be, and the covariance of its measurement and expected size.
+    drift_response: FloatArray
+    drift_covariance: FloatArray
 
 
 def velocity_regression(
@@ -93,14 +98,17 @@ def velocity_regression(
     covariance = np.asarray(scatter * np.linalg.inv(rows)[_MATRIX, _MATRIX])
     if not (np.linalg.eigvalsh(covariance) > 0.0).all():
         return None
-    others, others_covariance = _solve_for_identity(moments, site.latitude)
+    others, others_covariance, response = _solve_for_identity(moments, site.latitude)
     sigma = np.sqrt(scatter * np.diag(others_covariance))
+    drift, drift_unit = slice(2, 5), widened.accelerometer_drift
     return VelocityRegression(
         matrix=values[_MATRIX],
         covariance=covariance,
         damping=Damping(float(others[1]), float(sigma[1])),
-        drift=others[2:5] * widened.accelerometer_drift,
-        drift_sigma=widened.accelerometer_drift * np.stack([sigma[2:5], np.ones(3)]),
+        drift=others[drift] * drift_unit,
+        drift_sigma=drift_unit * np.stack([sigma[drift], np.ones(3)]),
+        drift_response=drift_unit * response[drift],
+        drift_covariance=drift_unit**2 * (scatter * others_covariance[drift, drift] + np.eye(3)),
     )
 
 
@@ -138,14 +146,17 @@ def _solve(moments: FloatArray, attitude_noise: FloatArray) -> tuple[FloatArray,
     return values, information, chi2
 
 
-def _solve_for_identity(moments: FloatArray, latitude: float) -> tuple[FloatArray, FloatArray]:
-    """Parameters (n - 4,) except the matrix, which is the identity at this latitude; their covariance."""
+def _solve_for_identity(moments: FloatArray, latitude: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Parameters (n - 4,) except the matrix, which is the identity at this latitude; their covariance.
+
+    Also returns their response (n - 4, 4) to the elements of the matrix.
+    """
     prior, reference = _prior(len(moments) - 1)[4:], np.append(np.eye(2), math.sin(latitude))
     prior[0] = _LATITUDE_RATE**-2.0
     covariance = np.asarray(np.linalg.inv(moments[4:-1, 4:-1] + np.diag(prior)))
     parameters = covariance @ (moments[4:-1, -1] - moments[4:-1, :5] @ reference)
     parameters[0] += reference[-1]
-    return parameters, covariance
+    return parameters, covariance, covariance @ moments[4:-1, _MATRIX]
 
 
 def _prior(count: int) -> FloatArray:

@@ -69,6 +69,23 @@ def test_a_scale_that_each_dwell_leaves_open_is_found_by_all_together():
     assert all("a wrong scale" in str(dwell.row.flags) for dwell in dwells)
 
 
+def test_a_small_wrong_scale_is_found_where_drifts_seem_to_follow_the_biases():
+    wrong = dwells_of(velocity_scale=(1.05,) * 3, gyro_bias_dph=(0.1, -0.05, 0.07))
+    assert not any(setup_fault([dwell.evidence]) for dwell in wrong)
+    assert all("a wrong scale: 1.0" in str(dwell.row.flags) for dwell in wrong)
+    # Drifts that differ from dwell to dwell do not pass for it.
+    random = np.random.default_rng(0)
+    drifting = [
+        replace(dwell.evidence, velocities=replace(velocities, drift=drift))
+        for dwell in dwells_of(gyro_bias_dph=(0.1, -0.05, 0.07))
+        for velocities in [dwell.evidence.velocities]
+        for drift in [velocities.drift + 60.0 * UG / 3600.0 * random.standard_normal(3)]
+    ]
+    assert setup_fault(drifting) == ""
+    scale, sigma = measured_scale(drifting)
+    assert (abs(scale - 1.0) < 4.0 * sigma, sigma > 0.005) == (True, True)
+
+
 @pytest.mark.parametrize(
     "turned_deg", [*(pytest.param(each, marks=LONG) for each in (20.0, -30.0, 60.0, -165.0)), 120.0]
 )
