@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -67,10 +67,25 @@ class JointInformation:
     data: FloatArray
     position: Position
     earth_rate: FloatArray  #: Shape (3,). ENU, rad/s.
+    #: turn_rows, turn_data: Shape (k, 9), (k,). White rows for the gyro error matrix, of the angles by which
+    #: the INS turned further than the table. They test its declared size and enter no solution, since an
+    #: error of the table's angle looks the same.
+    turn_rows: FloatArray = field(default_factory=lambda: np.zeros((0, 9)))
+    turn_data: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
-    def of(cls, information: DwellInformation, position: Position, prior: PriorKnowledge) -> JointInformation:
-        """Eliminate parameters of a single dwell: slopes, initial errors, headings, steps in the turns."""
+    def of(
+        cls,
+        information: DwellInformation,
+        position: Position,
+        prior: PriorKnowledge,
+        turn_rows: FloatArray | None = None,
+        turn_data: FloatArray | None = None,
+    ) -> JointInformation:
+        """Eliminate parameters of a single dwell: slopes, initial errors, headings, steps in the turns.
+
+        ``turn_rows``, ``turn_data``: by default there are none.
+        """
         rows = information.rows.copy()
         # The biases at the mean temperatures become parameters; slopes then act about these temperatures.
         for bias, slope, at_mean in (
@@ -98,8 +113,12 @@ class JointInformation:
         reduced = compress(stacked)[len(eliminated) :, len(eliminated) :]
         sizes = np.diagonal(root)[_JOINT_COLUMNS].copy()
         sizes[_BIAS] = sizes[_RATE] = _ANY_RATE
+        turns = () if turn_rows is None or turn_data is None else (turn_rows, turn_data)
         return cls(
-            *_informative_rows(reduced[:, :-1], reduced[:, -1], sizes), position, information.earth_rate
+            *_informative_rows(reduced[:, :-1], reduced[:, -1], sizes),
+            position,
+            information.earth_rate,
+            *turns,
         )
 
     def joint_rows(self, index: int, dwells: int) -> FloatArray:
@@ -274,6 +293,8 @@ class JointSolution:
     #: Size of the gyros' misalignments and scale factors by these data relative to the declared one; 1 if
     #: they do not contradict it. The solutions allow for errors of this size.
     gyro_error_factor: float
+    #: The same, in addition, of the scale factors by the angles of the turns.
+    scale_factor_ratio: float
 
     @property
     def agrees(self) -> bool:
@@ -329,6 +350,8 @@ def solve_jointly(dwells: Sequence[JointDwell], prior: PriorKnowledge) -> JointS
     information = [dwell.information for dwell in dwells]
     factor = _gyro_error_factor(information, declared_root(prior, earth_rate))
     prior = prior.with_larger_gyro_errors(factor)
+    ratio = _scale_factor_ratio(information, prior)
+    prior = replace(prior, gyro_scale_factor=ratio * prior.gyro_scale_factor)
     root, north_free_root = declared_root(prior, earth_rate), _north_free_root(prior, earth_rate)
     fit, north_free_fit = solve_together(information, root), solve_together(information, north_free_root)
     pairs = _vertical_pairs(dwells, north_free_fit, prior.bias_slope)
@@ -342,6 +365,7 @@ def solve_jointly(dwells: Sequence[JointDwell], prior: PriorKnowledge) -> JointS
         pairs=pairs,
         up_rate=up_rate([pairs], earth_rate, prior.latitude),
         gyro_error_factor=factor,
+        scale_factor_ratio=ratio,
     )
 
 
@@ -374,6 +398,25 @@ def _gyro_error_factor(dwells: Sequence[JointInformation], root: FloatArray) -> 
         weights = (factor2 + variances) ** -2.0
         factor2 = max(1.0, float(weights @ (squares - variances) / weights.sum()))
     return math.sqrt(factor2)
+
+
+def _scale_factor_ratio(dwells: Sequence[JointInformation], prior: PriorKnowledge) -> float:
+    """See :attr:`JointSolution.scale_factor_ratio`: of the largest, if they contradict the declared size."""
+    rows = np.concatenate([each.turn_rows for each in dwells])
+    data = np.concatenate([each.turn_data for each in dwells])
+    declared = prior.gyro_scale_factor
+    if not len(data) or declared == 0.0:
+        return 1.0
+    scale_factors, misalignments = rows[:, ~_OFF_DIAGONAL], rows[:, _OFF_DIAGONAL]
+    others = np.eye(len(data)) + prior.gyro_misalignment**2 * misalignments @ misalignments.T
+    weighted, free_weighted = (
+        np.linalg.solve(others + size**2 * scale_factors @ scale_factors.T, data)
+        for size in (declared, _LARGE_ELEMENT)
+    )
+    if chi2_p_value(len(data), float(data @ weighted)) > _MIN_GYRO_ERROR_P_VALUE:
+        return 1.0
+    values = _LARGE_ELEMENT**2 * scale_factors.T @ free_weighted
+    return max(1.0, float(np.abs(values).max()) / declared)
 
 
 def pooled_up_rate(solutions: Sequence[JointSolution], prior: PriorKnowledge) -> UpRate | None:

@@ -13,10 +13,10 @@ from gyrobench.bench.dwells.clock_check import clock_fault
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.dwells.setup_check import latitude_fault
 from gyrobench.bench.dwells.temperatures import temperatures_at, valid_temperatures
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.arrays import ARCSEC_TO_RAD, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError, SignalMapError
 from gyrobench.bench.foundations.text import flag_text
-from gyrobench.bench.navigation.attitude import angle_between
+from gyrobench.bench.navigation.attitude import angle_between, rotation_matrices, rotation_vectors
 from gyrobench.bench.runs.marks import DwellMarks, WindowMark
 from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.navigation_data import NavigationData
@@ -29,6 +29,10 @@ _MAX_TURN_ERROR, _TURN_SIGMAS = math.radians(0.05), 5.0
 #: change in a turn as a multiple of that, and as a share of what the acceleration before makes in that time.
 _EDGE_S, _EDGE_NOISE, _START_MPS, _START_SIGMAS = 30.0, 0.6, 1e-3, 5.0
 _MAX_CHANGE, _MAX_CHANGE_SHARE = 2.0, 0.5
+#: Smallest turn that shows the scale factors of gyros, and standard uncertainty of the table's angle beyond
+#: its repeatability, rad.
+_MIN_TURN, _TABLE_ACCURACY = math.radians(30.0), 5.0 * ARCSEC_TO_RAD
+_LEVI_CIVITA = -np.cross(np.eye(3)[:, np.newaxis], np.eye(3))
 
 #: In each message of :func:`turn_fault`.
 ALIGNED_AGAIN = "the INS aligned again"
@@ -122,6 +126,50 @@ def turn_fault(dwell: Dwell, setup: MeasurementSetup, noise: NoiseModel) -> str:
                 f"of the one before: {ALIGNED_AGAIN} or corrected its velocity. Switch its corrections off"
             )
     return ""
+
+
+def turn_angles(dwell: Dwell, setup: MeasurementSetup, noise: NoiseModel) -> tuple[FloatArray, FloatArray]:
+    """Evidence of the turns on the errors of the gyros' matrix: white rows (n, 9) and data (n,).
+
+    Each is the angle by which the INS turned further than the table about the table's axis of rotation.
+    """
+    rows, data = [], []
+    for k, (path, earlier, later) in enumerate(
+        zip(dwell.turns, dwell.windows, dwell.windows[1:], strict=False)
+    ):
+        table = dwell.C_nb_table[k + 1] @ dwell.C_nb_table[k].T
+        ins = later.C_nb[0] @ earlier.C_nb[-1].T
+        if angle_between(*dwell.C_nb_table[k : k + 2]) < _MIN_TURN:
+            continue
+        axis = _axis(table)
+        ins_axis = _axis(ins)
+        excess = _angle_about(ins, math.copysign(1.0, axis @ ins_axis) * ins_axis) - _angle_about(table, axis)
+        steps = rotation_vectors(path.C_nb[:-1].transpose(0, 2, 1) @ path.C_nb[1:])
+        middle = path.C_nb[:-1] @ rotation_matrices(0.5 * steps)
+        gap_s = later.time_s[0] - earlier.time_s[-1]
+        drift = angle_between(earlier.C_nb[-1], earlier.C_nb[0]) / earlier.duration_s
+        sigma = math.hypot(
+            _TABLE_ACCURACY,
+            math.sqrt(2.0) * setup.table_repeatability,
+            setup.prior.tilt_step,
+            noise.angle_random_walk * math.sqrt(gap_s),
+            math.sqrt(2.0) * noise.heading_white,
+            drift * gap_s,
+        )
+        rows.append(np.einsum("kij,i,kl->jl", middle, axis, steps).ravel() / sigma)
+        data.append(math.remainder(excess, math.tau) / sigma)
+    return np.reshape(rows, (-1, 9)), np.array(data)
+
+
+def _axis(rotation: FloatArray) -> FloatArray:
+    """Axis (3,) of a rotation (3, 3), also of half a turn; its sign is arbitrary."""
+    return np.asarray(np.linalg.eigh(rotation + rotation.T)[1][:, -1])
+
+
+def _angle_about(rotation: FloatArray, axis: FloatArray) -> float:
+    """Angle of a rotation (3, 3) about its axis, rad."""
+    sine = 0.5 * float(np.einsum("ij,ijk,k->", rotation, _LEVI_CIVITA, axis))
+    return math.atan2(sine, 0.5 * (float(np.trace(rotation)) - 1.0))
 
 
 def _lost_velocity(earlier: NavigationWindow, later: NavigationWindow, noise: NoiseModel) -> float:

@@ -19,7 +19,13 @@ from gyrobench.bench.bias.paper import estimate_paper
 from gyrobench.bench.bias.statistics import Chi2Test
 from gyrobench.bench.bias.vertical_pairs import exceeds_declared
 from gyrobench.bench.bias.window_filter import EPOCH_S
-from gyrobench.bench.dwells.dwell_output import check_signal_map, decode_dwell, dwell_at_rest, turn_fault
+from gyrobench.bench.dwells.dwell_output import (
+    check_signal_map,
+    decode_dwell,
+    dwell_at_rest,
+    turn_angles,
+    turn_fault,
+)
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.dwells.output_checks import OutputFault
 from gyrobench.bench.dwells.setup_check import SetupEvidence, drift_fault, raise_setup_fault
@@ -39,8 +45,6 @@ _MIN_FIT_P_VALUE = 1e-5
 _MIN_STEADY_P_VALUE = 1e-4
 #: If the attitude is noisier than declared by this factor, it moves in steps of the gyros' pulses.
 _COARSE_ATTITUDE_FACTOR = 5.0
-#: Sources of the errors of the gyros' matrix.
-_GYRO_ERRORS = ("gyro_scale_factor", "gyro_misalignment")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -75,15 +79,18 @@ class MeasuredDwell:
         """Whether the dwell was disturbed, so that a repeated dwell may be better."""
         return self.estimate is None or not set(self.flags).issubset(self.persistent_flags)
 
-    def with_larger_gyro_errors(self, factor: float) -> MeasuredDwell:
-        """Copy of the dwell whose uncertainty allows for larger errors of the gyros' matrix."""
+    def with_larger_gyro_errors(self, factor: float, scale_factor_ratio: float = 1.0) -> MeasuredDwell:
+        """Copy of the dwell whose uncertainty allows for larger errors of the gyros' matrix.
+
+        ``scale_factor_ratio``: additional factor of the scale factors.
+        """
         if self.estimate is None:
             return self
         parts, covariance = dict(self.estimate.parts), self.estimate.covariance
-        for name in _GYRO_ERRORS:
+        for name, each in (("gyro_scale_factor", factor * scale_factor_ratio), ("gyro_misalignment", factor)):
             columns = parts[name].columns
-            covariance = covariance + (factor**2 - 1.0) * columns @ columns.T
-            parts[name] = replace(parts[name], columns=factor * columns, sigma=factor * parts[name].sigma)
+            covariance = covariance + (each**2 - 1.0) * columns @ columns.T
+            parts[name] = replace(parts[name], columns=each * columns, sigma=each * parts[name].sigma)
         estimate = replace(self.estimate, covariance=covariance, parts=ErrorParts(parts))
         row = replace(
             self.row, sigma_dph=triple(estimate.sigma_dph), common_sigma_dph=triple(estimate.common_sigma_dph)
@@ -144,7 +151,9 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
         estimated = estimate_dwell(dwell, setup, noise, faults)
         estimate, persistent_flags = estimated.estimate, estimated.persistent_flags
         if estimate.information:
-            joint_information = JointInformation.of(estimate.information, dwell.position, setup.prior)
+            joint_information = JointInformation.of(
+                estimate.information, dwell.position, setup.prior, *turn_angles(dwell, setup, noise)
+            )
             estimate = replace(estimate, information=None)
         if not flags and all(fault.may_be_noise for fault in faults):
             windows = tuple(RestMotion.of(window.thinned(EPOCH_S)) for window in dwell.windows)

@@ -223,13 +223,13 @@ def _with_larger_gyro_errors(
 ) -> Sequence[MeasuredDwell]:
     """Dwells with uncertainties that allow for the errors of the gyros' matrix found on their plateau."""
     factors = {
-        dwell.number: each.gyro_error_factor
+        dwell.number: (each.gyro_error_factor, each.scale_factor_ratio)
         for each in joint
-        if each.gyro_error_factor > 1.0
+        if max(each.gyro_error_factor, each.scale_factor_ratio) > 1.0
         for dwell in each.dwells
     }
     return [
-        dwell.with_larger_gyro_errors(factors[dwell.row.dwell]) if dwell.row.dwell in factors else dwell
+        dwell.with_larger_gyro_errors(*factors[dwell.row.dwell]) if dwell.row.dwell in factors else dwell
         for dwell in dwells
     ]
 

@@ -307,6 +307,14 @@ def joint_solution_sentences(plateaus: Sequence[JointPlateauRow]) -> dict[str, s
             "gyro_misalignment_arcsec and gyro_scale_factor_ppm of ins.uncertainty by it, or calibrate the "
             "gyros by rotations."
         )
+    ratio = max((each.scale_factor_ratio for each in plateaus if each.scale_factor_ratio > 1.0), default=1.0)
+    if ratio > 1.0:
+        sentences["Scale factors of the gyros."] = (
+            "The INS turned by other angles than the table: scale factors of the gyros are about "
+            f"{max(factor, 1.0) * ratio:.2g} times the declared ones, or the table's angles are wrong. The "
+            "uncertainties allow for that. Check the table against a polygon, and multiply "
+            "gyro_scale_factor_ppm of ins.uncertainty by that number, or calibrate the gyros by rotations."
+        )
     contradictory = [
         each for each in plateaus if max(each.fit_p_value, each.any_north_p_value) < _CONTRADICTION_P
     ]

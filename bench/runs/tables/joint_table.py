@@ -99,6 +99,9 @@ class JointPlateauRow:
     #: Factor by which errors of the gyros' matrix exceed the declared ones; see
     #: :attr:`gyrobench.bench.bias.joint_solution.JointSolution.gyro_error_factor`.
     gyro_error_factor: float = math.nan
+    #: Additional factor of the scale factors; see
+    #: :attr:`gyrobench.bench.bias.joint_solution.JointSolution.scale_factor_ratio`.
+    scale_factor_ratio: float = math.nan
 
 
 _Row = TypeVar("_Row", JointBiasRow, JointPlateauRow)
@@ -177,6 +180,7 @@ def _plateau_row(plateau: int, solution: JointSolution) -> JointPlateauRow:
         fit_p_value=solution.fit.p_value,
         any_north_p_value=solution.north_free_fit.p_value,
         gyro_error_factor=solution.gyro_error_factor,
+        scale_factor_ratio=solution.scale_factor_ratio,
         **values,
         **_up_rate_values(solution.up_rate),
     )

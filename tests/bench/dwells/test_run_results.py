@@ -144,15 +144,15 @@ def test_a_dwell_that_fits_by_chance_is_flagged_where_most_have_a_fault_of_the_s
 
 def test_dwells_allow_for_gyro_errors_larger_than_declared(measured, results, monkeypatch):
     def solve(*arguments):
-        return replace(solve_jointly(*arguments), gyro_error_factor=3.0)
+        return replace(solve_jointly(*arguments), gyro_error_factor=3.0, scale_factor_ratio=2.0)
 
     monkeypatch.setattr("gyrobench.bench.dwells.run_results.solve_jointly", solve)
     for dwell, wide in zip(results.dwells, evaluate(*measured, 5.0).dwells, strict=True):
-        part = dwell.estimate.parts["gyro_misalignment"].columns
-        np.testing.assert_allclose(wide.estimate.parts["gyro_misalignment"].columns, 3.0 * part)
-        part = np.hstack([part, dwell.estimate.parts["gyro_scale_factor"].columns])
-        added = (RADPS_TO_DPH * part) ** 2 * (3.0**2 - 1.0)
-        expected = np.square(dwell.row.sigma_dph) + added.sum(axis=1)
+        expected = np.square(dwell.row.sigma_dph)
+        for name, factor in (("gyro_misalignment", 3.0), ("gyro_scale_factor", 6.0)):
+            part = dwell.estimate.parts[name].columns
+            np.testing.assert_allclose(wide.estimate.parts[name].columns, factor * part)
+            expected = expected + (RADPS_TO_DPH**2 * (factor**2 - 1.0) * part**2).sum(axis=1)
         np.testing.assert_allclose(np.square(wide.row.sigma_dph), expected)
         assert wide.row.bias_dph == dwell.row.bias_dph
         common = np.square(dwell.row.common_sigma_dph) + added.sum(axis=1)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.bias.damping import Damping
+from gyrobench.bench.bias.joint_solution import JointDwell, solve_jointly
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.dwells.setup_check import drift_fault, measured_scale, setup_evidence, setup_fault
 from tests.adversarial.harness import ALL, LATITUDES_DEG, Case, any_unit, measured_dwells
@@ -148,6 +149,25 @@ def test_no_error_of_the_unit_passes_for_a_wrong_set_up(unit, latitude_deg):
     if evidence := [dwell.evidence for dwell in dwells if dwell.evidence]:
         scale, sigma = measured_scale(evidence)
         assert abs(scale - 1.0) < 4.0 * sigma
+
+
+@pytest.mark.parametrize(
+    ("scale_ppm", "misalignment_arcsec", "positions", "expected"),
+    [
+        (0.0, 0.0, ALL[:1], 1.0),
+        (200.0, 0.0, ALL[:1], 40.0),
+        pytest.param(-100.0, 0.0, ALL[2:4], 20.0, marks=LONG),
+        pytest.param(0.0, 60.0, ALL, 1.0, marks=LONG),
+    ],
+)
+def test_turns_show_the_scale_factors_of_the_gyros(scale_ppm, misalignment_arcsec, positions, expected):
+    dwells = dwells_of(
+        gyro_scale_ppm=(scale_ppm,) * 3,
+        gyro_misalignment_arcsec=misalignment_arcsec * np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0]),
+        positions=positions,
+    )
+    joint = [JointDwell(each.row.dwell, each.row.position, each.joint_information) for each in dwells]
+    assert solve_jointly(joint, PriorKnowledge()).scale_factor_ratio == pytest.approx(expected, rel=0.2)
 
 
 @pytest.mark.parametrize("aligns_again", [False, True])

@@ -111,6 +111,8 @@ def test_gyro_errors_larger_than_declared_are_stated_with_their_size() -> None:
     larger = replace(row, gyro_error_factor=6.53)
     (text,) = joint_solution_sentences([row, larger, row]).values()
     assert "about 6.5 times" in text
+    (text,) = joint_solution_sentences([row, replace(row, scale_factor_ratio=40.2)]).values()
+    assert "scale factors of the gyros are about 40 times the declared ones" in text
 
 
 @pytest.mark.parametrize(
