@@ -27,6 +27,8 @@ _MAX_POLL_DRIFT_S = 0.25
 _MAX_SCATTER_FACTOR = 2.0
 #: Fewest resets of the clock in a dwell that may be due to a wrong rate.
 _MIN_RESETS = 4
+#: Resets per epoch that no unit has.
+_MIN_RESET_SHARE = 0.5
 
 
 def clock_fault(ins_time_s: FloatArray, arrival_s: FloatArray, segment: IntArray, signals: SignalMap) -> str:
@@ -45,13 +47,28 @@ def clock_fault(ins_time_s: FloatArray, arrival_s: FloatArray, segment: IntArray
         line = _line(time_s, arrival_s)
         rate = 1.0 + line.rate_error if line.is_wrong else 1.0
     if rate == 1.0:
-        return ""
+        return _contradicted_count(segment, signals)
     if signals.time_s is not None:
         return (
             f"the time of the INS runs at {1.0 / rate:.4g} times the rate of the bench's clock. Check scale "
             f"and unit of ins.signals.time_s: {rate:.4g} times the present scale fits"
         )
     return _period_text("an epoch", "ins.signals.epoch_period_s", signals.epoch_period_s, rate)
+
+
+def _contradicted_count(segment: IntArray, signals: SignalMap) -> str:
+    """Message if most times that the INS sends contradict the count of its epochs; else empty.
+
+    Restarts and damaged counts are single; the epochs between two contradictory times are lost.
+    """
+    resets = len(np.unique(segment)) - 1
+    if resets < max(_MIN_RESETS, _MIN_RESET_SHARE * len(segment)):
+        return ""
+    return (
+        f"the time of the INS contradicts the count of its epochs {resets} times in a dwell: "
+        f"ins.signals.epoch_period_s ({signals.epoch_period_s:g} s) is not the period of its epochs, or "
+        "ins.signals.epoch_counter counts something else. Correct the station file"
+    )
 
 
 def increments_fault(sent: FloatArray, arrival_s: FloatArray, period_s: float) -> str:

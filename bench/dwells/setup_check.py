@@ -12,7 +12,8 @@ station file a dwell still looks good:
   slope, so the latitude of an INS that sends it is compared with that of the station.
 * A latitude of the wrong hemisphere reverses the Coriolis acceleration and the rate of the heading. The full
   error model is fitted with both latitudes. The evidence is as large as the effect on the biases: small in a
-  unit with accelerometer biases of some micro-g.
+  unit with accelerometer biases of some micro-g. Other latitudes are tried in the same way: one tens of
+  degrees off, as a longitude entered in its place, shows in several dwells.
 
 If one dwell does not decide, all dwells of a run together do.
 """
@@ -54,6 +55,10 @@ _ANGLES, _ANGLE_STEP = 73, 1e-5
 _LATITUDE_EPOCHS = 60
 #: The opposite latitude is correct if it reduces chi2 by at least this much, and the noise explains the rest.
 _MIN_CHI2_GAIN, _MAX_CHI2_PER_DATUM = 30.0, 1.5
+#: Other latitudes that are tried, rad. One is nearer if it reduces chi2 by this much in as many dwells as
+#: this, and by more in fewer.
+_LATITUDES = np.radians([-60.0, -40.0, -20.0, 0.0, 20.0, 40.0, 60.0])
+_MIN_NEARER_GAIN, _MIN_NEARER_DWELLS = 60.0, 6
 #: Largest difference of the latitudes of INS and station, rad: more than an INS drifts on the bench.
 _MAX_LATITUDE_DIFFERENCE = math.radians(0.05)
 _VELOCITIES = ("ins.signals.velocity_east", "ins.signals.velocity_north")
@@ -76,6 +81,7 @@ class SetupEvidence:
     velocities: VelocityRegression
     latitude: float  #: Declared, rad.
     opposite_gain: float  #: Reduction of chi2 at the opposite latitude.
+    latitude_gains: FloatArray  #: Shape (7,). The same at other latitudes.
 
 
 def setup_evidence(
@@ -88,7 +94,7 @@ def setup_evidence(
     velocities = velocity_regression(dwell, site, noise, prior, heading_step_rad)
     if velocities is None:
         return None
-    return SetupEvidence(velocities, site.latitude, _opposite_gain(dwell, site, noise, prior))
+    return SetupEvidence(velocities, site.latitude, *_latitude_gains(dwell, site, noise, prior))
 
 
 def setup_fault(dwells: Sequence[SetupEvidence]) -> str:
@@ -245,6 +251,16 @@ def _unit_text(value: float, sigma: float) -> str:
 
 def _latitude_fault(dwells: Sequence[SetupEvidence]) -> str:
     gain, latitude_deg = sum(each.opposite_gain for each in dwells), math.degrees(dwells[0].latitude)
+    gains = np.sum([each.latitude_gains for each in dwells], axis=0)
+    nearest = int(np.argmax(gains))
+    required = _MIN_NEARER_GAIN * max(1.0, _MIN_NEARER_DWELLS / len(dwells))
+    if gains[nearest] > max(required, gain + _MIN_CHI2_GAIN):
+        nearest_deg = math.degrees(_LATITUDES[nearest])
+        return (
+            f"location.latitude_deg is not the latitude of the INS: at {nearest_deg:.0f} deg, not "
+            f"{latitude_deg:g} deg, the chi2 of the navigation is lower by {gains[nearest]:.3g}. Correct the "
+            "station file"
+        )
     if gain < _MIN_CHI2_GAIN:
         return ""
     return (
@@ -253,8 +269,10 @@ def _latitude_fault(dwells: Sequence[SetupEvidence]) -> str:
     )
 
 
-def _opposite_gain(dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge) -> float:
-    """Reduction of chi2 at the opposite latitude; 0 if neither latitude explains the data.
+def _latitude_gains(
+    dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge
+) -> tuple[float, FloatArray]:
+    """Reduction of chi2 at the opposite latitude, and at others (7,); 0 if neither explains the data.
 
     A bias step fits neither latitude, but may reduce chi2 at the opposite one.
     """
@@ -263,13 +281,16 @@ def _opposite_gain(dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnow
             each.thinned(max(EPOCH_S, each.duration_s / _LATITUDE_EPOCHS)) for each in dwell.windows
         )
     except MeasurementError:
-        return 0.0
+        return 0.0, np.zeros(len(_LATITUDES))
     thinned, opposite = replace(dwell, windows=windows), replace(site, latitude=-site.latitude)
-    chi2, opposite_chi2 = (dwell_chi2(thinned, each, noise, prior) for each in (site, opposite))
-    count, gain = 3 * sum(len(each.time_s) for each in windows), chi2 - opposite_chi2
-    if min(chi2, opposite_chi2) > _MAX_CHI2_PER_DATUM * count:
-        return 0.0
-    return 0.0 if gain > 0.0 and _has_step(dwell, opposite, noise, prior) else gain
+    sites = [opposite, *(replace(site, latitude=float(each)) for each in _LATITUDES)]
+    chi2 = dwell_chi2(thinned, site, noise, prior)
+    others = np.array([dwell_chi2(thinned, each, noise, prior) for each in sites])
+    limit = _MAX_CHI2_PER_DATUM * 3 * sum(len(each.time_s) for each in windows)
+    gain, *gains = np.where(np.minimum(chi2, others) > limit, 0.0, chi2 - others)
+    if gain > 0.0 and _has_step(dwell, opposite, noise, prior):
+        gain = 0.0
+    return float(gain), np.array(gains)
 
 
 def _has_step(dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge) -> bool:

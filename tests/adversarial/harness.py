@@ -54,6 +54,10 @@ class Case:
     #: What the station file says otherwise, by dotted key: ``{"ins.noise": "estimated"}``.
     station: Mapping[str, Any] = field(default_factory=dict)
     positions: Sequence[str] = ALL
+    #: arrival_jitter_s, arrival_drift: Of the times at which the bench receives the frames: standard
+    #: deviation, s, and rate of its clock less that of the INS.
+    arrival_jitter_s: float = 0.0
+    arrival_drift: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -167,6 +171,8 @@ def measure_run(case: Case, random: np.random.Generator) -> MeasuredRun:
     results = evaluate(dwells, setup, bin_width_c=5.0)
     finding = results.up_rate.finding if results.up_rate else None
     noted = finding.value if finding is Finding.LATITUDE_OFF else ""
+    if any(each.scale_factor_ratio > 1.0 for each in results.joint):
+        noted += " scale factors of the gyros"
     dwells = results.dwells
     bias_dph = np.array([dwell.row.bias_dph for dwell in dwells])
     sigma_dph = np.array([dwell.row.sigma_dph for dwell in dwells])
@@ -188,7 +194,12 @@ def measured_dwells(case: Case, random: np.random.Generator) -> list[MeasuredDwe
     for number, position in enumerate(case.positions, 1):
         angles = dwell_angles(setup, position)
         output = simulate(case.unit, case.place, case.schedule, angles, random)
-        add_dwell(dwells, measure_dwell(*dwell_frames(output, position, angles, number, random), setup))
+        marks, frames = dwell_frames(output, position, angles, number, random)
+        if case.arrival_jitter_s or case.arrival_drift:
+            late_s = case.arrival_jitter_s * np.abs(random.standard_normal(len(frames)))
+            arrival_s = (1.0 + case.arrival_drift) * frames.timestamp_s + late_s
+            frames = frames.with_fields(time_s=arrival_s)
+        add_dwell(dwells, measure_dwell(marks, frames, setup))
     return dwells
 
 

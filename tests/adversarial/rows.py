@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -47,6 +48,37 @@ def _opposite_latitude(case: Case) -> Case:
     return _station({"location.latitude_deg": -case.place.latitude_deg})(case)
 
 
+def _longitude(degrees: float) -> Any:
+    """A longitude for the latitude in the station file; the INS, which sends none, has the right one."""
+    return _station({"location.latitude_deg": degrees})
+
+
+def _degrees_and_minutes(case: Case) -> Case:
+    """54 minutes of latitude entered as 0.54 deg in the station file; the INS has the right latitude."""
+    whole = float(int(case.place.latitude_deg))
+    minutes = math.copysign(54.0, whole)
+    place = replace(case.place, latitude_deg=whole + minutes / 60.0)
+    return _station({"location.latitude_deg": whole + minutes / 100.0})(replace(case, place=place))
+
+
+def _height_in_feet(case: Case) -> Case:
+    return _station({"location.height_m": 5380.0})(replace(case, place=replace(case.place, height_m=1640.0)))
+
+
+def _mounted(x: str, y: str, z: str) -> Any:
+    """A unit on the table as the station file does not say: its z axis by right angles elsewhere."""
+    return _station({"rate_table.mounting": {"x": x, "y": y, "z": z}})
+
+
+def _clocks(case: Case) -> Case:
+    return replace(case, arrival_jitter_s=0.005, arrival_drift=1e-4)
+
+
+_TEMPERATURE = "ins.signals.gyro_optics_temperature"
+_EXCHANGED_TEMPERATURES = {
+    f"{_TEMPERATURE}.x": "GYRO_OPTICS_TEMPERATURE.Y",
+    f"{_TEMPERATURE}.y": "GYRO_OPTICS_TEMPERATURE.X",
+}
 _EXCHANGED_ANGLES = {f"{EULER}.roll": "ROLL_PITCH.PITCH", f"{EULER}.pitch": "ROLL_PITCH.ROLL"}
 _EXCHANGED = {
     "ins.signals.velocity_east": f"{VELOCITY}NORTH",
@@ -67,12 +99,26 @@ ROWS = (
     Row("roll and pitch exchanged", _station(_EXCHANGED_ANGLES), "exchange"),
     Row("velocities with half their scale", _unit(velocity_scale=(0.5,) * 3), "half the scale"),
     Row("velocities in knots taken for m/s", _unit(velocity_scale=(1.0 / 0.514444,) * 3), "knots"),
+    Row(
+        "velocities with 1.05 times their scale, biases near 0.1 deg/h",
+        _unit(velocity_scale=(1.05,) * 3, gyro_bias_dph=(0.1, -0.05, 0.07)),
+        "a wrong scale",
+    ),
     Row("latitude with the wrong sign", _opposite_latitude, "latitude_deg has the wrong sign"),
     Row("latitude 1 arcmin off", _latitude(1.0), "latitude"),
     Row("latitude -1 arcmin off", _latitude(-1.0), "latitude"),
     Row("latitude -3 arcmin off", _latitude(-3.0), "latitude"),
     Row("latitude 20 arcmin off", _latitude(20.0), "latitude"),
     Row("latitude 1 deg off", _latitude(60.0), "latitude"),
+    Row("latitude in degrees and minutes, 0.36 deg off, in the station alone", _degrees_and_minutes),
+    Row("longitude 10 deg for the latitude in the station alone", _longitude(10.0), "latitude_deg"),
+    Row("longitude 70 deg for the latitude in the station alone", _longitude(70.0), "latitude_deg"),
+    Row("height of 1640 m entered in feet", _height_in_feet),
+    Row("outer axis of the table reversed", _station({"rate_table.outer_axis": "west"}), "outer_axis"),
+    Row("inner axis of the table reversed", _station({"rate_table.inner_axis": "down"}), "inner_axis"),
+    Row("unit turned by 90 deg on the table", _mounted("north", "west", "up"), "mounting"),
+    Row("unit turned by 180 deg on the table", _mounted("west", "south", "up"), "mounting"),
+    Row("unit upside down on the table", _mounted("east", "south", "down"), "mounting"),
     Row("deflection of the vertical by 8 arcsec", _latitude(8.0 / 60.0)),
     Row("deflection of the vertical by 20 arcsec", _latitude(20.0 / 60.0)),
     Row(
@@ -124,6 +170,14 @@ ROWS = (
         "gyro misalignments of 60 arcsec, 2 declared",
         _unit(gyro_misalignment_arcsec=(60.0, -60.0, 60.0, 60.0, -60.0, 60.0)),
     ),
+    Row(
+        "gyro scale factors of 200 ppm, 5 declared",
+        _unit(gyro_scale_ppm=(200.0, 200.0, 200.0)),
+        "scale factor",
+    ),
+    Row("temperatures of the x and y gyros exchanged", _station(_EXCHANGED_TEMPERATURES)),
+    Row("epoch_period_s of 0.2 s for 0.1 s", _station({"ins.signals.epoch_period_s": 0.2}), "epoch_period_s"),
+    Row("arrival of frames off by 5 ms rms and 100 ppm", _clocks),
     Row("undithered gyro pulses of 0.5 arcsec", _unit(gyro_pulse_arcsec=0.5), "resol"),
     Row("undithered gyro pulses of 5 arcsec", _unit(gyro_pulse_arcsec=5.0), "resol"),
 )

@@ -10,7 +10,7 @@ import pytest
 import gyrobench.drivers.ins as ins_drivers
 from tests.adversarial import harness
 from tests.adversarial.frames import dwell_frames, euler_deg
-from tests.adversarial.rows import CLEAN
+from tests.adversarial.rows import CLEAN, ROWS
 from tests.adversarial.strapdown import Place, Schedule, Unit, simulate
 
 DBC = Path(ins_drivers.__file__).parent / "gyrobench_ins.dbc"
@@ -71,6 +71,16 @@ def test_frames_decode_to_the_output_by_cantools():
     assert value("INS_STATUS", "MODE", 3) == 3
     assert value("SYSTEM_TIME", "TIME_S", 7) == 7
     assert marks.windows[-1].end_frame == len(frames)
+
+
+def test_readme_and_table_have_all_wrong_set_ups():
+    root = Path(__file__).parents[2]
+    table = (root / "docs/reliability.md").read_text().partition("<!-- wrong set-ups: begin -->")[2]
+    names = [
+        line.split(" | ")[0].removeprefix("| ") for line in table.splitlines()[3:] if line.startswith("| ")
+    ]
+    assert names == [row.name for row in (*ROWS, CLEAN)]
+    assert f"{len(ROWS)} of them on an independent strapdown" in (root / "README.md").read_text()
 
 
 @pytest.mark.long

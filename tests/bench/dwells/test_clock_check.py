@@ -16,7 +16,7 @@ from gyrobench.drivers.ins.navigation_data import decode_increments
 from gyrobench.drivers.ins.signal_map import SignalMap
 from tests.adversarial.frames import dwell_frames
 from tests.adversarial.harness import STATION, Case, any_unit, dwell_angles, measured_dwells, setup_of
-from tests.adversarial.strapdown import Place, simulate
+from tests.adversarial.strapdown import Place, Schedule, simulate
 
 PERIOD_S, EPOCHS = 0.1, 12300
 NUMBER = np.arange(EPOCHS)
@@ -121,6 +121,14 @@ def time_sent_every_20_s(random, passed):
     words = np.stack([seconds // 1000, seconds % 1000 * 1_000_000], axis=-1).astype("<u4")
     frames.rows["data"][sent] = words.view(np.uint8).reshape(len(sent), 8)
     return measure_dwell(marks, frames, setup_of(case))
+
+
+@pytest.mark.parametrize("period_s", [0.05, 0.2])
+def test_an_epoch_period_that_contradicts_the_time_of_the_ins_is_named(period_s):
+    random, station = np.random.default_rng(3), {"ins.signals.epoch_period_s": period_s}
+    case = Case(any_unit(random), Place(), Schedule(window_s=90.0), station, positions=("z_up",))
+    (dwell,) = measured_dwells(case, random)
+    assert f"ins.signals.epoch_period_s ({period_s:g} s) is not the period" in dwell.setup_fault
 
 
 @pytest.mark.parametrize("rate", [0.94, 1.06])

@@ -123,6 +123,12 @@ def test_a_latitude_of_the_wrong_hemisphere_is_named_in_nearly_every_dwell(latit
     assert sum(named) >= 5
 
 
+def test_a_longitude_entered_as_latitude_is_found_by_all_dwells_together():
+    dwells = dwells_of(station={"location.latitude_deg": 10.0}, latitude_deg=52.0)
+    nearer = [re.search(r"latitude of the INS: at (\d+) deg, not 10 deg", str(each.flags)) for each in dwells]
+    assert [found and found[1] for found in nearer] == ["40"] * 6
+
+
 @pytest.mark.parametrize(
     "unit",
     [
