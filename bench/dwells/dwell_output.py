@@ -117,8 +117,9 @@ def turn_fault(dwell: Dwell, setup: MeasurementSetup, noise: NoiseModel) -> str:
         if abs(ins - table) > limit:
             return (
                 f"before window {number} the INS turned by {math.degrees(ins):.3f} deg, the table by "
-                f"{math.degrees(table):.3f} deg: {ALIGNED_AGAIN} or corrected its heading, or the unit "
-                "slipped on the table. Switch its corrections off, and check its screws"
+                f"{math.degrees(table):.3f} deg: {ALIGNED_AGAIN} or corrected its heading, the unit slipped "
+                f"on the table, or scale factors of gyros are {1e6 * abs(ins - table) / table:.0f} ppm off. "
+                "Switch its corrections off, check its screws, and calibrate the gyros by rotations"
             )
         if lost_mps := _lost_velocity(earlier, later, noise):
             return (

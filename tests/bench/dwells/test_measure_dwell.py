@@ -148,6 +148,7 @@ def test_an_ins_that_turned_by_another_angle_than_the_table_flags_the_dwell(reco
     moved = replace(second, inner_deg=second.inner_deg + away_deg)
     measured = measure_dwell(replace(marks, windows=(first, moved)), frames, setup)
     assert ("aligned again or corrected its heading" in " ".join(measured.flags)) == is_flagged
+    assert ("scale factors of gyros are 5" in " ".join(measured.flags)) == is_flagged
     assert np.isfinite(measured.row.bias_dph).all()
 
 
