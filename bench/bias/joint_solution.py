@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -57,6 +57,10 @@ _MIN_P_VALUE = 1e-3
 _MIN_GYRO_ERROR_P_VALUE, _FACTOR_ROUNDS = 1e-6, 50
 
 
+#: Rows and data of a dwell whose turns are not compared with the table.
+NO_TURN_ANGLES: tuple[FloatArray, FloatArray] = (np.zeros((0, 9)), np.zeros(0))
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class JointInformation:
     """Information of one dwell on the joint problem."""
@@ -70,8 +74,8 @@ class JointInformation:
     #: turn_rows, turn_data: Shape (k, 9), (k,). White rows for the gyro error matrix, of the angles by which
     #: the INS turned further than the table. They test its declared size and enter no solution, since an
     #: error of the table's angle looks the same.
-    turn_rows: FloatArray = field(default_factory=lambda: np.zeros((0, 9)))
-    turn_data: FloatArray = field(default_factory=lambda: np.zeros(0))
+    turn_rows: FloatArray
+    turn_data: FloatArray
 
     @classmethod
     def of(
@@ -79,12 +83,11 @@ class JointInformation:
         information: DwellInformation,
         position: Position,
         prior: PriorKnowledge,
-        turn_rows: FloatArray | None = None,
-        turn_data: FloatArray | None = None,
+        turn_angles: tuple[FloatArray, FloatArray] = NO_TURN_ANGLES,
     ) -> JointInformation:
         """Eliminate parameters of a single dwell: slopes, initial errors, headings, steps in the turns.
 
-        ``turn_rows``, ``turn_data``: by default there are none.
+        ``turn_angles``: :attr:`turn_rows` and :attr:`turn_data`.
         """
         rows = information.rows.copy()
         # The biases at the mean temperatures become parameters; slopes then act about these temperatures.
@@ -113,12 +116,11 @@ class JointInformation:
         reduced = compress(stacked)[len(eliminated) :, len(eliminated) :]
         sizes = np.diagonal(root)[_JOINT_COLUMNS].copy()
         sizes[_BIAS] = sizes[_RATE] = _ANY_RATE
-        turns = () if turn_rows is None or turn_data is None else (turn_rows, turn_data)
         return cls(
             *_informative_rows(reduced[:, :-1], reduced[:, -1], sizes),
             position,
             information.earth_rate,
-            *turns,
+            *turn_angles,
         )
 
     def joint_rows(self, index: int, dwells: int) -> FloatArray:
@@ -351,7 +353,7 @@ def solve_jointly(dwells: Sequence[JointDwell], prior: PriorKnowledge) -> JointS
     factor = _gyro_error_factor(information, declared_root(prior, earth_rate))
     prior = prior.with_larger_gyro_errors(factor)
     ratio = _scale_factor_ratio(information, prior)
-    prior = replace(prior, gyro_scale_factor=ratio * prior.gyro_scale_factor)
+    prior = prior.with_larger_gyro_errors(1.0, ratio)
     root, north_free_root = declared_root(prior, earth_rate), _north_free_root(prior, earth_rate)
     fit, north_free_fit = solve_together(information, root), solve_together(information, north_free_root)
     pairs = _vertical_pairs(dwells, north_free_fit, prior.bias_slope)

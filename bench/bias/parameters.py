@@ -139,11 +139,11 @@ class PriorKnowledge:
             if not (np.isfinite(value) and value >= 0.0):
                 raise DocumentError(f"prior knowledge: {field.name} must not be negative; found {value}")
 
-    def with_larger_gyro_errors(self, factor: float) -> PriorKnowledge:
-        """Copy with the errors of the gyros' matrix multiplied by a factor."""
+    def with_larger_gyro_errors(self, factor: float, scale_factor_ratio: float = 1.0) -> PriorKnowledge:
+        """Copy with the errors of the gyros' matrix multiplied by a factor, its scale factors by both."""
         return replace(
             self,
-            gyro_scale_factor=factor * self.gyro_scale_factor,
+            gyro_scale_factor=factor * scale_factor_ratio * self.gyro_scale_factor,
             gyro_misalignment=factor * self.gyro_misalignment,
         )
 

@@ -152,7 +152,7 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
         estimate, persistent_flags = estimated.estimate, estimated.persistent_flags
         if estimate.information:
             joint_information = JointInformation.of(
-                estimate.information, dwell.position, setup.prior, *turn_angles(dwell, setup, noise)
+                estimate.information, dwell.position, setup.prior, turn_angles(dwell, setup, noise)
             )
             estimate = replace(estimate, information=None)
         if not flags and all(fault.may_be_noise for fault in faults):

@@ -237,7 +237,8 @@ def _with_larger_gyro_errors(
 def _with_errors_found(setup: MeasurementSetup, joint: Sequence[JointSolution]) -> MeasurementSetup:
     """Setup that allows for the largest errors of the gyros' matrix found on any plateau."""
     factor = max((each.gyro_error_factor for each in joint), default=1.0)
-    return replace(setup, prior=setup.prior.with_larger_gyro_errors(factor))
+    ratio = max((each.scale_factor_ratio for each in joint), default=1.0)
+    return replace(setup, prior=setup.prior.with_larger_gyro_errors(factor, ratio))
 
 
 def _flag_held_heading(dwells: Sequence[MeasuredDwell], setup: MeasurementSetup) -> Sequence[MeasuredDwell]:

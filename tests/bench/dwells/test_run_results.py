@@ -148,14 +148,14 @@ def test_dwells_allow_for_gyro_errors_larger_than_declared(measured, results, mo
 
     monkeypatch.setattr("gyrobench.bench.dwells.run_results.solve_jointly", solve)
     for dwell, wide in zip(results.dwells, evaluate(*measured, 5.0).dwells, strict=True):
-        expected = np.square(dwell.row.sigma_dph)
+        added = np.zeros(3)
         for name, factor in (("gyro_misalignment", 3.0), ("gyro_scale_factor", 6.0)):
             part = dwell.estimate.parts[name].columns
             np.testing.assert_allclose(wide.estimate.parts[name].columns, factor * part)
-            expected = expected + (RADPS_TO_DPH**2 * (factor**2 - 1.0) * part**2).sum(axis=1)
-        np.testing.assert_allclose(np.square(wide.row.sigma_dph), expected)
+            added += (RADPS_TO_DPH**2 * (factor**2 - 1.0) * part**2).sum(axis=1)
+        np.testing.assert_allclose(np.square(wide.row.sigma_dph), np.square(dwell.row.sigma_dph) + added)
         assert wide.row.bias_dph == dwell.row.bias_dph
-        common = np.square(dwell.row.common_sigma_dph) + added.sum(axis=1)
+        common = np.square(dwell.row.common_sigma_dph) + added
         np.testing.assert_allclose(np.square(wide.row.common_sigma_dph), common)
 
 
