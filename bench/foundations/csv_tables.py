@@ -129,7 +129,7 @@ class CsvTable:
         """Read one of the allowed words."""
         text = self.text(index, column)
         if text not in allowed:
-            near = did_you_mean(text.lower().replace("-", "_"), allowed)
+            near = did_you_mean(text, allowed)
             self.problem(index, column, f"expected one of {', '.join(allowed)}; found '{text}'{near}")
         return sys.intern(text)
 

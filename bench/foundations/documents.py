@@ -7,7 +7,6 @@ against a :class:`StrictModel`. All problems are reported together, each as
 
 from __future__ import annotations
 
-import json
 import logging
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -17,22 +16,18 @@ from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
-import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.files import decode_text, read_limited
 from gyrobench.bench.foundations.shipped import USES
-from gyrobench.bench.foundations.text import WRITE_POINT, did_you_mean, has_decimal_comma
-
-#: Path of keys and indices from the top of a document to one of its values.
-KeyPath = tuple[str | int, ...]
+from gyrobench.bench.foundations.text import WRITE_POINT, did_you_mean, excerpt, has_decimal_comma, quoted
+from gyrobench.bench.foundations.yaml_nodes import InvalidYamlError, KeyPath, read_yaml
 
 MAX_DOCUMENT_BYTES = 1_000_000
-_MAX_VALUES, _MAX_DEPTH = 50_000, 50
-_TOO_LARGE = f"more than {_MAX_VALUES} values or deeper than {_MAX_DEPTH} levels"
-_MAX_QUOTED_CHARACTERS = 60
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
+_OTHER_MINUS_SIGNS = re.compile("^[\u2010-\u2015\u2212]")
 _NUMBER_WITH_UNIT = re.compile(r"[-+]?\d+(\.\d+)?\s*[^\d\s.,_].*")
 #: Matches a message that begins with the keys of a place, such as "safe_state.chamber_c is ...".
 _DOTTED_KEYS = re.compile(r"([a-z_0-9]+(?:\.[a-z_0-9]+)+)\b")
@@ -145,26 +140,13 @@ def read_document(path: Path) -> Document:
 def parse_document(text: str, path: Path) -> Document:
     """Parse YAML text read from ``path``; raises as :func:`read_document`."""
     try:
-        node = _compose(text)
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        if str(error.problem).startswith(_NO_COLON):
-            mark = error.context_mark
-        place = f"{mark.line + 1}:{mark.column + 1}" if mark else "1:1"
-        raise DocumentError(f"{path}:{place}: not valid YAML: {_describe_yaml_error(error, text)}") from error
-    # For invalid version numbers and \U escapes PyYAML raises the errors of int() and chr().
-    except (yaml.YAMLError, RecursionError, ValueError, OverflowError) as error:
-        raise DocumentError(f"{path}:1:1: not valid YAML: {str(error).splitlines()[0]}") from error
-    if node is None:
-        raise DocumentError(f"{path}:1:1: the file is empty")
-    reader = _NodeReader()
-    try:
-        data = reader.read(node, ())
-    except _TooManyValuesError:
-        raise DocumentError(f"{path}:1:1: {_TOO_LARGE}") from None
-    document = Document(path, text, data, reader.places)
-    if reader.problems:
-        raise document.error(reader.problems)
+        content = read_yaml(text)
+    except InvalidYamlError as error:
+        line, column = error.place
+        raise DocumentError(f"{path}:{line}:{column}: {error}") from error
+    document = Document(path, text, content.data, content.places)
+    if content.problems:
+        raise document.error(DocumentProblem(*problem) for problem in content.problems)
     return document
 
 
@@ -176,7 +158,7 @@ def validate(document: Document, model: type[_ModelT], further: Sequence[Documen
     """
     if not isinstance(document.data, dict):
         raise document.error(
-            [DocumentProblem((), f"expected keys and values; found {_excerpt(document.data)}")]
+            [DocumentProblem((), f"expected keys and values; found {excerpt(document.data)}")]
         )
     expected_key = next((key for key in USES if key in model.model_fields), None)
     other_key = next((key for key in USES if key in document.data and key not in model.model_fields), None)
@@ -209,11 +191,11 @@ def problems_of(error: ValidationError, parent: KeyPath = ()) -> list[DocumentPr
         elif detail["type"] not in _COMPLETE_TYPES:
             value, message = detail["input"], plain_message(message)
             if location and isinstance(location[-1], str):
-                message = re.sub(r"^the value (?=must be a list)", f"{_quote(location[-1])} ", message)
+                message = re.sub(r"^the value (?=must be a list)", f"{quoted(location[-1])} ", message)
             if keys := _DOTTED_KEYS.match(message):
                 location = (*location, *keys[1].split("."))
-            if not (isinstance(value, dict) and _excerpt(value).endswith("...")):  # a whole section
-                message += f"; found {_excerpt(value)}{_advice(detail['type'], value, location)}"
+            if not (isinstance(value, dict) and excerpt(value).endswith("...")):  # a whole section
+                message += f"; found {excerpt(value)}{_advice(detail['type'], value, location)}"
         problems.append(DocumentProblem(location, message))
     return problems
 
@@ -221,13 +203,20 @@ def problems_of(error: ValidationError, parent: KeyPath = ()) -> list[DocumentPr
 def _advice(error_type: str, value: Any, location: KeyPath) -> str:
     """Advice how to write the value correctly, as a sentence; empty if unknown."""
     if error_type == "list_type" and isinstance(value, int | float):
-        return f". Put it in brackets: [{_excerpt(value)}, ...]"
+        return f". Put it in brackets: [{excerpt(value)}, ...]"
+    if error_type == "list_type" and isinstance(value, dict) and any(key.startswith("-") for key in value):
+        return ". Write '- ', with a blank, before an item"
     if not isinstance(value, str):
         return ""
     if has_decimal_comma(value):
         return f". {WRITE_POINT}"
-    if error_type.startswith(("float", "int")) and _NUMBER_WITH_UNIT.fullmatch(value):
-        return ". Write the number alone, in the unit of the key"
+    if error_type.startswith(("float", "int")):
+        if _NUMBER.fullmatch(value):
+            return ". Write the number without quotes"
+        if _NUMBER.fullmatch(hyphened := _OTHER_MINUS_SIGNS.sub("-", value)):
+            return f". Write the minus sign as a hyphen: {hyphened}"
+        if _NUMBER_WITH_UNIT.fullmatch(value):
+            return ". Write the number alone, in the unit of the key"
     if location and value == location[-1]:
         return f". A variable of a loop is written ${value}"
     return ""
@@ -238,170 +227,6 @@ def plain_message(message: str) -> str:
     for pattern, plain in _PLAIN_WORDS:
         message = pattern.sub(plain, message)
     return message
-
-
-class _Composer(yaml.composer.Composer, yaml.resolver.BaseResolver):
-    """Composes nodes with the plain scalars of YAML 1.2: ``1e-5`` is a number, ``on`` is text.
-
-    Stops parsing at too many values, as parsing the whole text would take minutes.
-    """
-
-    _values = _depth = 0
-
-    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        self._values += 1
-        self._depth += 1
-        # Twice the limits, since keys count here but not in _NodeReader.
-        if self._values > 2 * _MAX_VALUES or self._depth > 2 * _MAX_DEPTH:
-            mark = self.peek_event().start_mark  # type: ignore[attr-defined]  # of the parser
-            raise _TooLargeError(None, None, _TOO_LARGE, mark)
-        node = super().compose_node(parent, index)
-        self._depth -= 1
-        return node
-
-
-class _TooLargeError(yaml.composer.ComposerError):
-    """A text has too many values."""
-
-
-class _Loader(_Composer, yaml.SafeLoader):
-    """Safe loader in Python; the bench shows its messages."""
-
-
-_FastestLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-
-
-class _FastLoader(_Composer, _FastestLoader):  # type: ignore[misc]
-    """Safe loader with the parser in C if PyYAML has it, which is four times as fast."""
-
-    def __init__(self, text: str) -> None:
-        yaml.composer.Composer.__init__(self)
-        _FastestLoader.__init__(self, text)
-
-
-_SCALARS = {
-    "bool": re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$"),
-    "null": re.compile(r"^(?:~|null|Null|NULL|)$"),
-    "int": re.compile(r"^[-+]?[0-9]+$"),
-    "float": re.compile(
-        r"^(?:[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?"
-        r"|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))$"
-    ),
-}
-for _tag, _first in (
-    ("bool", "tTfF"),
-    ("null", ["~", "n", "N", ""]),
-    ("int", "-+0123456789"),
-    ("float", "-+.0123456789"),
-):
-    _Composer.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", _SCALARS[_tag], list(_first))
-
-
-_NO_COLON = "could not find expected ':'"
-#: Tokens that begin an item or a key; if the parser does not expect them, the indentation is wrong.
-_START_TOKENS = ("'<block sequence start>'", "'<block mapping start>'", "'-'", "'?'")
-
-
-def _describe_yaml_error(error: yaml.MarkedYAMLError, text: str) -> str:
-    """Describe a YAML error by its probable cause, with the line where the list, key or bracket begins."""
-    problem, begin, mark = str(error.problem or error.context), error.context_mark, error.problem_mark
-    lines = text.splitlines()
-    at_mark = "" if mark is None else "".join(lines[mark.line : mark.line + 1])[mark.column :]
-    if "cannot start any token" in problem and at_mark.startswith("\t"):
-        return "found a tab. Indent with spaces"
-    if begin is None:
-        return problem
-    if problem.startswith(_NO_COLON):
-        return f"no colon after the key {_quote(lines[begin.line].strip())}, or an item without '-'"
-    if problem.startswith("expected <block end>") and problem.endswith(_START_TOKENS):
-        return f"the indentation differs from that of line {begin.line + 1}, where the list or the keys begin"
-    if problem.startswith(("expected ',' or '}'", "expected ',' or ']'")):
-        return f"{problem}. Is the bracket of line {begin.line + 1}, column {begin.column + 1} closed?"
-    if problem == "expected the node content, but found '<stream end>'":
-        return "the file ends where a value is expected. Is each bracket closed?"
-    return problem
-
-
-def _compose(text: str) -> yaml.Node | None:
-    try:
-        return yaml.compose(text, Loader=_FastLoader)
-    except _TooLargeError:
-        raise
-    except (yaml.YAMLError, RecursionError, ValueError, OverflowError):
-        return yaml.compose(text, Loader=_Loader)
-
-
-_COLLECTION_TAGS = ("tag:yaml.org,2002:map", "tag:yaml.org,2002:seq")
-
-
-class _TooManyValuesError(Exception):
-    """A document has too many values, which aliases can produce from few bytes."""
-
-
-class _NodeReader:
-    """Converts YAML nodes to plain data and records their places."""
-
-    def __init__(self) -> None:
-        self.places: dict[KeyPath, tuple[int, int]] = {}
-        self.problems: list[DocumentProblem] = []
-
-    def read(self, node: yaml.Node, location: KeyPath) -> Any:
-        self.places.setdefault(location, (node.start_mark.line + 1, node.start_mark.column + 1))
-        if len(self.places) > _MAX_VALUES or len(location) > _MAX_DEPTH:
-            raise _TooManyValuesError
-        if isinstance(node, yaml.ScalarNode):
-            return self._scalar(node, location)
-        if node.tag not in _COLLECTION_TAGS:
-            self.problems.append(DocumentProblem(location, f"a value can't have the tag {_quote(node.tag)}"))
-            return None
-        if isinstance(node, yaml.MappingNode):
-            return self._mapping(node, location)
-        return [self.read(item, (*location, index)) for index, item in enumerate(node.value)]
-
-    def _mapping(self, node: yaml.MappingNode, location: KeyPath) -> dict[str, Any]:
-        result: dict[str, Any] = {}
-        for key_node, value_node in node.value:
-            if not isinstance(key_node, yaml.ScalarNode):
-                self.problems.append(
-                    DocumentProblem(location, "a key has to be plain text; found a list or keys")
-                )
-                continue
-            key = str(key_node.value)
-            key_path = (*location, key)
-            self.places[key_path] = (key_node.start_mark.line + 1, key_node.start_mark.column + 1)
-            if key in result:
-                self.problems.append(DocumentProblem(key_path, f"the key {_quote(key)} is given twice"))
-                continue
-            result[key] = self.read(value_node, key_path)
-        return result
-
-    def _scalar(self, node: yaml.Node, location: KeyPath) -> Any:
-        kind = node.tag.removeprefix("tag:yaml.org,2002:")
-        text = str(node.value)
-        if kind == "str":
-            return text
-        # Any text may have a tag such as !!int, so the text is checked here as well.
-        if kind in _SCALARS and _SCALARS[kind].fullmatch(text):
-            match kind:
-                case "null":
-                    return None
-                case "bool":
-                    return text.lower() == "true"
-                case "int" if len(text) <= _MAX_QUOTED_CHARACTERS:
-                    return int(text)
-                case "float" if re.fullmatch(r"[-+.0-9Ee]+", text):
-                    return float(text)
-                case "float":  # .inf or .nan
-                    self.problems.append(
-                        DocumentProblem(
-                            location, f"the value must be a finite number; found {_excerpt(text)}"
-                        )
-                    )
-                    return None
-        self.problems.append(
-            DocumentProblem(location, f"expected text, a number or true/false; found {_excerpt(text)}")
-        )
-        return None
 
 
 #: Old names found while a document is validated: the key as written, the old name, and the new name.
@@ -456,7 +281,7 @@ def _rewrite_error(detail: Any, model: type[BaseModel], old_keys: Mapping[str, s
         elif kind == "missing":
             message = _missing_key(key, model)
         else:
-            message = re.sub(r"^(Input|String|List|Dictionary) should", f"{_quote(key)} should", message)
+            message = re.sub(r"^(Input|String|List|Dictionary) should", f"{quoted(key)} should", message)
             field = model.model_fields.get(key)
             if kind in _TYPES_WITH_DESCRIPTION and field and field.description:
                 message += f" ({field.description})"
@@ -467,32 +292,24 @@ def _wrong_kind(detail: Any, location: KeyPath) -> tuple[str, str, KeyPath]:
     """Type, message and location of an error in the key that gives the kind of an entry."""
     key = detail["ctx"]["discriminator"].strip("'")
     if detail["type"] == "union_tag_not_found":
-        return "missing_kind", f"the key {_quote(key)} is missing", location
+        return "missing_kind", f"the key {quoted(key)} is missing", location
     value, allowed = detail["ctx"]["tag"], re.findall(r"'(\w+)'", detail["ctx"]["expected_tags"])
-    message = f"unknown {key} {_quote(value)}{did_you_mean(value, allowed)}; allowed here: "
+    message = f"unknown {key} {quoted(value)}{did_you_mean(value, allowed)}; allowed here: "
     return "unknown_kind", message + ", ".join(allowed), (*location, key)
 
 
 def _unknown_key(key: str, allowed: list[str]) -> str:
     if key.isdecimal():  # such as 48,1 in braces
-        return f"unknown key {_quote(key)}. {WRITE_POINT}"
-    return f"unknown key {_quote(key)}{did_you_mean(key, allowed)}; allowed here: {', '.join(allowed)}"
+        return f"unknown key {quoted(key)}. {WRITE_POINT}"
+    if ":" in key:  # such as duration_s:300 in braces
+        return f"unknown key {quoted(key)}. Put a blank after the colon"
+    return f"unknown key {quoted(key)}{did_you_mean(key, allowed)}; allowed here: {', '.join(allowed)}"
 
 
 def _missing_key(key: str, model: type[BaseModel]) -> str:
     field = model.model_fields.get(key)
     meaning = f": {field.description}" if field and field.description else ""
-    return f"the key {_quote(key)} is missing{meaning}"
-
-
-def _quote(key: str) -> str:
-    return f"'{key}'" if key.isprintable() else json.dumps(key)
-
-
-def _excerpt(value: Any) -> str:
-    text = json.dumps(value, default=str, ensure_ascii=False)
-    text = text if text.isprintable() else json.dumps(value, default=str)
-    return text if len(text) <= _MAX_QUOTED_CHARACTERS else f"{text[:_MAX_QUOTED_CHARACTERS]}..."
+    return f"the key {quoted(key)} is missing{meaning}"
 
 
 def _line_and_column(line: str) -> tuple[int, int, str]:

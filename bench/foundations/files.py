@@ -37,7 +37,10 @@ def decode_text(path: Path, content: bytes, encoding: str = "utf-8") -> str:
     try:
         return content.decode(encoding)
     except UnicodeDecodeError as error:
-        raise DocumentError(f"{path}: is not UTF-8 text: {error.reason} at byte {error.start}") from error
+        line = content.count(b"\n", 0, error.start) + 1
+        raise DocumentError(
+            f"{path}: is not UTF-8 text: {error.reason} in line {line}. Save it with the encoding UTF-8"
+        ) from error
 
 
 def read_lines(

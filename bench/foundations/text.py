@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import difflib
+import json
 import math
 import re
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 WRITE_POINT = "A number has a decimal point, not a comma"
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
@@ -13,6 +15,7 @@ _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
 _ASCII_MICRO_G = re.compile(r"(?<![\w./-])ug(?![\w-])")
 #: Smallest uncertainty that is written without a power of ten.
 _MIN_SIGMA_WITHOUT_EXPONENT = 1e-5
+_MAX_QUOTED_CHARACTERS = 60
 #: Significant digits of a floating-point number.
 _MAX_DIGITS = 15
 
@@ -126,9 +129,29 @@ def format_cell(value: str | float | tuple[str, ...] | None) -> str:
 
 
 def did_you_mean(name: str, allowed: Iterable[str]) -> str:
-    """Write " (did you mean 'x'?)" if one of the allowed names is similar; otherwise empty."""
-    close = difflib.get_close_matches(name, list(allowed), n=1)
-    return f" (did you mean '{close[0]}'?)" if close else ""
+    """Write " (did you mean 'x'?)" if one of the allowed names is similar; otherwise empty.
+
+    Upper and lower case, hyphens and blanks make no difference: "Z-Up" is similar to "z_up".
+    """
+    names = {_comparable(each): each for each in allowed}
+    close = difflib.get_close_matches(_comparable(name), list(names), n=1)
+    return f" (did you mean '{names[close[0]]}'?)" if close else ""
+
+
+def _comparable(name: str) -> str:
+    return re.sub(r"[-\s]", "_", name.lower())
+
+
+def quoted(key: str) -> str:
+    """Write a key in single quotes; in double quotes, with escapes, if it has control characters."""
+    return f"'{key}'" if key.isprintable() else json.dumps(key)
+
+
+def excerpt(value: Any) -> str:
+    """Write the beginning of a value as JSON, on one line."""
+    text = json.dumps(value, default=str, ensure_ascii=False)
+    text = text if text.isprintable() else json.dumps(value, default=str)
+    return text if len(text) <= _MAX_QUOTED_CHARACTERS else f"{text[:_MAX_QUOTED_CHARACTERS]}..."
 
 
 def has_decimal_comma(text: str) -> bool:

@@ -9,7 +9,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
-from gyrobench.bench.foundations.documents import Document, DocumentProblem, KeyPath
+from gyrobench.bench.foundations.documents import Document, DocumentProblem
+from gyrobench.bench.foundations.yaml_nodes import KeyPath
 from gyrobench.bench.navigation.positions import POSITIONS, half_turn_pairs
 from gyrobench.bench.navigation.table_axes import TurnOrMove, turn_text
 from gyrobench.bench.procedure.plan import (

@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
-from gyrobench.bench.foundations.documents import Document, KeyPath
+from gyrobench.bench.foundations.documents import Document
+from gyrobench.bench.foundations.yaml_nodes import KeyPath
 from gyrobench.bench.navigation.table_axes import TurnOrMove
 from gyrobench.bench.procedure.estimate import BenchEstimate
 from gyrobench.bench.procedure.procedure_file import Procedure, ResolvedStep, resolve

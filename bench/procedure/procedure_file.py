@@ -25,13 +25,13 @@ from gyrobench.bench.characteristics.requested_tests import CharacteristicTests
 from gyrobench.bench.foundations.documents import (
     Document,
     DocumentProblem,
-    KeyPath,
     StrictModel,
     problems_of,
     read_document,
     validate,
 )
 from gyrobench.bench.foundations.text import did_you_mean
+from gyrobench.bench.foundations.yaml_nodes import KeyPath
 from gyrobench.bench.procedure.rotation_steps import Rotate, Spin
 from gyrobench.bench.procedure.steps import (
     Align,
@@ -162,6 +162,11 @@ def _checked_entry(entry: Any) -> StepTemplate | Repeat:
         raise ValueError("expected one step, written as 'name: {key: value, ...}'")
     [(name, values)] = entry.items()
     if name not in _ALLOWED_STEPS:
+        step = name.partition(" {")[0]
+        if step in _ALLOWED_STEPS:  # align {duration_s: 300}
+            raise PydanticCustomError(
+                "unknown_key", f"no colon after '{step}'. Write '{step}: {{key: value, ...}}'"
+            )
         allowed = ", ".join(_ALLOWED_STEPS)
         message = (
             f"unknown step {json.dumps(name)}{did_you_mean(name, _ALLOWED_STEPS)}; allowed here: {allowed}"

@@ -14,8 +14,9 @@ import can
 import numpy as np
 from pydantic import Field, model_validator
 
-from gyrobench.bench.foundations.documents import DocumentProblem, KeyPath, StrictModel
+from gyrobench.bench.foundations.documents import DocumentProblem, StrictModel
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.yaml_nodes import KeyPath
 from gyrobench.drivers.frames import EXTENDED_ID
 from gyrobench.drivers.ins.attitude import EulerSequence
 from gyrobench.drivers.ins.compensation import CORRECTION_SIZE, TERMS, Compensation, correction_axes

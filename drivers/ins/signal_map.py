@@ -18,8 +18,9 @@ from cantools.database.can import Signal
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.foundations.documents import DocumentProblem, KeyPath, StrictModel
+from gyrobench.bench.foundations.documents import DocumentProblem, StrictModel
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.yaml_nodes import KeyPath
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
 from gyrobench.drivers.ins.units import UNIT_SPELLINGS, Dimension
 

@@ -77,6 +77,11 @@ def test_plain_scalars_are_those_of_yaml_1_2(text: str, value: object) -> None:
     assert type(data["key"]) is type(value)
 
 
+@pytest.mark.parametrize("text", ["[60,5]", "[60,5,-30]", "[60, 5]", "[a,5, b]", "[0.5,1, 2]", "[60,\n5, 6]"])
+def test_a_list_without_a_likely_decimal_comma_is_read(text: str) -> None:
+    assert len(parse(f"key: {text}").data["key"]) == text.count(",") + 1
+
+
 def test_every_key_and_item_knows_its_place() -> None:
     document = parse("a: 1\nb:\n  - x\n  - c: 2\n    d: [5, 6]\n")
     assert document.places[("b", 1, "d", 1)] == (5, 12)
@@ -101,6 +106,13 @@ def test_the_place_of_something_missing_is_that_of_what_it_is_missing_from() -> 
         ("count: 2", "1:1: the key 'title' is missing"),
         ("title: a\ncount: 2.5", "2:1: 'count' must be a whole number; found 2.5"),
         ("title: a\ncount: '2'", '2:1: \'count\' must be a whole number; found "2"'),
+        ("title: a\nshare: '-2.5'", 'found "-2.5". Write the number without quotes'),
+        ("title: a\nshare: \u221230", 'found "\u221230". Write the minus sign as a hyphen: -30'),
+        ("title: a\nnamed: {q: {temperature_c: 5, name:n}}", "2:31: unknown key 'name:n'. Put a blank after"),
+        ("title: a: b", "1:9: not valid YAML: a second colon. Put a text that contains ': ' in quotes"),
+        ("title: a\ninner:\n  -{name: n}", '"n}"}. Write \'- \', with a blank, before an item'),
+        ("inner:\n  -{name: n, temperature_c: 5}", "2:27: not valid YAML: no blank after '-'. Write '- '"),
+        ("inner: [60,5, -30]", "1:9: 60,5 is two numbers. A number has a decimal point, not a comma; put a "),
         ("title: a\ncount: 3 C/min", 'found "3 C/min". Write the number alone, in the unit of the key'),
         ("title: a\nshare: 52.1N", 'found "52.1N". Write the number alone, in the unit of the key'),
         ("title: a\nshare: share", 'found "share". A variable of a loop is written $share'),
@@ -133,9 +145,9 @@ def test_the_place_of_something_missing_is_that_of_what_it_is_missing_from() -> 
         ("# only a comment", "1:1: the file is empty"),
         ("title: [a", "not valid YAML"),
         ("title: [", "not valid YAML: the file ends where a value is expected. Is each bracket closed?"),
-        ("title: a\n  count: 2", "2:8: not valid YAML"),
+        ("title: a\n  count: 2", "2:8: not valid YAML: no colon is expected here. Check the indentation,"),
         ("a:\n\tb: 1", "2:1: not valid YAML: found a tab. Indent with spaces"),
-        ("a:\n  - b\n   - c: 1", "mapping values are not allowed here"),
+        ("a:\n  - b\n   - c: 1", "3:7: not valid YAML: no colon is expected here. Check the"),
         ("a:\n  - b: 1\n   - c", "3:4: not valid YAML: the indentation differs from that of line 2, where"),
         ("a: {b: 1\nc: 2", "2:2: not valid YAML: expected ',' or '}', but got ':'. Is the bracket of line"),
         ("a: [1, 2", "but got '<stream end>'. Is the bracket of line 1, column 4 closed?"),
@@ -244,7 +256,7 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     for path, message in [
         (tmp_path / "missing.yaml", "No such file"),
         (tmp_path, "folder"),
-        (broken, "not UTF-8"),
+        (broken, "not UTF-8 text: invalid start byte in line 1. Save it with the encoding UTF-8"),
         (large, "at most 1000000"),
     ]:
         with pytest.raises(DocumentError, match=message) as caught:

@@ -26,6 +26,11 @@ WRONG_FILES = {
         "3:3",
         ['unknown step "algin"', "'align'", "power_on", "repeat"],
     ),
+    "step without colon": (
+        "- align {duration_s: 5}",
+        "3:3",
+        ["no colon after 'align'. Write 'align: {key: value, ...}'"],
+    ),
     "unknown step without likeness": ("- 7: {}", "3:3", ['unknown step "7"', "allowed here: power_on"]),
     "unknown key": (
         "- align: {duration_min: 5}",
