@@ -24,6 +24,7 @@ _WRITE_TIMEOUT_S = 5.0
 _MAX_SILENCES = 5
 #: If a late reply has arrived, the reply to the present request begins within this time, s.
 NEXT_REPLY_S = 0.5
+_HOST_AND_PORT = re.compile(r"[\w.-]+:\d+")
 #: Most bytes of discarded input that are recorded.
 _MAX_DISCARDED_BYTES = 65536
 
@@ -78,6 +79,8 @@ def system_reason(error: Exception) -> str:
 
 def port_advice(address: str, default_advice: str) -> str:
     """Advice for a port that can't be opened; a pseudo-terminal ends with the program that serves it."""
+    if _HOST_AND_PORT.fullmatch(address):
+        return f"Write a TCP port as socket://{address}."
     if not address.startswith("/dev/pts/"):
         return default_advice
     return (

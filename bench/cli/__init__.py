@@ -66,6 +66,8 @@ _SUGGESTIONS = {
     **{each: f"gyrobench control RUN {each}" for each in ("pause", "continue", "hold", "skip", "abort")},
     "stop": "gyrobench control RUN abort",
     "compare": "gyrobench report RUN --before RUN, or gyrobench runs --trend",
+    "version": "gyrobench --version",
+    "help": "gyrobench --help, or gyrobench COMMAND --help",
     "init": "gyrobench new station NAME",
 }
 #: Old names that are still accepted, with module and function.
@@ -144,6 +146,9 @@ class _CommandGroups(TyperGroup):
             from gyrobench.bench.foundations.text import did_you_mean
 
             message = plain_message(error.message).rstrip(".")
+            message = message.replace(
+                "does not match the formats '%Y-%m-%d'", "is no date such as 2026-03-31"
+            )
             found, _, allowed = message.partition(" is not one of ")
             near = did_you_mean(found.strip("'"), re.findall(r"'([^']+)'", allowed))
             error.message = f"{message}{near}{'.' if message else ''}"  # empty if a value is missing

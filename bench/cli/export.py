@@ -65,7 +65,8 @@ def _parse_names(text: str, allowed: list[str], option: str) -> list[str]:
     names = [name.strip() for name in text.split(",") if name.strip()]
     for name in names:
         if name not in allowed:
-            raise DocumentError(f"{option}: '{name}' is not one of {', '.join(allowed)}")
+            hint = ". Excel opens csv" if name in ("xlsx", "xls", "excel") else ""
+            raise DocumentError(f"{option}: '{name}' is not one of {', '.join(allowed)}{hint}")
     return list(dict.fromkeys(names))
 
 

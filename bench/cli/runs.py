@@ -70,6 +70,8 @@ def runs(
         content, view = _list(run_index, selection, most)
     problems = run_index.problems()
     views = [view, problems_text(problems)] if problems else [view]
+    if figure is not None:
+        views.append(f"Figure   {figure}")
     print_result({**content, "problems": problems}, as_json, *views)
 
 

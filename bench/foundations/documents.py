@@ -46,6 +46,7 @@ _PLAIN_WORDS = tuple(
         (r"should have at (least|most) (\d+) characters?", r"must have at \1 \2 characters"),
         (r"should match pattern '\^\[A-Za-z0-9_-\]\{1,80\}\$'", "may have letters, digits, _ and - only"),
         (r"should match pattern '\^\[a-z0-9_\]\{1,\d+\}\$'", "may have a to z, digits and _ only"),
+        (r"should match pattern '\^\[\^/.*\[dD\].*'", "must be NAME.dbc, without a folder"),
         (r"should match pattern", "must match the pattern"),
         (r"should be greater than or equal to", "must be at least"),
         (r"should be less than or equal to", "must be at most"),

@@ -78,6 +78,11 @@ def load(group: str, name: str, kind: type[_ObjectT]) -> _ObjectT:
     noun = _NOUNS.get(group, "dialect")
     matches = [entry for entry in _entries(group) if entry.name == name]
     if not matches:
+        if group == EMULATORS and name in (*installed(RATE_TABLES), *installed(CHAMBERS)):
+            raise DocumentError(
+                f"the dialect {name!r} has no emulator: no installed package names one in the entry points "
+                f"{EMULATORS}. Add one there, or use the port of the instrument"
+            )
         names, instrument = installed(group), _INSTRUMENTS.get(group, "")
         raise DocumentError(
             f"no {noun} {name!r}{instrument} is installed{did_you_mean(name, names)}; "

@@ -65,6 +65,10 @@ class Station:
             if not self.file.units and getattr(self.file.chamber, key, None) in self.power_events:
                 problem = f"output {self.file.unit.power_event} switches the chamber itself, by chamber.{key}"
                 raise self._document.error([DocumentProblem(("unit", "power_event"), problem)])
+        outer, inner = self.file.rate_table.outer_axis, self.file.rate_table.inner_axis
+        if outer is not None and _vector(outer) @ _vector(inner):
+            problem = f"the inner axis must be perpendicular to the outer axis ({outer}); found {inner}"
+            raise self._document.error([DocumentProblem(("rate_table", "inner_axis"), problem)])
         try:
             self.table = self._table()  #: Kinematics of the table with the unit on it.
         except DocumentError as error:

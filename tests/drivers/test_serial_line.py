@@ -70,6 +70,11 @@ def test_a_line_works_again_after_its_port_was_unplugged_and_plugged_in(line, pl
     assert exchange(line, plug) == b"reply"
 
 
+def test_a_tcp_port_without_its_scheme_is_answered_with_how_to_write_it():
+    with pytest.raises(ConnectionFailedError, match=r"as socket://192\.0\.2\.1:9878"):
+        SerialLine("rate table", "192.0.2.1:9878", WallClock(), 9600)
+
+
 def test_a_line_is_opened_again_as_it_was_opened_first(line):
     before = line._port.get_settings()
     line.reopen()

@@ -78,6 +78,8 @@ class _Provenance(BaseModel):
 
     gyrobench: str = ""
     started_utc: datetime
+    operator: str = ""
+    instruments: dict[str, str] = {}
     options: dict[str, Any] = {}
     files_sha256: dict[str, str] = {}
 
@@ -128,6 +130,8 @@ class RunRow:
     procedure: str
     procedure_sha256: str
     gyrobench: str
+    operator: str  #: Who started it.
+    ins_identity: str  #: Serial number, firmware and hardware, as the INS reported them.
     #: clock, world: Clock of the run, and world of emulated instruments.
     clock: str
     world: str
@@ -180,6 +184,8 @@ def read_run_record(files: RunFiles, read: Callable[[str], bytes]) -> RunRecord:
         path=files.path,
         procedure_sha256=provenance.files_sha256.get(PROCEDURE, ""),
         gyrobench=provenance.gyrobench,
+        operator=provenance.operator,
+        ins_identity=provenance.instruments.get("INS", ""),
         clock=str(provenance.options.get("clock", "")),
         world=str(provenance.options.get("world", "")),
         started_utc=_naive_utc(provenance.started_utc),
@@ -251,7 +257,7 @@ def _naive_utc(time: datetime) -> datetime:
 
 
 #: Increased with every change of the columns; an index of another version is rebuilt.
-VERSION = 1
+VERSION = 2
 
 _TEXT, _NUMBER, _COUNT = pa.string(), pa.float64(), pa.int64()
 _TYPES = {"str": _TEXT, "float": _NUMBER, "float | None": _NUMBER, "int": _COUNT, "int | None": _COUNT}

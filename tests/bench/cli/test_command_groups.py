@@ -19,7 +19,9 @@ def test_every_command_is_in_a_group_in_its_order(tmp_path):
     assert all(f"\n  {name} " in shown for name in grouped)
 
 
-@pytest.mark.parametrize(("word", "instead"), [("status", "monitor RUN"), ("pause", "control RUN pause")])
+@pytest.mark.parametrize(
+    ("word", "instead"), [("status", "monitor RUN"), ("pause", "control RUN pause"), ("help", "--help")]
+)
 def test_a_command_that_does_not_exist_names_the_one_that_does_its_task(word, instead):
     result = CliRunner().invoke(app, [word])
     assert result.exit_code == EXIT_WRONG_INPUT

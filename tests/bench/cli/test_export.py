@@ -34,7 +34,7 @@ def test_files_that_are_there_are_kept_and_that_is_reported(run_folder, tmp_path
     ("options", "message"),
     [
         (("--what", "dwels"), "'dwels' is not one of dwells, bins"),
-        (("--format", "xlsx"), "'xlsx' is not one of parquet, csv"),
+        (("--format", "xlsx"), "'xlsx' is not one of parquet, csv, blf, mf4. Excel opens csv"),
         (("--what", "can", "--format", "csv"), "does not fit can"),
         (("--dwell", "1"), "--what navigation"),
     ],

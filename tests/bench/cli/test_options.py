@@ -47,6 +47,7 @@ def test_no_option_that_is_a_number_takes_one_without_an_end(name, command, opti
         (("fleet", "close", "runs", "--workers", "0"), "'--workers': the value must be at least 1.\n"),
         (("plan", "rotations", "--target-dph", "inf"), "'--target-dph': inf is not a finite number.\n"),
         (("runs", "--verdict", "acepted"), "'not judged' (did you mean 'accepted'?).\n"),
+        (("runs", "--since", "31.3.2026"), "'--since': '31.3.2026' is no date such as 2026-03-31.\n"),
         (("runs", "--ended", "finshed"), "'not ended' (did you mean 'finished'?).\n"),
         (("run", "rotations", "--acknowledge", "table"), "'table' is not one of 'rate_table', 'chamber_"),
         (("calibrate", "log.csv"), "Missing option '--map'.\n"),

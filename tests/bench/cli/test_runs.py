@@ -44,6 +44,7 @@ def test_the_trend_of_a_unit_names_the_gyro_that_drifts_and_draws_it(place):
     assert result.returncode == 0, result.stderr
     assert "Unit 1001 drifts: X gyro at" in result.stdout
     assert "Y gyro at" not in result.stdout
+    assert "\nFigure   drift.png\n" in result.stdout
     assert (place / "drift.png").read_bytes().startswith(b"\x89PNG")
     trends = json.loads(gyrobench("runs", "--unit", "1001", "--trend", "--json", cwd=place).stdout)["trends"]
     slopes = [each["slope_dph_per_month"] for each in trends if each["gyro"] == "x"]

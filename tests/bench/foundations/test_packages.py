@@ -51,6 +51,15 @@ def test_an_unknown_name_is_reported_with_the_installed_ones():
         load(CHAMBERS, "watlow_f5", ChamberDialect)
 
 
+def test_a_dialect_without_emulator_is_reported_with_where_to_name_one(monkeypatch):
+    entries = {RATE_TABLES: (EntryPoint("mine", "mine:DIALECT", RATE_TABLES),)}
+    monkeypatch.setattr(packages, "_entries", lambda group: entries.get(group, ()))
+    with pytest.raises(
+        DocumentError, match=r"'mine' has no emulator: .* gyrobench\.emulators\. Add one there"
+    ):
+        load(EMULATORS, "mine", TableEmulation)
+
+
 @pytest.mark.parametrize(
     ("value", "message"),
     [

@@ -27,6 +27,26 @@ def test_every_mistake_is_listed_with_its_place(changed):
     assert "watlow_f4" in lines[1]
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            "inner_axis: up",
+            "inner_axis: west",
+            r"yaml:\d+:3: the inner axis must be perpendicular .* \(east\); fo",
+        ),
+        (
+            "dbc: gyrobench_ins",
+            "dbc: C:\\me\\ins",
+            r"'dbc' must be NAME.dbc, without a folder \(name of a DBC f",
+        ),
+    ],
+)
+def test_a_wrong_axis_and_a_dbc_file_with_a_folder_are_reported_in_plain_words(changed, old, new, message):
+    with pytest.raises(DocumentError, match=message):
+        Station(changed((old, new)))
+
+
 def test_a_missing_dbc_file_is_reported_with_the_mistakes_of_the_file(changed):
     path = changed(("low_c: -50", "low_c: 95"), ("dbc: gyrobench_ins.dbc", "dbc: none.dbc"))
     with pytest.raises(DocumentError) as caught:

@@ -41,10 +41,10 @@ def test_a_run_stands_in_the_index_as_its_folder_shows_it(runs, sample):
     assert newest["started_utc"] == datetime(2026, 3, 4, 23)
     assert (newest["unit"], newest["batch"], newest["station"]) == ("1001", "B7", "quick")
     assert (newest["procedure"], newest["ended"], newest["dwells"]) == ("fleet_sample", "finished", 12)
-    assert (
-        newest["procedure_sha256"]
-        == json.loads((sample / "provenance.json").read_text())["files_sha256"]["procedure.yaml"]
-    )
+    provenance = json.loads((sample / "provenance.json").read_text())
+    assert newest["procedure_sha256"] == provenance["files_sha256"]["procedure.yaml"]
+    assert newest["ins_identity"] == provenance["instruments"]["INS"] != ""
+    assert newest["operator"] == provenance["operator"] != ""
     assert (newest["verdict"], newest["error_before_dph"]) == ("", None)
     dwell = index.query("SELECT * FROM dwells WHERE path = 'b' AND dwell = 3").records()[0]
     assert dwell["position"] == "y_down"
