@@ -127,9 +127,7 @@ class SignalFormat(StrictModel):
     format: Literal["parquet", "blf", "mf4", "ardupilot", "px4"] = Field(
         description="parquet, blf (needs dbc), mf4 (with dbc: its CAN frames), ardupilot (.bin), px4 (.ulg)"
     )
-    dbc: str | None = Field(
-        default=None, min_length=1, description="DBC file beside the import map, or a shipped one"
-    )
+    dbc: str | None = Field(default=None, min_length=1, description="DBC file beside the map, or shipped")
 
     @model_validator(mode="after")
     def _check_dbc(self) -> Self:
@@ -144,6 +142,9 @@ class TimeRule(StrictModel):
     column: Column | None = Field(default=None, description="column with the time")
     unit: Literal["s", "ms", "us", "ns", "min", "h", "iso8601"] = Field(
         default="s", description="unit of that column; iso8601: 2026-03-01T12:00:00.5Z"
+    )
+    format: str | None = Field(
+        default=None, min_length=1, description="of other calendar times, such as %d.%m.%Y %H:%M:%S"
     )
     sample_rate_hz: Positive | None = Field(default=None, description="instead of a column: evenly sampled")
 

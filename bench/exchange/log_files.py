@@ -29,6 +29,7 @@ _GZIP_SIGNATURE = b"\x1f\x8b"
 _NOT_MEASURED = (
     "", "nan", "NaN", "NAN", "-nan", "-NaN", "na", "NA", "n/a", "N/A", "null", "NULL", "None", "none"
 )  # fmt: skip
+_CALENDAR_TIME = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{2,4}[ T]?")
 _NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?|[-+]?(inf|infinity)", re.IGNORECASE)
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
@@ -188,11 +189,13 @@ class TextLog:
             if len(cells) != len(self.columns):
                 add("", line, f"{len(cells)} cells instead of {len(self.columns)}")
                 continue
-            for column in numbers:
+            for column in dict.fromkeys(numbers):
                 name, cell = self.columns[indices[column]], cells[indices[column]]
                 if not _is_number(cell, self._layout.decimal):
                     other = "." if self._layout.decimal == "," else ","
                     hint = f" (is 'text.decimal' '{other}'?)" if _is_number(cell, other) else ""
+                    if _CALENDAR_TIME.match(cell):
+                        hint = " (a calendar time: give 'time.unit' iso8601, or 'time.format')"
                     add(name, line, f"column {name}: expected a number; found '{cell[:60]}'{hint}")
         messages = [
             f"{text} (and in {repeats[kind]} more lines)" if repeats[kind] else text

@@ -46,7 +46,7 @@ _SIGNATURES = {"blf": b"LOGG", "parquet": b"PAR1", "mf4": b"MDF ", "px4": b"ULog
 _SIGNATURE_BYTES = 1024
 _TO_DPH = {"rad/s": RADPS_TO_DPH, "deg/s": 3600.0, "dps": 3600.0, "deg/h": 1.0, "arcsec/s": 1.0}
 _PREFIXES = {"m": 1e-3, "u": 1e-6}
-_TO_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "iso8601": 1.0}
+_TO_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 #: Times after which the clocks of loggers and of GPS restart.
 _CLOCK_PERIODS = ((86400.0, "day"), (604800.0, "week"))
 #: Exceeds the rounding of a calendar time in float64; a sample this close before a window belongs to it.
@@ -137,7 +137,8 @@ class SampleReader:
             if rule is not None and rule.column is not None
         ]
         origin, last_s = None, -np.inf
-        is_calendar = self._map.time.unit == "iso8601"
+        is_calendar = self._map.time.format is not None or self._map.time.unit == "iso8601"
+        second = 1.0 if is_calendar else _TO_SECONDS[self._map.time.unit]
         if time is not None:
             (texts if is_calendar else numbers).append(time)
         for batch in self._log.batches(numbers, texts):
@@ -149,9 +150,9 @@ class SampleReader:
                 clock = self._calendar_s(batch[time]) if is_calendar else batch[time]
                 if origin is None and np.isfinite(clock).any():
                     origin = float(clock[np.isfinite(clock)][0])
-                    self.first_s = origin * _TO_SECONDS[self._map.time.unit]
+                    self.first_s = origin * second
                 with np.errstate(over="ignore"):
-                    time_s = (clock - (origin or 0.0)) * _TO_SECONDS[self._map.time.unit]
+                    time_s = (clock - (origin or 0.0)) * second
             is_valid = np.abs(time_s) <= _MAX_TIME_S
             self.no_time += int(count - is_valid.sum())
             self._sample_count += count
@@ -168,17 +169,18 @@ class SampleReader:
         return {name: np.concatenate([each[name] for each in batches]) for name in batches[0]}
 
     def _calendar_s(self, texts: NDArray[Any]) -> FloatArray:
-        """Times of ISO 8601 texts, s; NaN for an empty one. Those without an offset are in UTC."""
-        times_s = np.full(len(texts), np.nan)
+        """Calendar times as s; NaN for an empty text. Those without an offset are in UTC."""
+        times_s, layout = np.full(len(texts), np.nan), self._map.time.format
         for index, text in enumerate(texts.tolist()):
-            if not text:
+            if not (stripped := text.strip()):
                 continue
             try:
-                time = datetime.fromisoformat(text.strip())
+                time = datetime.strptime(stripped, layout) if layout else datetime.fromisoformat(stripped)
             except ValueError as error:
                 raise DocumentError(
-                    f"{self._path}: column {self._map.time.column} holds '{text[:60]}', which is no time by "
-                    "ISO 8601. Correct 'time.unit' in the import map"
+                    f"{self._path}: column {self._map.time.column} holds '{text[:60]}', which is no time "
+                    + (f"of the form '{layout}'" if layout else "by ISO 8601")
+                    + ". Give its form in 'time.format' of the import map, such as '%d.%m.%Y %H:%M:%S'"
                 ) from error
             times_s[index] = (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
         return times_s

@@ -123,6 +123,13 @@ def test_cells_that_are_no_numbers_are_shown_with_line_and_column(tmp_path):
     ]
 
 
+def test_a_column_that_is_read_for_several_quantities_counts_its_wrong_lines_once(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("a,b\n1,x\n1,y\n1,z\n")
+    with pytest.raises(DocumentError, match=r"found 'x' \(and in 2 more lines\)"):
+        list(TextLog(path, TextFormat()).batches(["a", "b", "b", "b"], []))
+
+
 def test_lines_with_another_number_of_cells_are_reported(tmp_path):
     with pytest.raises(DocumentError, match=r"log\.txt:3: 1 cells instead of 2"):
         read(tmp_path, "a,b\n1,2\n3\n5,6\n")

@@ -395,12 +395,19 @@ def test_a_packed_log_is_the_same(log):
         import_logs([packed], mapping)
 
 
-def test_units_with_prefixes_factors_and_calendar_times_mean_the_same(log):
+@pytest.mark.parametrize(
+    ("layout", "rule"),
+    [
+        ("%Y-%m-%dT%H:%M:%S.%f+00:00", "unit: iso8601"),
+        ("%d.%m.%Y %H:%M:%S.%f", "format: '%d.%m.%Y %H:%M:%S.%f'"),
+    ],
+)
+def test_units_with_prefixes_factors_and_calendar_times_mean_the_same(log, layout, rule):
     expected = import_logs([log.write()], log.mapping()).rows
     begin = datetime(2026, 3, 1, 12, tzinfo=UTC)
     time, x, y, z, heat = log.columns.values()
     log.columns = {
-        "when": [(begin + timedelta(seconds=each)).isoformat() for each in time],
+        "when": [(begin + timedelta(seconds=each)).strftime(layout) for each in time],
         "gx": 1e3 * np.deg2rad(x),
         "gy": 2e3 * np.deg2rad(y),
         "gz": 1e3 * np.deg2rad(z),
@@ -409,7 +416,7 @@ def test_units_with_prefixes_factors_and_calendar_times_mean_the_same(log):
     rows = zip(*([str(each) for each in column] for column in log.columns.values()), strict=True)
     path = log.write([",".join(log.columns), *(",".join(row) for row in rows)])
     mapping = log.mapping(
-        time="{column: when, unit: iso8601}",
+        time=f"{{column: when, {rule}}}",
         gyro="{unit: mrad/s, x: gx, y: {column: gy, scale: 0.5}, z: gz}",
         temperatures="{gyros: {column: temp, offset_c: -273.15}}",
     )
@@ -417,6 +424,19 @@ def test_units_with_prefixes_factors_and_calendar_times_mean_the_same(log):
         assert row.bias_dph == pytest.approx(other.bias_dph, abs=1e-3)
         assert row.gyro_c == pytest.approx(other.gyro_c, abs=1e-6)
         assert (row.start_s, row.end_s) == pytest.approx((other.start_s, other.end_s), abs=1e-3)
+
+
+def test_a_calendar_time_of_another_form_is_reported_with_the_key_that_gives_it(log):
+    header, *lines = log.lines()
+    path = log.write([header, *("1.3.2026 12:00:00," + line.partition(",")[2] for line in lines)])
+    with pytest.raises(
+        DocumentError, match=r"expected a number; .* \(a calendar time: .* or 'time.format'\)"
+    ):
+        import_logs([path], log.mapping())
+    column = header.partition(",")[0]
+    for rule, form in (("unit: iso8601", "by ISO 8601"), ("format: '%d/%m/%Y'", "of the form '%d/%m/%Y'")):
+        with pytest.raises(DocumentError, match=rf"which is no time {form}. Give its form in 'time.format'"):
+            import_logs([path], log.mapping(time=f"{{column: {column}, {rule}}}"))
 
 
 def test_one_problem_of_a_column_is_reported_once(log):
