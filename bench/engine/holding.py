@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 
 from gyrobench.bench.engine.interlocks.watch import Trip, TrippedError, text_of_trips
 from gyrobench.bench.engine.operator import ReceivedCommand, RunCommand, take_sender
@@ -64,13 +64,15 @@ class Ticker:
         if received is None:
             return None
         if received.source == TERMINAL:
-            name = operator_name()
+            received = replace(received, operator=operator_name())
         elif name := take_sender(run.folder.path, received.command):
-            received = replace(received, source=f"{name} ({received.source})")
+            received = replace(received, source=f"{name} ({received.source})", operator=name)
         is_abort = received.command is RunCommand.ABORT
         refused = "" if is_abort else refusal(received.command)
         details = {"refused": refused} if refused else {}
-        run.journal.record("ordered", order=received.command, by=received.source, operator=name, **details)
+        run.journal.record(
+            "ordered", order=received.command, by=received.source, operator=received.operator, **details
+        )
         if is_abort:
             raise RunStoppedError(f"stopped by {describe_source(received.source)}")
         if refused:
@@ -104,6 +106,14 @@ def _refusal_in_hold(command: RunCommand) -> str:
     return f"the run holds: it accepts continue or abort, not {command}"
 
 
+@dataclass(frozen=True)
+class _Continuation:
+    """What continues a run, and the operator if one did."""
+
+    source: str
+    operator: str = ""
+
+
 class Holding:
     """Holds a run until the operator continues it, or the rules of the tripped interlocks allow it."""
 
@@ -128,33 +138,34 @@ class Holding:
         run.observers.noted(f"Holding, waiting for {waits_for}: {reason}")
         begin_s = self._bench.clock.now()
         try:
-            source = self._wait(reason, trips, after_s)
+            continuation = self._wait(reason, trips, after_s)
         finally:
             run.operator.withdraw()
             run.observers.continued()
+        source, operator = continuation.source, continuation.operator
         if source == ITSELF:
             run.state.resumes.update(trip_names)
         held_s = self._bench.clock.now() - begin_s
-        operator_entry = {} if source == ITSELF else {"operator": operator_name()}
+        operator_entry = {"operator": operator} if operator else {}
         run.journal.record(
             "continued", by=source, after=trip_names, held_s=round(held_s, 3), **operator_entry
         )
         run.observers.noted(f"Continued by {source}")
 
-    def _wait(self, reason: str, trips: Sequence[Trip], after_s: float | None) -> str:
-        """Wait until the run may continue; returns the source of the continuation."""
+    def _wait(self, reason: str, trips: Sequence[Trip], after_s: float | None) -> _Continuation:
+        """Wait until the run may continue."""
         clock, begin_s = self._bench.clock, self._bench.clock.now()
         max_hold_s = self._bench.station.file.interlocks.max_hold_s
         held_for = {trip.name for trip in trips}
-        for source in self._continuations(reason, needs_operator=after_s is None):
+        for continuation in self._continuations(reason, needs_operator=after_s is None):
             held_s = clock.now() - begin_s
             others = [trip for trip in self._bench.trips() if trip.name not in held_for]
             if others:
                 raise TrippedError(others)
-            if source and self._is_clear(trips):
-                return source
+            if continuation and self._is_clear(trips):
+                return continuation
             if after_s is not None and self._untripped_for_s(trips, held_s) >= after_s:
-                return ITSELF
+                return _Continuation(ITSELF)
             if held_s > max_hold_s:
                 break
         raise RunStoppedError(f"held for longer than {max_hold_s / 3600.0:g} h: {reason}")
@@ -167,8 +178,8 @@ class Holding:
             else min(self._bench.untripped_for_s(trips), held_s)
         )
 
-    def _continuations(self, reason: str, needs_operator: bool) -> Iterator[str]:
-        """Perform ticks, and yield at each the source of a continuation; empty if there is none."""
+    def _continuations(self, reason: str, needs_operator: bool) -> Iterator[_Continuation | None]:
+        """Perform ticks, and yield at each a continuation; None if there is none."""
         clock, operator = self._bench.clock, self._run.operator
         ask_s = clock.now() if needs_operator else math.inf
         while True:
@@ -177,10 +188,10 @@ class Holding:
                 ask_s = math.inf
             self._ticker.tick()
             self._repeat_safe_actions()
-            source = self._answer(reason, needs_operator)
-            if source and needs_operator:
+            continuation = self._answer(reason, needs_operator)
+            if continuation and needs_operator:
                 ask_s = clock.now() + _ASK_AGAIN_S  # in case something is still tripped
-            yield source
+            yield continuation
 
     def _repeat_safe_actions(self) -> None:
         """Repeat safe actions that failed until they succeed; each success is recorded in the journal."""
@@ -190,12 +201,14 @@ class Holding:
             done = [action.what for action in actions if not action.problem]
             self._run.observers.noted(f"Safe state, repeated: {listed(done)}")
 
-    def _answer(self, reason: str, needs_operator: bool) -> str:
+    def _answer(self, reason: str, needs_operator: bool) -> _Continuation | None:
         received = self._ticker.command(_refusal_in_hold)
         answer = self._run.operator.answer() if needs_operator else None
         if answer == RunCommand.ABORT:
             raise RunStoppedError(f"the operator answered '{answer}' to: {reason}")
-        return describe_source(received.source) if received else "the operator" if answer else ""
+        if received:
+            return _Continuation(describe_source(received.source), received.operator)
+        return _Continuation("the operator", operator_name()) if answer else None
 
     def _is_clear(self, trips: Sequence[Trip]) -> bool:
         """Clear latched alarms, and return whether nothing is tripped; notes remaining trips."""

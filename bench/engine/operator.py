@@ -68,10 +68,11 @@ _TERMINAL_SIGNALS = (signal.SIGTTIN, signal.SIGTTOU)
 
 @dataclass(frozen=True)
 class ReceivedCommand:
-    """A command and its source (the name of a signal, or the terminal), for the journal."""
+    """A command, its source (the name of a signal, or the terminal) and its operator, for the journal."""
 
     command: RunCommand
     source: str
+    operator: str = ""  #: Empty if unknown, as of a signal of another program.
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """What trips while a run holds: everything is brought to its safe value again, and has to be good as well."""
 
+import os
 from types import SimpleNamespace
 from unittest.mock import Mock
 
@@ -7,7 +8,7 @@ import pytest
 
 from gyrobench.bench.engine.holding import Ticker
 from gyrobench.bench.engine.job import prepare_job
-from gyrobench.bench.engine.operator import ConsentingOperator, RunCommand
+from gyrobench.bench.engine.operator import ConsentingOperator, RunCommand, send_command
 from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
@@ -88,6 +89,34 @@ def test_the_journal_has_who_started_paused_and_continued(tmp_path, monkeypatch)
     assert outcome.ended == "finished", outcome.reason
     who = {entry["event"]: entry.get("operator") for entry in entries if "operator" in entry}
     assert who == {"run_started": "A. Smith", "ordered": "A. Smith", "continued": "A. Smith"}
+
+
+class RelievedOperator(PausingOperator):
+    """Pauses; another one continues by `gyrobench control`."""
+
+    def __init__(self, pause_tick, continue_tick, run_folder):
+        super().__init__(pause_tick, continue_tick)
+        self.run_folder = run_folder
+
+    def command(self):
+        if self.ticks == self.continue_tick:
+            send_command(self.run_folder, RunCommand.CONTINUE, os.getpid(), "B. Jones")
+        return super().command()
+
+    def answer(self):
+        return None
+
+
+def test_a_run_that_another_operator_continues_names_that_one(tmp_path, monkeypatch):
+    monkeypatch.setenv("GYROBENCH_OPERATOR", "A. Smith")
+    entries, outcome = run(
+        tmp_path,
+        "fault: instrument_restarts, target: chamber, at_s: 900, for_s: 15",
+        RelievedOperator(5, 9, tmp_path / "run"),
+    )
+    assert outcome.ended == "finished", outcome.reason
+    [continued] = [entry for entry in entries if entry["event"] == "continued"]
+    assert (continued["operator"], continued["by"]) == ("B. Jones", "B. Jones (gyrobench control)")
 
 
 @pytest.mark.parametrize("speed", [1.0, 10.0])
