@@ -53,7 +53,7 @@ class Engine:
         self._ticker = Ticker(run, self._units)
         self._holding = Holding(run, self._ticker)
         self._step_context = StepContext(run, self._units)
-        self._is_hold_commanded = False
+        self._hold_commanded_by = ""  # empty if no hold is commanded
         self._unseen_faults: tuple[str, ...] = ()
         self._current: PlannedStep | None = None
         self._dwell: int | None = None  # the dwell in progress, or the one that the run returns to
@@ -241,10 +241,10 @@ class Engine:
             return
         match received.command:
             case RunCommand.HOLD:
-                self._is_hold_commanded = True
+                self._hold_commanded_by = describe_source(received.source)
                 self._run.note("holds at the end of the present step or dwell")
             case RunCommand.CONTINUE:
-                self._is_hold_commanded = False
+                self._hold_commanded_by = ""
                 self._run.note("the commanded hold is cancelled")
             case _:
                 raise CommandReceivedError(received)
@@ -253,7 +253,7 @@ class Engine:
         """Why a step does not accept a command; empty if it does."""
         if command is RunCommand.SKIP and not self._dwell:
             return "no dwell is in progress: nothing is skipped"
-        if command is RunCommand.CONTINUE and not self._is_hold_commanded:
+        if command is RunCommand.CONTINUE and not self._hold_commanded_by:
             return "the run does not hold: there is nothing to continue"
         return ""
 
@@ -340,9 +340,9 @@ class Engine:
         """Between dwells: hold if commanded, and switch a restarted INS off and on."""
         if planned.dwell and not isinstance(planned.step, Align):
             return
-        if self._is_hold_commanded:
-            self._is_hold_commanded = False
-            self._holding.hold("hold at this temperature commanded", command=RunCommand.HOLD)
+        if source := self._hold_commanded_by:
+            self._hold_commanded_by = ""
+            self._holding.hold(f"hold at this temperature commanded by {source}", command=RunCommand.HOLD)
         if restarted := [unit for unit in self._units.running if unit.live.state.has_restarted]:
             retained = self._retained_state(is_ins_on=False, is_at_temperature=True)
             for unit in restarted:

@@ -227,6 +227,8 @@ def test_a_hold_lets_the_dwell_end_first(tmp_path, two):
     assert outcome.ended == "finished", outcome.reason
     story = names(folder, "ordered", "dwell_finished", "held", "continued")
     assert story == ["ordered", "dwell_finished", "held", "continued", "dwell_finished"]
+    [held] = events(folder, "held")
+    assert held["why"] == "hold at this temperature commanded by another program (SIGUSR1)"
 
 
 def test_a_skipped_dwell_is_not_measured(tmp_path, two):
