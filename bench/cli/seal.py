@@ -26,7 +26,8 @@ def seal(
         ),
     ] = None,
     accept_changes: Annotated[
-        bool, typer.Option("--accept-changes", help="Seal although measured data or inputs were changed.")
+        bool,
+        typer.Option("--accept-changes", help="Seal although measured data, inputs or tables were changed."),
     ] = False,
     new_key: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Make a key FILE, and FILE.pub beside it.")

@@ -17,7 +17,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from gyrobench.bench import __version__
@@ -158,7 +157,7 @@ def seal_run(folder: RunFolder, key: Path | None = None, *, accept_changes: bool
     """Seal a run folder and those of its units, or seal the changes since; None if nothing has changed.
 
     ``key``: PEM file of an Ed25519 key, by default that of GYROBENCH_SEAL_KEY; without either, the seal is
-    not signed. Raises RunFolderError if measured data or inputs have changed since the last seal, unless
+    not signed. Raises RunFolderError if measured data, inputs or tables have changed since the seal, unless
     ``accept_changes``; or if a file can't be read or written. Raises DocumentError if the key can't be used.
     """
     for unit in folder.unit_folders:
@@ -168,24 +167,25 @@ def seal_run(folder: RunFolder, key: Path | None = None, *, accept_changes: bool
 
 
 def _seal_folder(
-    folder: RunFolder, key: Path | None, accept_changes: bool, known: Mapping[str, str] = MappingProxyType({})
+    folder: RunFolder, key: Path | None, accept_changes: bool, known: Mapping[str, str] | None = None
 ) -> Path | None:
-    """Path of the new seal; None if nothing has changed. ``known``: hashes of some files, by path."""
+    """Path of the new seal; None if nothing changed. ``known``: hashes by path, if tables were checked."""
     seals = _read_seals(folder.path)
     last = seals[-1] if seals else None
     sealed = last.files if last else {}
     files = {
-        path: SealedFile(file.stat().st_size, known.get(path) or file_sha256(file))
+        path: SealedFile(file.stat().st_size, (known or {}).get(path) or file_sha256(file))
         for path in _paths_to_seal(folder.path)
         for file in [folder.path / path]
     }
     changes = _changes(folder.path, sealed, files)
     if last and not changes:
         return None
-    if last and changes.evidence and not accept_changes:
+    changed = [*changes.evidence, *(edited_tables(folder) if known is None else ())]
+    if last and changed and not accept_changes:
         raise RunFolderError(
-            f"{folder.path}: {listed(changes.evidence)} changed since seal {last.number}. "
-            "Restore them, or seal with --accept-changes, which records the change"
+            f"{folder.path}: {listed(changed)} changed since seal {last.number}. Restore them, tables by "
+            "`gyrobench bins`, or seal with --accept-changes, which records the change"
         )
     seal = Seal(
         number=last.number + 1 if last else 1,
@@ -238,7 +238,7 @@ def _differs(path: Path, sealed: SealedFile) -> bool:
 
 
 def update_seal(
-    folder: RunFolder, hashes: Mapping[str, str] = MappingProxyType({}), are_tables_new: bool = False
+    folder: RunFolder, hashes: Mapping[str, str] | None = None, are_tables_new: bool = False
 ) -> None:
     """Seal a run that has ended, or what was added to it; without a signature if the key can't be used.
 
@@ -253,7 +253,7 @@ def update_seal(
         return  # damaged: a seal would confirm the damage
     is_due = (folder.path / _SEALS).exists() or is_linked(folder.journal)
     if ended and is_due and (are_tables_new or not edited_tables(folder)):
-        _seal_folder(folder, None, accept_changes=False, known=hashes)
+        _seal_folder(folder, None, accept_changes=False, known=hashes or {})
 
 
 def require_sealed_inputs(folder: RunFolder) -> None:

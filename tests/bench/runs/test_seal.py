@@ -142,8 +142,10 @@ def test_changed_data_are_sealed_only_on_record(folder):
     change_byte(folder.journal, 100)
     with pytest.raises(RunFolderError, match=r"journal\.jsonl changed since seal 1"):
         seal_run(folder)
+    folder.dwells.write_text("edited")
     seal = seal_run(folder, accept_changes=True)
     assert seal.changes.evidence == ["journal.jsonl"]
+    assert "dwells.csv" in seal.changes.replaced
     assert seal.journal_broken_links == [2]
 
 
@@ -224,6 +226,10 @@ def test_an_edited_table_is_named_and_sealed_only_where_it_was_computed_again(fo
     assert edited_tables(folder) == ["dwells.csv"]
     update_seal(folder)
     assert [finding.path for finding in verify_seals(folder.path).findings] == ["dwells.csv"]
+    with pytest.raises(
+        RunFolderError, match=r"dwells\.csv changed since seal 1\. .*tables by `gyrobench bins`"
+    ):
+        seal_run(folder)
     update_seal(folder, are_tables_new=True)
     assert edited_tables(folder) == []
     assert not verify_seals(folder.path).findings
