@@ -48,5 +48,7 @@ def build_wheel(
         if not (_PACKAGE / name).exists():
             (_PACKAGE / name).symlink_to(Path("..", "..", name))
     command = [sys.executable, "-m", "gyrobench", "schema", "--out", str(_PACKAGE / "schemas")]
-    subprocess.run(command, env=os.environ | {"PYTHONPATH": str(_ROOT / "src")}, check=True)  # noqa: S603
+    # pip names the packages installed for the build in PYTHONPATH.
+    paths = os.pathsep.join(filter(None, [str(_ROOT / "src"), os.environ.get("PYTHONPATH")]))
+    subprocess.run(command, env=os.environ | {"PYTHONPATH": paths}, check=True)  # noqa: S603
     return _hatchling.build_wheel(wheel_directory, config_settings, metadata_directory)

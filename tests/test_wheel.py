@@ -1,5 +1,6 @@
 """The wheel holds one package, and works beside other people's packages called bench and drivers."""
 
+import importlib.util
 import os
 import subprocess
 import sys
@@ -26,6 +27,19 @@ def site(tmp_path_factory):
         (folder / name).mkdir()
         (folder / name / "__init__.py").write_text(f"raise ImportError('this is another package {name}')\n")
     return folder
+
+
+def test_the_build_sees_the_packages_that_pip_installs_for_it(monkeypatch, tmp_path):
+    """As in `pip install .`, which names their folder in PYTHONPATH."""
+    spec = importlib.util.spec_from_file_location("build_backend", ROOT / "build_backend.py")
+    backend = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(backend)
+    environments = []
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setattr(backend.subprocess, "run", lambda _, env, check: environments.append(env))
+    monkeypatch.setattr(backend._hatchling, "build_wheel", lambda *_: "a.whl")
+    assert backend.build_wheel(str(tmp_path)) == "a.whl"
+    assert environments[0]["PYTHONPATH"].split(os.pathsep) == [str(ROOT / "src"), str(tmp_path)]
 
 
 def test_the_wheel_holds_one_package(site):
