@@ -32,6 +32,8 @@ _TEXTS: dict[TestName, str] = {
 }
 _HEADER = ("coefficient", "gyro", "unit", "value", "95 % interval")
 _DIGITS = 3
+#: Numbers from here on are written with an exponent.
+_MIN_WITH_EXPONENT = 1e6
 
 
 def characteristics_sections(results: Sequence[TestResult]) -> list[Section]:
@@ -64,7 +66,10 @@ def _coefficient_rows(result: TestResult) -> list[list[str]]:
 
 
 def _number_text(value: float | None) -> str:
-    return "not determined" if value is None else f"{value:.{_DIGITS}g}"
+    if value is None:
+        return "not determined"
+    text = f"{value:.{_DIGITS}g}"
+    return f"{float(text):.0f}" if "e+" in text and abs(value) < _MIN_WITH_EXPONENT else text
 
 
 def _interval_text(coefficient: Coefficient) -> str:

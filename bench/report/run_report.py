@@ -214,7 +214,7 @@ def render(
         _list_section("Assumptions of the procedure", content.procedure.get("assumptions")),
         _instruments_section(content),
         _hashes_section(hashes),
-        _safe_state_section(content),
+        safe_state_section(content),
         _list_section("Missing in the run folder", content.problems),
     ]
     subject = _subject(content)
@@ -266,19 +266,10 @@ def _analysis_sections(content: RunContent, marked_c: Sequence[float]) -> list[S
 
 def verdict_boxes(content: RunContent) -> list[Box]:
     """Boxes at the top: damaged files, how the run ended, the verdict on the unit, and doubts about it."""
-    facts, acceptance = content.facts, content.acceptance
-    boxes = damage_boxes(content.damage)
-    if JOURNAL in content.damage:  # the entries before the damage do not state how the run ended
-        return [*boxes, Box("failed", content.ending, ""), *_not_judged_boxes(content)]
-    is_safe = not any(action.get("problem") for action in facts.safe_state)
-    notes = [f"Unfinished step: {_unfinished_step(content)}."] if _unfinished_step(content) else []
-    notes += [
-        f"Past due: {each.get('found')}; acknowledged by {each.get('operator')}."
-        for each in content.entries("past_due")
-    ]
-    notes += [] if is_safe else ["The safe state was not fully reached; see the section Safe state."]
-    colour = facts.ended if is_safe and facts.ended in ("finished", "stopped") else "failed"
-    boxes.append(Box(colour, content.ending, content.reason or ("" if facts.ended else _INTERRUPTED), notes))
+    acceptance = content.acceptance
+    boxes = [*damage_boxes(content.damage), ending_box(content)]
+    if JOURNAL in content.damage:
+        return [*boxes, *_not_judged_boxes(content)]
     boxes += [verdict_box(acceptance)] if acceptance else _not_judged_boxes(content)
     if findings_by_plateau := plateau_findings(content.coefficients):
         plateaus = listed(sorted({each.partition(":")[0] for each in findings_by_plateau}))
@@ -287,6 +278,22 @@ def verdict_boxes(content: RunContent) -> list[Box]:
     if box := budget_box(content.budget):
         boxes.append(box)
     return [*boxes, *doubt_boxes(content)]
+
+
+def ending_box(content: RunContent) -> Box:
+    """How the run ended, and whether the bench is safe."""
+    facts = content.facts
+    if JOURNAL in content.damage:  # the entries before the damage do not state how the run ended
+        return Box("failed", content.ending, "")
+    is_safe = not any(action.get("problem") for action in facts.safe_state)
+    notes = [f"Unfinished step: {_unfinished_step(content)}."] if _unfinished_step(content) else []
+    notes += [
+        f"Past due: {each.get('found')}; acknowledged by {each.get('operator')}."
+        for each in content.entries("past_due")
+    ]
+    notes += [] if is_safe else ["The safe state was not fully reached; see the section Safe state."]
+    colour = facts.ended if is_safe and facts.ended in ("finished", "stopped") else "failed"
+    return Box(colour, content.ending, content.reason or ("" if facts.ended else _INTERRUPTED), notes)
 
 
 def doubt_boxes(content: RunContent) -> list[Box]:
@@ -351,7 +358,8 @@ def _hashes_section(hashes: Sequence[DataHash]) -> Section | None:
     return Section("Data of this report", paragraphs=[_HASHES_TEXT], facts=hashes_by_name) if hashes else None
 
 
-def _safe_state_section(content: RunContent) -> Section:
+def safe_state_section(content: RunContent) -> Section:
+    """What was done at the end to make the bench safe, and what failed."""
     actions = content.facts.safe_state
     if JOURNAL in content.damage:
         return Section("Safe state", [f"{JOURNAL} can't be used."])

@@ -14,7 +14,14 @@ from gyrobench.bench.report.journal_sections import durations_section, events_se
 from gyrobench.bench.report.number_format import BiasScale
 from gyrobench.bench.report.page import Box, Mark, Section, SectionTable, render_page
 from gyrobench.bench.report.run_content import RunContent, read_run, with_joint_solution
-from gyrobench.bench.report.run_report import damage_boxes, doubt_boxes, head_facts, write_report
+from gyrobench.bench.report.run_report import (
+    damage_boxes,
+    doubt_boxes,
+    ending_box,
+    head_facts,
+    safe_state_section,
+    write_report,
+)
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.seal import update_seal
 
@@ -42,6 +49,7 @@ def write_units_report(folder: RunFolder, prepared_by: str = "", vectors: Sequen
         f"Gyro bias of {counted(len(units), 'unit')}",
         boxes=[
             *(box for each in (content, *units) for box in damage_boxes(each.damage)),
+            ending_box(content),
             *_doubts_of_units(units),
         ],
         facts=facts,
@@ -50,6 +58,7 @@ def write_units_report(folder: RunFolder, prepared_by: str = "", vectors: Sequen
             Section("Reports", items=[PurePosixPath("units", unit.name, "report.html") for unit in units]),
             events_section(content.journal),
             durations_section(content.step_durations),
+            safe_state_section(content),
         ],
     )
     text = render_page(page, f"Run {content.name}, {procedure}", content.watermark, sign_off=prepared_by)

@@ -385,6 +385,8 @@ def test_the_report_links_those_of_all_units(without_1102):
     folder, *_ = without_1102
     page = write_units_report(folder).read_text()
     assert "Gyro bias of 4 units" in page
+    assert "The run finished." in page
+    assert "rate table stopped" in page.rpartition("Safe state")[2]
     assert "Unit 1102 was dropped: the INS has been silent" in page
     assert all(f'<a href="units/{number}/report.html">' in page for number in NUMBERS)
     assert all(folder.unit(number).report.exists() for number in NUMBERS)
