@@ -89,7 +89,7 @@ def bias_figure(
     estimator_panels = _panels_of_estimators(gyro, dwells, bins)
     panels = estimator_panels[:1] if estimator_panels[1].is_empty else estimator_panels
     scale = _scale(panels)
-    figure = new_figure(4.2)
+    figure = new_figure(4.2, wspace=0.1)  # room between the last and first labels of two panels
     all_axes = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
     for axes, panel in zip(all_axes, panels, strict=True):
         _draw_panel(axes, panel, scale, marked_c)

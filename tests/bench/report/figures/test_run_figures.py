@@ -93,6 +93,17 @@ def test_bias_figure_shows_both_estimators_on_one_scale(dwells: list[DwellRow], 
         assert points(line)[1] == pytest.approx([1e3 * bias for bias in biases])
 
 
+def test_the_temperatures_of_two_panels_do_not_run_into_one_another(
+    dwells: list[DwellRow], bins: list[BiasBin]
+) -> None:
+    figure = bias_figure("y", dwells, bins)
+    left, right = figure.axes
+    left.set(xlim=(32.5, 35.0), xticks=[32.5, 35.0])  # labels at both ends
+    figure.draw_without_rendering()
+    last, first = left.get_xticklabels()[-1], right.get_xticklabels()[0]
+    assert last.get_window_extent().x1 < first.get_window_extent().x0
+
+
 def test_bias_figure_without_the_papers_method_has_one_panel(old_dwells: list[DwellRow]) -> None:
     (axes,) = bias_figure("y", old_dwells, bin_biases([row for row in old_dwells if not row.flags])).axes
     assert axes.get_title(loc="left") == "Y gyro"
