@@ -164,14 +164,14 @@ def _information_of_drift(dwells: Sequence[VelocityRegression]) -> tuple[FloatAr
     is free.
     """
     normal, right_side, chi2 = np.zeros((7, 7)), np.zeros(7), 0.0
+    dof = 2 * len(dwells) - len(normal)  # two axes are level
+    if dof < _MIN_DRIFT_DOF:
+        return np.zeros(4), np.zeros((4, 4))
     for each in dwells:
         rows = np.hstack([each.drift_response, np.sqrt(np.diag(each.drift_covariance).min()) * np.eye(3)])
         weighted = np.linalg.solve(each.drift_covariance, np.column_stack([rows, each.drift]))
         normal, right_side = normal + rows.T @ weighted[:, :7], right_side + rows.T @ weighted[:, 7]
         chi2 += float(each.drift @ weighted[:, 7])
-    dof = 2 * len(dwells) - len(normal)  # two axes are level
-    if dof < _MIN_DRIFT_DOF:
-        return np.zeros(4), np.zeros((4, 4))
     common = normal[:, 4:] @ np.linalg.inv(normal[4:, 4:] + _TINY_INFORMATION * np.eye(3))
     reduced, products = (normal - common @ normal[4:])[:4, :4], (right_side - common @ right_side[4:])[:4]
     unexplained = chi2 - float(right_side @ np.linalg.lstsq(normal, right_side)[0])
