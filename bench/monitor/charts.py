@@ -298,7 +298,7 @@ _PLANNED_CURVES = (
 
 @dataclass(frozen=True)
 class PositionBar:
-    """Planned time in a position, in percent of the time axis, and whether it is completed."""
+    """Planned time in a position, in percent of the time axis, and whether it is past and was not skipped."""
 
     start_percent: float
     width_percent: float
@@ -367,6 +367,10 @@ def _lanes(x: Axis, snapshot: RunSnapshot) -> dict[str, list[PositionBar]]:
         end_s = span.end_s if is_over else span.end_s + snapshot.behind_s
         start_percent, end_percent = x.percent(start_s), x.percent(end_s)
         lanes.setdefault(span.position, []).append(
-            PositionBar(start_percent, round(end_percent - start_percent, 3), is_over)
+            PositionBar(
+                start_percent,
+                round(end_percent - start_percent, 3),
+                is_over and not snapshot.is_skipped(span),
+            )
         )
     return lanes

@@ -107,7 +107,6 @@ def headline(snapshot: RunSnapshot, verdict: str = "") -> Headline:
     """Headline of a run; ``verdict``: on its unit, empty if it was not judged."""
     state = snapshot.state
     css_class = "bad" if snapshot.alarms and not state.is_over else _state_class(state, verdict)
-    share = 1.0 - snapshot.left_s / snapshot.planned_s if snapshot.planned_s > 0.0 else 0.0
     return Headline(
         symbol=_symbol(state, verdict),
         state=_state_text(state, verdict),
@@ -115,7 +114,7 @@ def headline(snapshot: RunSnapshot, verdict: str = "") -> Headline:
         css_class=css_class,
         tiles=(_time_tile(snapshot), _temperature_tile(snapshot.bench), _dwell_tile(snapshot)),
         end=_expected_end(snapshot) if state in _PROGRESSING else None,
-        share_done=min(max(share, 0.0), 1.0),
+        share_done=snapshot.share_done,
         next_step=_next_step(snapshot),
     )
 
@@ -184,7 +183,10 @@ def _temperature_tile(bench: BenchReadings | None) -> Tile:
 
 def _dwell_tile(snapshot: RunSnapshot) -> Tile:
     flagged = sum(bool(dwell.flags) for dwell in snapshot.dwells)
-    measured = f"{snapshot.finished_dwells} measured" + (f", {flagged} flagged" if flagged else "")
+    counts = {"flagged": flagged, "skipped": len(snapshot.skipped)}
+    measured = ", ".join(
+        [f"{snapshot.finished_dwells} measured", *(f"{n} {what}" for what, n in counts.items() if n)]
+    )
     if snapshot.dwell is None or snapshot.state.is_over:
         return Tile("Dwells", f"{snapshot.finished_dwells} of {snapshot.dwell_count}", measured)
     dwell = snapshot.dwell

@@ -137,6 +137,7 @@ def snapshot_from_records(folder: RunFolder) -> RunSnapshot:
         planned_s=plan.duration_s if plan else 0.0,
         dwell_count=plan.dwell_count if plan else content.dwell_purposes.total(),
         finished_dwells=content.dwell_purposes.total(),
+        skipped=content.skipped,
         planned=planned_profile(plan) if plan else PlannedProfile(),
         measured=profile_of_telemetry(content.telemetry) if content.telemetry else MeasuredProfile(),
         bench=bench,

@@ -56,6 +56,7 @@ class PositionSpan(StrictRecord):
     start_s: float
     end_s: float
     position: str
+    dwells: tuple[int, ...] = ()  #: Numbers of the dwells in it.
 
 
 @dataclass(frozen=True)
@@ -309,6 +310,8 @@ class RunSnapshot(StrictRecord):
         the newest last.
     finished_dwells : int
         Number of completed dwells, with those for rotations and noise.
+    skipped : tuple of int
+        Numbers of the dwells that the operator skipped.
     units
         Each unit of a run with several; ``unit``, ``dwells`` and ``bins`` are then of the first that is
         measured.
@@ -327,6 +330,7 @@ class RunSnapshot(StrictRecord):
     planned_s: float
     dwell_count: int
     finished_dwells: int = 0
+    skipped: tuple[int, ...] = ()
     reason: str = ""
     question: Question | None = None
     planned: PlannedProfile = field(default_factory=PlannedProfile)
@@ -351,6 +355,17 @@ class RunSnapshot(StrictRecord):
     def behind_s(self) -> float:
         """Delay behind the plan, for example after a hold."""
         return self.now_s - self.plan_now_s
+
+    @property
+    def share_done(self) -> float:
+        """Completed share of the planned duration; visits of which all dwells were skipped do not count."""
+        skipped_s = sum(span.end_s - span.start_s for span in self.planned.positions if self.is_skipped(span))
+        share = (self.plan_now_s - skipped_s) / self.planned_s if self.planned_s > 0.0 else 0.0
+        return min(max(share, 0.0), 1.0)
+
+    def is_skipped(self, span: PositionSpan) -> bool:
+        """Whether the operator skipped all dwells of a visit to a position."""
+        return bool(span.dwells) and set(span.dwells) <= set(self.skipped)
 
     @property
     def live_bias(self) -> LiveBias | None:

@@ -89,8 +89,17 @@ class ThinnedRows(Generic[_T]):
 def planned_profile(plan: Plan) -> PlannedProfile:
     """Planned temperatures and positions."""
     time_s, chamber_c, gyro_c = (_evenly_chosen(each, MAX_PLANNED) for each in temperature_profile(plan))
-    spans = tuple(PositionSpan(float(start), float(end), name) for start, end, name in position_spans(plan))
+    spans = tuple(
+        PositionSpan(float(start_s), float(end_s), name, _dwells_between(plan, start_s, end_s))
+        for start_s, end_s, name in position_spans(plan)
+    )
     return PlannedProfile(time_s, chamber_c, gyro_c, spans)
+
+
+def _dwells_between(plan: Plan, start_s: float, end_s: float) -> tuple[int, ...]:
+    """Numbers of the dwells that the plan begins in a time."""
+    steps = (each for each in plan.steps if start_s <= each.start_s < end_s)
+    return tuple(dict.fromkeys(each.dwell for each in steps if each.dwell))
 
 
 def profile_of_telemetry(telemetry: Mapping[str, FloatArray]) -> MeasuredProfile:
@@ -322,6 +331,7 @@ class SnapshotRecorder(RunObserver):
             planned_s=self._plan.duration_s,
             dwell_count=self._plan.dwell_count,
             finished_dwells=len(self._shown_outcome.finished),
+            skipped=tuple(sorted(self._shown_outcome.skipped - self._shown_outcome.finished)),
             reason=self._reason,
             question=self._question,
             planned=self._planned,

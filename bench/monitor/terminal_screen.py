@@ -103,8 +103,9 @@ def _bias_line(snapshot: RunSnapshot, plus_minus: str) -> Text:
     """The live estimate of the current dwell."""
     dwell, live = snapshot.dwell, snapshot.live_bias
     if dwell is None:
-        text = f"dwells measured: {snapshot.finished_dwells} of {snapshot.dwell_count}, biases in 0.001 deg/h"
-        return Text(text, "dim")
+        skipped = f" ({len(snapshot.skipped)} skipped)" if snapshot.skipped else ""
+        count = f"{snapshot.finished_dwells} of {snapshot.dwell_count}{skipped}"
+        return Text(f"dwells measured: {count}, biases in 0.001 deg/h", "dim")
     head = f"dwell {dwell.number}/{dwell.count}  "
     if live is None:
         return Text.assemble(head, ("bias observable after the turn", "dim"))

@@ -137,6 +137,16 @@ class RunContent:
         """Journal entries of one kind of event, in order."""
         return [entry for entry in self.journal if entry.get("event") == event]
 
+    @property
+    def skipped(self) -> tuple[int, ...]:
+        """Numbers of the dwells that the operator skipped, and that were not measured later."""
+        skipped, finished = (
+            {entry.get("dwell") for entry in self.entries(event)}
+            for event in ("dwell_skipped", "dwell_finished")
+        )
+        finished |= {row.dwell for row in self.dwells}
+        return tuple(sorted(each for each in skipped - finished if isinstance(each, int)))
+
     def last(self, event: str) -> Entry:
         """Last journal entry of one kind of event; empty without one."""
         return next(iter(reversed(self.entries(event))), {})

@@ -390,9 +390,7 @@ def _dwell_counts(content: RunContent) -> str:
     for purpose, text in ((DwellPurpose.ROTATIONS, "with rotations"), (DwellPurpose.NOISE, "for noise")):
         if count := content.dwell_purposes[purpose]:
             texts.append(f"{counted(count, 'dwell')} {text}")
-    skipped = {entry.get("dwell") for entry in content.journal if entry.get("event") == "dwell_skipped"}
-    skipped -= {row.dwell for row in content.dwells}
-    texts += [f"{len(skipped)} skipped"] if skipped else []
+    texts += [f"{len(content.skipped)} skipped"] if content.skipped else []
     return "; ".join(texts) or "none"
 
 

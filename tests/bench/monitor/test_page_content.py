@@ -70,6 +70,11 @@ def test_a_run_that_is_over_took_what_it_took():
     assert shown["Dwells"][0] == "13 of 24"
 
 
+def test_skipped_dwells_are_counted():
+    snapshot = replace(made_up_snapshot(), state=RunState.FINISHED, skipped=(3, 9))
+    assert tiles(snapshot)["Dwells"] == ("13 of 24", "13 measured, 1 flagged, 2 skipped")
+
+
 def test_a_run_of_which_nothing_is_known_yet():
     snapshot = replace(
         made_up_snapshot(),

@@ -14,6 +14,8 @@ from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.resume import prepare_resumption
 from gyrobench.bench.engine.run import resume_run, run_job
 from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.monitor.charts import profile_chart
+from gyrobench.bench.monitor.run_list import snapshot_from_records
 from gyrobench.bench.monitor.snapshot import RunSnapshot, RunState, read_snapshot
 from gyrobench.bench.monitor.snapshot_recorder import SnapshotRecorder, ThinnedRows
 from gyrobench.bench.runs.folder import RunFolder
@@ -254,6 +256,17 @@ def test_a_hold_that_was_ordered_keeps_the_dwell_that_was_under_way(witnessed):
     holding = seen[RunState.HOLDING]
     assert [len(each.dwells) for each in holding[:1]] == [1]
     assert "commanded" in holding[0].reason
+
+
+def test_a_dwell_that_was_skipped_is_neither_measured_nor_a_completed_share_of_the_plan(witnessed, tmp_path):
+    _, last = witnessed("navigate", order(signal.SIGUSR2))
+    assert (last.state, last.finished_dwells, last.skipped) == (RunState.FINISHED, 1, (1,))
+    assert [span.dwells for span in last.planned.positions] == [(1,), (2,)]
+    assert 0.4 < last.share_done < 0.7
+    first, second = (bars[0] for bars in profile_chart(last).lanes.values())
+    assert (first.is_over, second.is_over) == (False, True)
+    records = snapshot_from_records(RunFolder(tmp_path / "run"))
+    assert (records.skipped, records.share_done) == (last.skipped, pytest.approx(last.share_done))
 
 
 def test_time_and_readings_continue_in_a_hold(witnessed):

@@ -152,6 +152,11 @@ def test_answers_that_are_old_say_so():
     assert "table (40 s old)" in text
 
 
+def test_skipped_dwells_are_counted():
+    text = "\n".join(shown(replace(PICTURES["over"], skipped=(3,))))
+    assert "dwells measured: 13 of 24 (1 skipped)" in text
+
+
 def test_a_run_that_is_over_has_no_time_left_and_no_step():
     text = "\n".join(shown(PICTURES["over"]))
     assert "FINISHED  9:12 h" in text
