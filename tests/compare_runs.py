@@ -77,7 +77,8 @@ def main() -> int:
     for _, line in found[:100]:
         print(line)
     wrong = sum(is_number for is_number, _ in found)
-    print(f"{wrong} numbers differ" if wrong else "every number is the same to the last digit")
+    differ = "number differs" if wrong == 1 else "numbers differ"
+    print(f"{wrong} {differ}" if wrong else "every number is the same to the last digit")
     return 1 if wrong else 0
 
 

@@ -200,7 +200,7 @@ class CalibrationProblem:
         )
         if is_implausible:
             return self, estimates, ""
-        self.check_alternatives(estimates)
+        self.check_alternatives(estimates, self._solutions_at_other_intervals(estimates))
         latitude = self.at_estimated_latitude(estimates)
         if latitude is not None and _explaining_solution(latitude, estimates) is not None:
             return self, estimates, ""
@@ -405,13 +405,11 @@ class CalibrationProblem:
         return replace(self, site=replace(self.site, latitude=latitude))
 
     def check_alternatives(
-        self,
-        estimates: Estimates,
-        retimed: Sequence[tuple[CalibrationProblem, Estimates | None]] | None = None,
+        self, estimates: Estimates, retimed: Sequence[tuple[CalibrationProblem, Estimates | None]]
     ) -> None:
         """Raise MeasurementError if a mistake in the map explains what the noise does not.
 
-        ``retimed``: problems at other sample intervals with their solutions; solved unless given.
+        ``retimed``: problems at other sample intervals with their solutions.
         """
         if not _may_be_mistake(estimates):
             return
@@ -430,9 +428,7 @@ class CalibrationProblem:
                 f"if samples are {problem.sections[0].interval_s:.4g} s apart and not {interval_s:.4g} s. "
                 "Correct 'time' in the import map",
             )
-            for problem, other in (
-                self._solutions_at_other_intervals(estimates) if retimed is None else retimed
-            )
+            for problem, other in retimed
         ]
         for other, text in alternatives:
             if other is not None and other.fit.chi2 < _EXPLAINED_SHARE * estimates.fit.chi2:
