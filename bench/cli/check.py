@@ -65,7 +65,7 @@ def check(
     from gyrobench.bench.station.check_result import CheckVerdict
     from gyrobench.bench.station.instruments import Emulation
 
-    terminal, emulation = console(as_json), Emulation.of(station, world, seed, faults)
+    terminal, emulation = console(as_json, of_run=True), Emulation.of(station, world, seed, faults)
 
     def is_fit() -> bool:
         return all(each.verdict is not CheckVerdict.FAIL for each in checks)

@@ -114,7 +114,7 @@ def _process(record: FleetRecord, paths: list[Path], workers: Workers, *, as_jso
     from gyrobench.bench.foundations.clock import WallClock
 
     pending = record.pending(paths)
-    terminal = console(as_json)
+    terminal = console(as_json, of_run=True)
     clock = WallClock()
     if pending:
         terminal.print(f"fleet {record.kind}: {len(pending)} of {len(paths)} runs, {workers.describe()}")

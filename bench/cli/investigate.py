@@ -122,7 +122,7 @@ def investigate(
     from gyrobench.bench.foundations.errors import DocumentError
     from gyrobench.bench.runs.folder import RunFolder
 
-    consent = _Consent(console(as_json), approve == "auto", as_json)
+    consent = _Consent(console(as_json, of_run=True), approve == "auto", as_json)
     runs = [Path(source) for source in sources if (Path(source) / RunFolder.journal).exists()]
     if adaptive and (bench is not None or runs):
         raise DocumentError("--adaptive goes with a procedure that is not measured yet. Leave it out")

@@ -53,11 +53,14 @@ def fail(error: GyrobenchError, code: int) -> NoReturn:
     sys.exit(code)
 
 
-def console(as_json: bool = False) -> RunConsole:
-    """Create a console for plain text; on standard error if standard output is for JSON."""
+def console(as_json: bool = False, of_run: bool = False) -> RunConsole:
+    """Create a console for plain text; on standard error if standard output is for JSON.
+
+    Output that can't be written to a full disk is an error, but not that ``of_run``, a run in progress.
+    """
     from gyrobench.bench.monitor.terminal import RunConsole
 
-    return RunConsole(stderr=as_json, markup=False, highlight=False)
+    return RunConsole(raises_full_disk=not of_run, stderr=as_json, markup=False, highlight=False)
 
 
 _JSON_HELP = "Print one JSON object instead of text; messages go to standard error."
@@ -208,12 +211,13 @@ def print_end(
     from gyrobench.bench.report.journal_sections import durations_section, step_durations
     from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.report.terminal.tables import section_view
-    from gyrobench.bench.report.units_report import units_section, write_units_report
+    from gyrobench.bench.report.units_report import write_units_report
     from gyrobench.bench.runs.journal import facts_of, read_journal
     from gyrobench.bench.runs.provenance import watermark_of
 
     try:
-        report = write_units_report(folder) if outcome.units else write_report(folder)
+        units_section = write_units_report(folder) if outcome.units else None
+        report = folder.report if units_section else write_report(folder)
     except RunFolderError:  # for instance a full disk
         if is_finished:
             console.print(
@@ -222,8 +226,8 @@ def print_end(
                 soft_wrap=True,
             )
         raise
-    if outcome.units:
-        console.print(section_view(units_section(folder)))
+    if units_section:
+        console.print(section_view(units_section))
     else:
         print_tables(console, folder)
     if word := watermark_of(folder.path):

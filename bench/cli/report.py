@@ -58,11 +58,11 @@ def report(
     Example: gyrobench report runs/six_position_fig7-001 --by "A. Smith" --pdf
     """
     from gyrobench.bench.bias.verdicts import read_acceptance
-    from gyrobench.bench.report.bias_sections import acceptance_summary
-    from gyrobench.bench.report.run_content import damage_of
+    from gyrobench.bench.report.bias_sections import acceptance_summary, before_after_section
+    from gyrobench.bench.report.run_content import damage_of, read_run
     from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.report.terminal.tables import section_view
-    from gyrobench.bench.report.units_report import units_section, write_units_report
+    from gyrobench.bench.report.units_report import write_units_report
     from gyrobench.bench.runs.folder import open_run_folder
     from gyrobench.bench.runs.provenance import watermark_of
 
@@ -79,14 +79,16 @@ def report(
         terminal.print(text, soft_wrap=True, style="bold red")
     print_unfinished([folder.path])
     if folder.unit_folders:
-        terminal.print(section_view(units_section(folder)))
-        page = write_units_report(folder, by, formats)
+        terminal.print(section_view(write_units_report(folder, by, formats)))
+        page = folder.report
     else:
         page = write_report(folder, by, out, earlier, mark_temperature or (), formats)
         if damage:
             terminal.print("Unit not judged.", style="bold")
         elif folder.acceptance.exists():
             terminal.print(section_view(acceptance_summary(read_acceptance(folder.acceptance))))
+        if earlier:
+            terminal.print(section_view(before_after_section(read_run(earlier), read_run(folder))))
     terminal.print(f"Report   {page}", soft_wrap=True)
     if by and watermark_of(folder.path):
         terminal.print("--by has no effect: reports of emulated runs have no table to sign.", soft_wrap=True)

@@ -60,7 +60,7 @@ def resume(
     from gyrobench.bench.monitor.terminal_view import observe_in_terminal
     from gyrobench.bench.station.locks import require_no_holder
 
-    terminal = console(as_json)
+    terminal = console(as_json, of_run=True)
     require_no_holder(run_folder)
     try:
         resumption = prepare_resumption(run_folder, anyway)

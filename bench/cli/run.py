@@ -64,7 +64,7 @@ def run(
     from gyrobench.bench.runs.compensation_file import read_compensation_file
     from gyrobench.bench.station.instruments import Emulation
 
-    terminal = console(as_json)
+    terminal = console(as_json, of_run=True)
     compensation_file = read_compensation_file(compensation) if compensation else None
     job = prepare_job(
         procedure,

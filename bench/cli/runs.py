@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from gyrobench.bench.runs.index.run_index import RunIndex
 
 _SHOWN = 40
+#: End of a run that a process of this machine holds, in place of that in the index.
+_IN_PROGRESS = "in progress"
 
 
 @with_selection
@@ -48,7 +50,8 @@ def runs(
 ) -> None:
     """List, select and compare the runs of a folder or object store (extra `index`).
 
-    Uses an index of the run folders, which is updated each time and may be removed. The batch of a unit
+    Uses an index of the run folders, which is updated each time and may be removed. A run without an end is
+    listed as 'in progress' if it is so on this machine. The batch of a unit
     comes from a table ROOT/units.csv with the columns unit,batch,hardware,note.
 
     Example: gyrobench runs --unit 1001 --since 2026-01-01 --trend --figure drift.png
@@ -67,7 +70,7 @@ def runs(
     elif trend:
         content, view = _trends(run_index, selection, figure, limit_dph)
     else:
-        content, view = _list(run_index, selection, most)
+        content, view = _list(run_index, root, selection, most)
     problems = run_index.problems()
     views = [view, problems_text(problems)] if problems else [view]
     if figure is not None:
@@ -75,11 +78,20 @@ def runs(
     print_result({**content, "problems": problems}, as_json, *views)
 
 
-def _list(index: RunIndex, selection: Selection, most: int) -> tuple[dict[str, Any], RenderableType]:
+def _list(
+    index: RunIndex, root: str, selection: Selection, most: int
+) -> tuple[dict[str, Any], RenderableType]:
     from gyrobench.bench.report.terminal.runs import runs_table
+    from gyrobench.bench.runs.folder import RunFolder
     from gyrobench.bench.runs.index.run_index import find_runs
+    from gyrobench.bench.runs.index.tables import NOT_ENDED
+    from gyrobench.bench.station.locks import holder_of
 
     matches = find_runs(index, selection)
+    for run in matches:
+        # Not from the index: a run that is cut off changes none of its files.
+        if run["ended"] == NOT_ENDED and holder_of(RunFolder(Path(root, run["path"])).run.path):
+            run["ended"] = _IN_PROGRESS
     return {"runs": matches}, runs_table(matches, most)
 
 

@@ -92,7 +92,7 @@ def verify(
     from gyrobench.bench.report.verification_page import verification_plan
     from gyrobench.bench.runs.folder import open_run_folder
 
-    terminal = console(as_json)
+    terminal = console(as_json, of_run=True)
     run = open_run_folder(run_folder)
     closure = _search(run)
     verification = VerificationRuns(

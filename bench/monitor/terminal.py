@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import io
 import os
 import queue
@@ -30,11 +31,13 @@ def is_c_locale(environment: Mapping[str, str]) -> bool:
 class RunConsole(Console):
     """A rich console that becomes quiet when its terminal is closed, so that the run continues.
 
-    Characters that the terminal can't show, such as ± in ASCII, are printed as question marks.
+    Characters that the terminal can't show, such as ± in ASCII, are printed as question marks. With
+    ``raises_full_disk`` output to a full disk raises OSError.
     """
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, raises_full_disk: bool = False, **options: Any) -> None:
         super().__init__(**options)
+        self._raises_full_disk = raises_full_disk
         if isinstance(self.file, io.TextIOWrapper):
             self.file.reconfigure(errors="replace")
 
@@ -50,8 +53,10 @@ class RunConsole(Console):
             super()._write_buffer()
         except BrokenPipeError:
             raise
-        except OSError:
+        except OSError as error:
             self.on_broken_pipe()
+            if self._raises_full_disk and error.errno == errno.ENOSPC:
+                raise
 
 
 #: Further texts are dropped; a run of weeks prints fewer.

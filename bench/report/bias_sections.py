@@ -431,13 +431,13 @@ def _acceptance_row(judgement: Judgement, scale: BiasScale) -> list[str]:
     ]
 
 
-_BEFORE_AFTER_TEXT = (
-    "Before: run {0}{1}. After: this run. Lines join the weighted means of the temperature bins; bars are "
-    "standard uncertainties."
-)
+_BEFORE_AFTER_TEXT = "Before: run {0}{1}. After: this run."
 _DIFFERENT_UNITS = "The runs are of different units: {} before, {} after."
 _BEGAN_LATER = "Run {} began later, {:%Y-%m-%d %H:%M} UTC, than this run, {:%Y-%m-%d %H:%M} UTC."
-_BEFORE_AFTER_CAPTION = "{}: bias by position, before and after."
+_BEFORE_AFTER_CAPTION = (
+    "{}: bias by position, before and after. Lines join the weighted means of the temperature bins; bars are "
+    "standard uncertainties."
+)
 
 
 def before_after_section(before: RunContent, after: RunContent, marked_c: Sequence[float] = ()) -> Section:

@@ -97,6 +97,23 @@ def write_report(
 ) -> Path:
     """Write ``report.html`` and the figures of a run from the files in its folder; returns its path.
 
+    As :func:`report_run`, which returns what the report shows.
+    """
+    report_run(folder, prepared_by, out, before, mark_temperatures_c, vectors, are_tables_new)
+    return RunFolder(out or folder.path).report
+
+
+def report_run(
+    folder: RunFolder,
+    prepared_by: str = "",
+    out: Path | None = None,
+    before: RunFolder | None = None,
+    mark_temperatures_c: Sequence[float] = (),
+    vectors: Sequence[str] = (),
+    are_tables_new: bool = False,
+) -> RunContent:
+    """Write ``report.html`` and the figures of a run from the files in its folder; returns their content.
+
     An existing report is replaced. The report lists the files that are missing because the run failed or was
     interrupted. A run that has ended is sealed with its report.
 
@@ -147,7 +164,7 @@ def write_report(
     if out is None:
         sha256_by_path = {path: digest for each in hashes for path, digest in each.parts.items()}
         update_seal(folder, sha256_by_path, are_tables_new)
-    return target.report
+    return content
 
 
 def _without_unused_data(content: RunContent) -> RunContent:

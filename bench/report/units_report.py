@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 
 import numpy as np
 
@@ -13,34 +13,27 @@ from gyrobench.bench.navigation.positions import AXES, gyro_label
 from gyrobench.bench.report.journal_sections import durations_section, events_section
 from gyrobench.bench.report.number_format import BiasScale
 from gyrobench.bench.report.page import Box, Mark, Section, SectionTable, render_page
-from gyrobench.bench.report.run_content import RunContent, read_run, with_joint_solution
+from gyrobench.bench.report.run_content import RunContent, read_run
 from gyrobench.bench.report.run_report import (
     damage_boxes,
     doubt_boxes,
     ending_box,
     head_facts,
+    report_run,
     safe_state_section,
-    write_report,
 )
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.seal import update_seal
 
 
-def units_section(folder: RunFolder) -> Section:
-    """Comparison of the units of a run: verdict, mean bias of each gyro, dwells, and why one was dropped."""
-    units = [read_run(unit) for unit in folder.unit_folders]
-    return _section_of_units(read_run(folder), units)
-
-
-def write_units_report(folder: RunFolder, prepared_by: str = "", vectors: Sequence[str] = ()) -> Path:
-    """Write the report of each unit and the ``report.html`` of the run; returns the path of the latter.
+def write_units_report(folder: RunFolder, prepared_by: str = "", vectors: Sequence[str] = ()) -> Section:
+    """Write the report of each unit and the ``report.html`` of the run; returns the comparison of the units.
 
     A run that has ended is sealed with it. Raises RunFolderError if a file can't be written.
     """
-    for unit in folder.unit_folders:
-        write_report(unit, prepared_by, vectors=vectors)
+    units = [report_run(unit, prepared_by, vectors=vectors) for unit in folder.unit_folders]
     content = read_run(folder)
-    units = [with_joint_solution(read_run(unit), unit) for unit in folder.unit_folders]
+    comparison = _section_of_units(content, units)
     facts = head_facts(content)
     facts["unit"] = ", ".join(unit.name for unit in units)
     facts.pop("dwells", None)
@@ -54,7 +47,7 @@ def write_units_report(folder: RunFolder, prepared_by: str = "", vectors: Sequen
         ],
         facts=facts,
         sections=[
-            _section_of_units(content, units),
+            comparison,
             Section("Reports", items=[PurePosixPath("units", unit.name, "report.html") for unit in units]),
             events_section(content.journal),
             durations_section(content.step_durations),
@@ -64,7 +57,7 @@ def write_units_report(folder: RunFolder, prepared_by: str = "", vectors: Sequen
     text = render_page(page, f"Run {content.name}, {procedure}", content.watermark, sign_off=prepared_by)
     write_whole(folder.report, map(str.encode, text))
     update_seal(folder)
-    return folder.report
+    return comparison
 
 
 def _doubts_of_units(units: Sequence[RunContent]) -> list[Box]:
@@ -79,6 +72,7 @@ def _doubts_of_units(units: Sequence[RunContent]) -> list[Box]:
 
 
 def _section_of_units(run: RunContent, units: Sequence[RunContent]) -> Section:
+    """Comparison of the units of a run: verdict, mean bias of each gyro, dwells, and why one was dropped."""
     drop_reasons = {str(entry.get("unit")): str(entry.get("why")) for entry in run.entries("unit_dropped")}
     means = {unit.name: _mean_biases(unit) for unit in units}
     pairs = [pair for each in means.values() for pair in each]

@@ -66,7 +66,7 @@ def parse_units(text: str, name: str) -> list[UnitRow]:
 
 
 #: State of a run whose journal has no end: it was killed, or is still running.
-_NOT_ENDED = "not ended"
+NOT_ENDED = "not ended"
 #: Verdict of a search whose dwells have been re-evaluated since.
 STALE = "stale"
 
@@ -137,7 +137,7 @@ class RunRow:
     world: str
     started_utc: datetime  #: Start, UTC without time zone.
     duration_h: float  #: From its journal.
-    #: ended, reason: From its journal; ``ended`` is :data:`_NOT_ENDED` without an end.
+    #: ended, reason: From its journal; ``ended`` is :data:`NOT_ENDED` without an end.
     ended: str
     reason: str
     #: dwells, flagged: Numbers of measured and of flagged dwells.
@@ -202,7 +202,7 @@ def read_run_record(files: RunFiles, read: Callable[[str], bytes]) -> RunRecord:
         station=facts.station,
         procedure=facts.procedure,
         duration_h=facts.last_s / 3600.0,
-        ended=facts.ended or _NOT_ENDED,
+        ended=facts.ended or NOT_ENDED,
         reason=facts.reason,
     )
     return RunRecord(row, dwells, bins, closure.effects)

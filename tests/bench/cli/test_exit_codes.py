@@ -115,9 +115,11 @@ def test_a_path_that_is_too_long_is_wrong_input(command, tmp_path):
     assert answer.stderr.endswith("the path is too long\n")
 
 
-def test_output_to_a_full_disk_is_an_error_in_one_line():
+@pytest.mark.parametrize("command", [("--version",), ("plan", "ten_minute_check", "--figure", "plan.png")])
+def test_output_to_a_full_disk_is_an_error_in_one_line(command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     with Path("/dev/full").open("w") as full:
-        command = [*PROCESS, "--version"]
+        command = [*PROCESS, *command]
         answer = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert answer.returncode == 1
     assert answer.stderr == "gyrobench: the output can't be written: No space left on device\n"

@@ -149,6 +149,8 @@ def test_a_run_before_a_change_is_set_beside_it(run, tmp_path):
     done = gyrobench("report", run.path, "--before", earlier.path, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "Before and after" in run.report.read_text()
+    assert f"Before and after\nBefore: run {earlier.path.name}. After: this run." in done.stdout
+    assert "X gyro  after" in done.stdout
 
 
 def test_what_is_no_run_is_refused(tmp_path):

@@ -5,6 +5,9 @@ import json
 import pytest
 
 from gyrobench.bench.cli.output import EXIT_WRONG_INPUT
+from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.station.locks import RunLock
 from tests.bench.command_line import gyrobench
 from tests.bench.runs.index.sample_runs import copy_run
 
@@ -29,6 +32,18 @@ def test_runs_are_listed_newest_first_within_80_columns(place):
     assert lines[2].split()[:5] == ["of-7", "2026-07-01", "1001", "B7", "quick"]
     assert "8 runs of 2 units." in result.stdout
     assert "The newest 3 are shown" in gyrobench("runs", "--most", 3, cwd=place).stdout
+
+
+def test_a_run_in_progress_is_listed_as_that_until_its_process_ends(tmp_path, sample):
+    copy_run(sample, tmp_path / "runs" / "weekend", "1001", "2026-01-01T08:00:00+00:00")
+    journal = RunFolder(tmp_path / "runs" / "weekend").journal
+    entries = [line for line in journal.read_text().splitlines() if '"event": "run_ended"' not in line]
+    journal.write_text("\n".join(entries) + "\n")
+    with RunLock(journal.parent, WallClock()):
+        in_progress = gyrobench("runs", cwd=tmp_path)
+    assert "in progress" in in_progress.stdout, in_progress.stderr
+    cut_off = json.loads(gyrobench("runs", "--json", cwd=tmp_path).stdout)
+    assert [run["ended"] for run in cut_off["runs"]] == ["not ended"]
 
 
 def test_runs_are_selected_and_printed_as_json(place):

@@ -19,7 +19,9 @@ from gyrobench.bench.monitor.snapshot import RunSnapshot
 from gyrobench.bench.monitor.snapshot_recorder import SnapshotRecorder
 from gyrobench.bench.monitor.terminal_screen import screen
 from gyrobench.bench.monitor.website import Website
-from gyrobench.bench.report.units_report import units_section, write_units_report
+from gyrobench.bench.report import units_report
+from gyrobench.bench.report.run_content import read_run
+from gyrobench.bench.report.units_report import write_units_report
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.index.store import find_run_folders
 from gyrobench.bench.runs.journal import facts_of, read_journal
@@ -372,9 +374,18 @@ def test_units_share_a_bus_by_an_offset_of_their_identifiers(files, whole, tmp_p
     assert dwells_of(folder, "1104") == dwells_of(whole[0], "1104")
 
 
-def test_the_units_stand_side_by_side(without_1102):
+def test_the_units_stand_side_by_side_and_each_folder_is_read_once(without_1102, monkeypatch):
     folder, *_ = without_1102
-    (table,) = units_section(folder).tables
+    reads = []
+
+    def read(read_folder, *_, **__):
+        reads.append(read_folder.path.name)
+        return read_run(read_folder)
+
+    monkeypatch.setattr(units_report, "report_run", read)
+    monkeypatch.setattr(units_report, "read_run", read)
+    (table,) = write_units_report(folder).tables
+    assert reads == [*NUMBERS, folder.path.name]
     assert [row[:2] for row in table.rows] == [
         [number, "dropped" if number == "1102" else "not judged"] for number in NUMBERS
     ]
@@ -383,7 +394,8 @@ def test_the_units_stand_side_by_side(without_1102):
 @pytest.mark.long
 def test_the_report_links_those_of_all_units(without_1102):
     folder, *_ = without_1102
-    page = write_units_report(folder).read_text()
+    write_units_report(folder)
+    page = folder.report.read_text()
     assert "Gyro bias of 4 units" in page
     assert "The run finished." in page
     assert "rate table stopped" in page.rpartition("Safe state")[2]
