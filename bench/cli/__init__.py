@@ -226,6 +226,15 @@ def _end_quickly() -> None:
         gc.freeze()
 
 
+def _is_utf8(text: str) -> bool:
+    """Whether a text has no bytes that could not be decoded."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
 def main() -> None:
     """Run the command line; known errors become a message and an exit code."""
     gc.set_threshold(*_GC_THRESHOLD)
@@ -236,6 +245,10 @@ def main() -> None:
         Path.cwd()
     except FileNotFoundError:
         fail(GyrobenchError("the current folder was deleted. Change to another one"), EXIT_WRONG_INPUT)
+    for argument in sys.argv[1:]:
+        if not _is_utf8(argument):  # JSON, pages, messages and the index would fail in the middle of a run
+            problem = f"{argument!a}: not valid UTF-8 in this locale. Rename the file or folder"
+            fail(GyrobenchError(problem), EXIT_WRONG_INPUT)
     try:
         app()
     except (DocumentError, MissingRunError, UnusablePathError, MissingPackageError) as error:

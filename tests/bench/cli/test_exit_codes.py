@@ -115,6 +115,14 @@ def test_a_path_that_is_too_long_is_wrong_input(command, tmp_path):
     assert answer.stderr.endswith("the path is too long\n")
 
 
+def test_a_run_folder_with_a_name_that_is_not_utf8_is_refused_before_anything_moves(tmp_path):
+    command = [*map(os.fsencode, PROCESS), b"run", b"ten_minute_check", b"--out", b"run\xb0\xfa"]
+    answer = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert answer.returncode == 2
+    assert answer.stderr.startswith("gyrobench: 'run\\udcb0\\udcfa': not valid UTF-8")
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize("command", [("--version",), ("plan", "ten_minute_check", "--figure", "plan.png")])
 def test_output_to_a_full_disk_is_an_error_in_one_line(command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
