@@ -148,19 +148,30 @@ class Rescue:
         return actions
 
     def _record(self, end: EngineEnd, actions: list[SafeAction]) -> None:
-        try:
-            with Journal(self._folder.journal, self._clock) as journal:
-                safe_state = [asdict(action) for action in actions]
-                journal.record("guard_acted", reason=end.value, safe_state=safe_state)
-        except GyrobenchError as error:
-            self._log.add(f"not in the journal: {error}")
+        problems: list[str] = []
+
+        def record() -> None:
+            try:
+                with Journal(self._folder.journal, self._clock) as journal:
+                    safe_state = [asdict(action) for action in actions]
+                    journal.record("guard_acted", reason=end.value, safe_state=safe_state)
+            except GyrobenchError as error:
+                problems.append(str(error))
+
+        self._log.access.do(record)
+        for problem in problems:
+            self._log.add(f"not in the journal: {problem}")
 
     def _send_alarm(self, messenger: Messenger, end: EngineEnd, bench: str) -> None:
         """Send how the engine ended, and the state of the bench."""
         entries: list[dict[str, Any]] = []
-        with contextlib.suppress(GyrobenchError):  # entries up to a damaged line
-            entries.extend(read_journal(self._folder.journal))
-        facts = facts_of(entries)
+
+        def read() -> None:
+            with contextlib.suppress(GyrobenchError):  # entries up to a damaged line
+                entries.extend(read_journal(self._folder.journal))
+
+        self._log.access.do(read)
+        facts = facts_of(list(entries))
         message = Message(
             event="guard_acted",
             why=f"{capitalised(end.value)}, so the guard acted. {bench}\n"

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import os
+import queue
 import select
 import signal
+import sys
+import threading
+from collections.abc import Callable
 from enum import Enum
 from pathlib import Path
 
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.guard.protocol import RELEASE
 
+#: Longest time for which the guard waits for the disk, s of real time.
+MAX_DISK_S = 5.0
 _SELECT_S = 0.5
 _CHUNK = 4096
 
@@ -73,16 +79,52 @@ class EngineProcess:
                 signal.pidfd_send_signal(self._descriptor, signal.SIGKILL)
 
 
+class FolderAccess:
+    """Accesses the run folder in a thread, in order.
+
+    A disk that hangs, as one on a network whose server is down, blocks every access to it, also that of a
+    process that is killed. It delays the guard once, by at most :data:`MAX_DISK_S`.
+    """
+
+    def __init__(self) -> None:
+        self._tasks: queue.SimpleQueue[tuple[Callable[[], object], threading.Event]] = queue.SimpleQueue()
+        self._last = threading.Event()
+        self._last.set()
+        self._hangs = False
+        threading.Thread(target=self._work, daemon=True).start()
+
+    def do(self, task: Callable[[], object]) -> None:
+        """Do something in the run folder, and wait for it unless the disk hangs."""
+        self._hangs = self._hangs and not self._last.is_set()
+        self._last = threading.Event()
+        self._tasks.put((task, self._last))
+        if not self._hangs:
+            self._hangs = not self._last.wait(MAX_DISK_S)
+
+    def _work(self) -> None:
+        while True:
+            task, done = self._tasks.get()
+            try:
+                task()
+            except Exception as error:  # noqa: BLE001 - the guard goes on without it
+                print(f"guard: unexpected {type(error).__name__}: {error}", file=sys.stderr)  # noqa: T201
+            done.set()
+
+
 class GuardLog:
     """Lines with their time, appended to a file; a line that can't be written is dropped."""
 
     def __init__(self, path: Path, clock: Clock) -> None:
         self._path = path
         self._clock = clock
+        self.access = FolderAccess()
 
     def add(self, text: str) -> None:
         """Add a line, flushed to the disk if possible."""
         line = f"{self._clock.utc().isoformat(timespec='milliseconds')} guard {os.getpid()}: {text}\n"
+        self.access.do(lambda: self._write(line))
+
+    def _write(self, line: str) -> None:
         with contextlib.suppress(OSError), self._path.open("a", encoding="utf-8") as stream:
             stream.write(line)
             stream.flush()

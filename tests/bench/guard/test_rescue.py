@@ -1,6 +1,7 @@
 """What a rescue does where the chamber's controller does not ramp, on an emulated bench in virtual time."""
 
 import json
+import os
 from functools import partial
 
 import pytest
@@ -27,7 +28,7 @@ def rescued(tmp_path, monkeypatch):
     """Let a guard act on a chamber at 33 degC; returns the bench's outputs, the log and the journal."""
     clock, path = VirtualClock(), find_document("stations", "emulated")
 
-    def rescue(faults):
+    def rescue(faults, has_log=True):
         listed = tmp_path / "faults.yaml"
         listed.write_text(f"faults:\n{faults}")
         opened = partial(Outputs, emulation=Emulation("ideal", 0, str(listed)))
@@ -39,7 +40,9 @@ def rescued(tmp_path, monkeypatch):
         log = tmp_path / "guard.log"
         config = GuardConfig(str(path), str(tmp_path), 5.0, 0, clock.epoch.isoformat(), 0.0)
         Rescue(config, EngineProcess(0), clock, GuardLog(log, clock)).act(EngineEnd.CLOSED)
-        return opened(Station(path), clock), log.read_text(), list(read_journal(tmp_path / "journal.jsonl"))
+        journal = tmp_path / "journal.jsonl"
+        entries = list(read_journal(journal)) if journal.exists() else []
+        return opened(Station(path), clock), *([log.read_text()] if has_log else []), entries
 
     return rescue
 
@@ -65,6 +68,16 @@ def test_another_table_under_the_name_of_the_first_is_not_commanded_and_the_cham
 
 def last_problems(entries):
     return {each["what"]: each["problem"] for entry in entries for each in entry["safe_state"]}
+
+
+def test_a_disk_that_hangs_delays_no_safe_action(rescued, tmp_path, monkeypatch):
+    monkeypatch.setattr("gyrobench.bench.guard.watching.MAX_DISK_S", 0.1)
+    os.mkfifo(tmp_path / "guard.log")  # as a file on a network disk whose server is down: opening it blocks
+    outputs, entries = rescued("  []\n", has_log=False)
+    with outputs:
+        assert outputs.chamber.set_point_c() == 23.0
+        assert not outputs.table.read().is_servoed
+    assert entries == []
 
 
 def test_a_ramp_that_failed_is_repeated_until_the_set_point_has_its_safe_value(rescued):
