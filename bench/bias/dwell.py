@@ -187,7 +187,8 @@ class Dwell:
                 f"{self.position_name}: {first_name} and {second_name} disagree by "
                 f"{np.rad2deg(angle):.1f} deg (at most {np.rad2deg(MAX_ATTITUDE_DISAGREEMENT):g} deg is "
                 "allowed). Check directions and numbers of the axes and the mounting in rate_table of the "
-                "station file, and whether the INS had aligned"
+                "station file, whether the INS had aligned, and, if earlier dwells agree, whether the table "
+                "has lost its zero"
             )
 
 

@@ -7,7 +7,8 @@ Some controllers echo the command before or in place of the code, so the driver 
 Assumptions, where the public sources are silent or differ: a manual ramp of zero means as fast as
 possible; bits 0 (program) and 4 (manual) of ``MODE?`` mean that temperature control is on;
 auxiliaries keep their state when the chamber stops; ``STOP`` ends a program. There is no query for the set
-point limits, and none for the unit, which has to be °C.
+point limits, and none for the unit, which has to be °C: a set point that reads as the commanded one in °F
+shows that an operator changed it.
 """
 
 from __future__ import annotations
@@ -30,6 +31,9 @@ _CODE_AFTER_ECHO_S = 0.25
 _MASK = re.compile(rb"[0-9]{1,5}(?:\.0*)?")
 _ERROR_CODE = re.compile(rb"[1-9]")
 _DONE = 0
+#: Controllers may store tenths.
+_MAX_ROUNDING = 0.15
+_FAHRENHEIT = "its unit was changed from °C to °F"
 
 _ALARMS = {0: "low deviation", 1: "high deviation", 4: "low process", 5: "high process"}
 _OPEN_INPUT = 6
@@ -59,6 +63,7 @@ class Thermotron8800(TextChamber):
     ) -> None:
         super().__init__(line, TextLine(line, ending, reply_timeout_s=reply_timeout_s))
         self._channel = channel
+        self._commanded_c: float | None = None  # set point that this driver commanded last
         self.set_point_name = f"SETP{channel}"
         self._mask("MODE?")
 
@@ -72,7 +77,7 @@ class Thermotron8800(TextChamber):
     def read(self) -> ChamberReading:
         """Read air temperature (``PVAR``), alarms (``ALRM``, ``SCOD``), set point and operating mode.
 
-        Raises FaultError if the controller stopped because a temperature input is open.
+        Raises FaultError if the controller stopped because a temperature input is open, or works in °F.
         """
         mask, code = self._mask(f"ALRM{self._channel}?"), self._mask("SCOD?")
         alarms = [
@@ -83,8 +88,16 @@ class Thermotron8800(TextChamber):
         alarms += [f"stopped by {_FAULT_STOPS[code]} (SCOD? {code})"] if code in _FAULT_STOPS else []
         if code == _OPEN_INPUT:
             raise FaultError(self._line.instrument, f"{', '.join(alarms)}; check the temperature sensor")
-        air_c = self._number(f"PVAR{self._channel}?")
-        return ChamberReading(air_c, self.set_point_c(), self._is_running(), alarms=tuple(alarms))
+        air_c, set_c = self._number(f"PVAR{self._channel}?"), self.set_point_c()
+        if self._is_in_fahrenheit(set_c):
+            problems = ", ".join([*alarms, _FAHRENHEIT])
+            raise FaultError(self._line.instrument, f"{problems}; change it back at the panel")
+        return ChamberReading(air_c, set_c, self._is_running(), alarms=tuple(alarms))
+
+    def set_temperature(self, temperature_c: float, rate_c_per_min: float | None) -> None:
+        """Command the ramp, then the set point; raises as that of :class:`TextChamber`."""
+        super().set_temperature(temperature_c, rate_c_per_min)
+        self._commanded_c = temperature_c
 
     def clear_alarms(self) -> None:
         """Acknowledge by ``STOP`` a fault that stopped the chamber; alarms clear with their cause."""
@@ -134,6 +147,24 @@ class Thermotron8800(TextChamber):
         """Whether an auxiliary, 1 to 16, is on; raises RefusedError if there is no such auxiliary."""
         group, bit = self._auxiliary(number)
         return bool(self._mask(f"AUXE{group}?") & bit)
+
+    def _require_ready(self) -> None:
+        """Raise RefusedError if a program runs, or the unit was changed: the chamber is then switched off."""
+        super()._require_ready()
+        if self._commanded_c is not None and self._is_in_fahrenheit(self.set_point_c()):
+            self._command("STOP")
+            raise self._refused(
+                f"{_FAHRENHEIT}, so the chamber was switched off. Change it back at the panel."
+            )
+
+    def _is_in_fahrenheit(self, set_point: float) -> bool:
+        """Whether a set point that was read is the last commanded one in °F; it is the same at -40 °."""
+        commanded_c = self._commanded_c
+        return (
+            commanded_c is not None
+            and abs(set_point - commanded_c) > _MAX_ROUNDING
+            and abs(set_point - (1.8 * commanded_c + 32.0)) < _MAX_ROUNDING
+        )
 
     def _is_running(self) -> bool:
         return bool(self._mask("MODE?") & (_PROGRAM | _MANUAL))

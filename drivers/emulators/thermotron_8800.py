@@ -91,6 +91,7 @@ class Thermotron8800Emulator(TextInstrument):
         self._ramp_c_per_min = air.ramp_rate_c_per_min or 0.0
         self._deviation_c = 0.0
         self._open_input = False
+        self.use_fahrenheit(False)
         self._commands: dict[str, Callable[[str, str | None], Code]] = {
             "SETP": partial(self._set_value, "set point"),
             "MRMP": partial(self._set_value, "ramp"),
@@ -105,10 +106,10 @@ class Thermotron8800Emulator(TextInstrument):
             "RESM": lambda number, value: self._without_parameters(number, value, lambda: Code.NOT_NOW),
         }
         self._queries: dict[str, Callable[[str], str | None]] = {
-            "PVAR": lambda channel: self._for_channel(channel, f"{self.air.read_c:.3f}"),
-            "SETP": lambda channel: self._for_channel(channel, f"{self._set_point_c:.3f}"),
-            "MRMP": lambda channel: self._for_channel(channel, f"{self._ramp_c_per_min:.3f}"),
-            "DEVN": lambda channel: self._for_channel(channel, f"{self._deviation_c:.3f}"),
+            "PVAR": lambda channel: self._for_channel(channel, self._shown(self.air.read_c)),
+            "SETP": lambda channel: self._for_channel(channel, self._shown(self._set_point_c)),
+            "MRMP": lambda channel: self._for_channel(channel, self._shown(self._ramp_c_per_min, 0.0)),
+            "DEVN": lambda channel: self._for_channel(channel, self._shown(self._deviation_c, 0.0)),
             "ALRM": lambda channel: self._for_channel(channel, str(self._alarms)),
             "THTL": lambda channel: self._for_channel(channel, f"{100.0 * self.air.power:.1f}"),
             "AUXE": lambda group: str(self._auxiliaries[group]) if group in self._auxiliaries else None,
@@ -153,6 +154,10 @@ class Thermotron8800Emulator(TextInstrument):
             if alarm == number:
                 self._alarms &= ~(1 << bit)
 
+    def use_fahrenheit(self, fahrenheit: bool) -> None:
+        """Change the unit of all numbers."""
+        self._per_c, self._zero = (1.8, 32.0) if fahrenheit else (1.0, 0.0)
+
     def start_profile(self, to_c: float) -> None:
         """Start a program at the panel."""
         self._manual_c = self._set_point_c
@@ -186,6 +191,10 @@ class Thermotron8800Emulator(TextInstrument):
         handle = self._commands.get(command[1]) if command else None
         return handle(command[2], command[3]) if command and handle else Code.UNKNOWN_COMMAND
 
+    def _shown(self, value_c: float, zero: float | None = None) -> str:
+        """A temperature in the controller's unit; a difference with a ``zero`` of 0."""
+        return f"{self._per_c * value_c + (self._zero if zero is None else zero):.3f}"
+
     def _for_channel(self, channel: str, answer: str) -> str | None:
         return answer if channel == _CHANNEL else None
 
@@ -199,6 +208,8 @@ class Thermotron8800Emulator(TextInstrument):
             "deviation": (0.0, _MAX_DEVIATION),
         }[name]
         value = decimal(text) if text is not None and channel == _CHANNEL else None
+        if value is not None:
+            value = (value - (self._zero if name == "set point" else 0.0)) / self._per_c
         if value is None or not low <= value <= high:
             return Code.WRONG_PARAMETER
         if name == "set point" and self._manual_c is not None:

@@ -245,7 +245,8 @@ class TableChecks:
             yield InterlockFinding(
                 "table_fault",
                 "an axis of the rate table is not under servo control although its servos were switched on",
-                "Check whether the controller was restarted or the servos were switched off at its panel.",
+                "Check whether its servos were switched off at its panel; if its controller was restarted, "
+                "reference its axes before the run continues.",
             )
 
 
@@ -288,6 +289,8 @@ class _UnitAirCheck:
                 f"the unit is at {nearest_c:.1f} degC and changes by {rate_c_per_min:+.1f} degC/min, away "
                 f"from the chamber's air, which reads {air_c:.1f} degC; the limit is {limit_c:g} K"
             )
+            if abs(air_c - (1.8 * nearest_c + 32.0)) < self._margin_c + self._self_heating_c:
+                self.problem += "; if that is in degF, it is near the unit: check the unit of the controller"
 
 
 class ChamberChecks:

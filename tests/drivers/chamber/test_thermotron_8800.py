@@ -43,8 +43,24 @@ def test_a_temperature_and_its_ramp_are_commanded_and_read_back(bench):
 def test_without_a_rate_the_ramp_is_zero(bench):
     chamber = bench.driver()
     chamber.set_temperature(60.0, 5.0)
-    assert bench.requests_of(lambda: chamber.set_temperature(-40.0, None))[1] == b"MRMP1,0.000\r"
+    assert b"MRMP1,0.000\r" in bench.requests_of(lambda: chamber.set_temperature(-40.0, None))
     assert (bench.air.set_point_c, bench.air.ramp_rate_c_per_min) == (-40.0, None)
+
+
+def test_after_its_unit_was_changed_the_chamber_is_not_read_and_is_switched_off(bench):
+    chamber = bench.driver()
+    chamber.set_temperature(20.0, None)
+    chamber.switch(True)
+    bench.chamber.use_fahrenheit(True)
+    with pytest.raises(FaultError, match="unit was changed from °C to °F; change it back"):
+        chamber.read()
+    with pytest.raises(RefusedError, match="so the chamber was switched off"):
+        chamber.set_temperature(23.0, None)
+    assert not bench.air.running
+    assert bench.air.set_point_c == 20.0
+    bench.chamber.use_fahrenheit(False)
+    chamber.set_temperature(-40.0, None)
+    assert chamber.read().set_point_c == -40.0
 
 
 def test_a_reading_has_air_set_point_and_running_state(bench):

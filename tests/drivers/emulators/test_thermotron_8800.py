@@ -34,6 +34,15 @@ def test_values_are_answered_with_three_decimals(panel):
     assert (panel.air.set_point_c, panel.air.ramp_rate_c_per_min) == (22.0, 5.0)
 
 
+def test_fahrenheit(panel):
+    panel.chamber.use_fahrenheit(True)
+    assert panel.ask(b"SETP1,212\rMRMP1,9\r") == b"0\r0\r"
+    assert (panel.air.set_point_c, panel.air.ramp_rate_c_per_min) == (pytest.approx(100.0), 5.0)
+    assert panel.ask(b"SETP1?\rMRMP1?\r") == b"212.000\r9.000\r"
+    panel.chamber.use_fahrenheit(False)
+    assert panel.ask(b"SETP1?\rMRMP1?\r") == b"100.000\r5.000\r"
+
+
 def test_a_controller_may_repeat_what_it_is_sent():
     assert Panel(echo="before").ask(b"SETP1,22.000\r") == b"SETP1,22.000\r0\r"
     assert Panel(echo="before").ask(b"SETP1?\r") == b"SETP1?\r23.000\r"

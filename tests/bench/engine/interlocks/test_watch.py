@@ -354,6 +354,19 @@ def test_a_case_that_moves_away_from_the_air_that_the_chamber_reads_trips(
     assert set(trips) == ({"chamber_sensor"} if is_tripped else set())
 
 
+@pytest.mark.parametrize(("air_c", "is_in_fahrenheit"), [(73.4, True), (45.0, False)])
+def test_air_that_is_near_the_unit_if_it_is_in_fahrenheit_asks_for_the_unit_of_the_controller(
+    watched, air_c, is_in_fahrenheit
+):
+    bench = watched()
+    bench.chamber = air(air_c, 20.0, True)
+    for minutes in np.arange(0.0, 3.0, 1.0 / 6.0):
+        set_values(bench.ins, case_c=23.0 - 0.2 * minutes)
+        trips = bench.poll()
+    text = trips["chamber_sensor"].text
+    assert ("near the unit: check the unit of the controller" in text) is is_in_fahrenheit
+
+
 @pytest.mark.parametrize(("for_min", "is_tripped"), [(9.0, False), (13.0, True)])
 def test_gyros_without_a_case_temperature_may_continue_as_before_a_ramp_for_a_quarter_of_their_time_constant(
     watched, for_min, is_tripped
