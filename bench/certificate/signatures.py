@@ -13,10 +13,12 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote, unquote_to_bytes
 
+from gyrobench.bench.foundations.clock import WallClock, parse_utc
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.files import read_limited
 from gyrobench.bench.foundations.packages import require
@@ -75,7 +77,8 @@ def load_signing_key(source: str) -> SigningKey:
 
     A token is given as a URI of RFC 7512 with the path of its module:
     ``pkcs11:token=NAME;object=KEY?module-path=/usr/lib/module.so``. The password of a file, or the PIN of a
-    token, is read from GYROBENCH_KEY_PASSWORD. Raises DocumentError if the key can't be used.
+    token, is read from GYROBENCH_KEY_PASSWORD. Raises DocumentError if the key can't be used, or the signer's
+    certificate is not valid now.
     """
     secret = os.environ.get(PASSWORD_VARIABLE, "")
     key = (
@@ -88,7 +91,20 @@ def load_signing_key(source: str) -> SigningKey:
             f"{source}: holds no private key with a certificate. Give PKCS#12, or PEM or a token with both"
         )
     _scheme(key.public_key())
+    if problem := _validity_problem(key.certificates[0], WallClock().utc()):
+        raise DocumentError(f"{source}: {problem}. Renew it: recipients would refuse what it signs")
     return key
+
+
+def _validity_problem(certificate: Certificate, moment: datetime) -> str:
+    """Statement that a certificate is not valid at a time; empty if it is."""
+    begin, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
+    if begin <= moment <= end:
+        return ""
+    return (
+        f"the signer's certificate is valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d}, and not on "
+        f"{moment:%Y-%m-%d}"
+    )
 
 
 def _load_from_file(path: Path, password: str) -> SigningKey:
@@ -273,12 +289,21 @@ def _verify_xml(content: bytes, path: Path) -> tuple[Certificate, str]:
     certificate: Certificate = x509.load_pem_x509_certificate(
         f"-----BEGIN CERTIFICATE-----\n{encoded.strip()}\n-----END CERTIFICATE-----\n".encode()
     )
+    # A certificate that has expired since does not change the document; its validity is checked below.
+    settings = xades.XAdESSignatureConfiguration(verification_time=certificate.not_valid_after_utc)
     try:
-        results = xades.XAdESVerifier().verify(content, x509_cert=_pem(certificate), expect_references=True)
+        results = xades.XAdESVerifier().verify(
+            content, x509_cert=_pem(certificate), expect_config=settings, expect_references=True
+        )
     except (signxml.exceptions.InvalidInput, signxml.exceptions.InvalidSignature):
         return certificate, _CHANGED
     signed = [each.signed_xml.tag for each in results if each.signed_xml is not None]
-    return certificate, "" if root.tag in signed else "the signature does not cover the whole document"
+    if root.tag not in signed:
+        return certificate, "the signature does not cover the whole document"
+    signed_at = parse_utc(signature.findtext(".//{*}SigningTime"))
+    return certificate, _validity_problem(
+        certificate, signed_at
+    ) if signed_at else "it has no time of signing"
 
 
 def _verify_pdf(content: bytes, path: Path) -> tuple[Certificate, str]:
@@ -298,7 +323,12 @@ def _verify_pdf(content: bytes, path: Path) -> tuple[Certificate, str]:
     is_whole = status.coverage is validation.SignatureCoverageLevel.ENTIRE_FILE
     if not (status.intact and status.valid):
         return certificate, _CHANGED
-    return certificate, "" if is_whole else "the signature does not cover the whole file"
+    if not is_whole:
+        return certificate, "the signature does not cover the whole file"
+    signed_at = last.self_reported_timestamp
+    return certificate, _validity_problem(
+        certificate, signed_at
+    ) if signed_at else "it has no time of signing"
 
 
 def _is_trusted(certificate: Certificate, roots: Sequence[Certificate]) -> bool:

@@ -100,7 +100,7 @@ def softhsm(*arguments):
     subprocess.run(["softhsm2-util", *map(str, arguments), "--pin", PIN], check=True, capture_output=True)
 
 
-def new_signing_key(path, owner, key=None):
+def new_signing_key(path, owner, key=None, days=30000):
     x509 = pytest.importorskip("cryptography.x509")
     ec = pytest.importorskip("cryptography.hazmat.primitives.asymmetric.ec")
     hashes = pytest.importorskip("cryptography.hazmat.primitives.hashes")
@@ -115,7 +115,7 @@ def new_signing_key(path, owner, key=None):
         .public_key(key.public_key())
         .serial_number(1)
         .not_valid_before(begin)
-        .not_valid_after(begin + datetime.timedelta(days=30000))
+        .not_valid_after(begin + datetime.timedelta(days=days))
         .sign(key, hashes.SHA256())
     )
     pem = serialization.Encoding.PEM

@@ -1,5 +1,6 @@
 """Certificates of runs: what they state, as PDF and DCC, marked where emulated, signed and verified."""
 
+import datetime
 import json
 import math
 import os
@@ -32,7 +33,7 @@ from gyrobench.bench.runs.tables.budget_table import (
     write_budget,
 )
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, write_coefficients
-from tests.bench.certificate.conftest import LABEL, PIN
+from tests.bench.certificate.conftest import LABEL, PIN, new_signing_key
 from tests.bench.command_line import gyrobench
 from tests.bench.report.made_up_closure import explained
 
@@ -235,6 +236,29 @@ def test_a_signed_dcc_is_refused_after_one_byte_was_changed(simulated, signing_k
     path.write_bytes(certificate_dcc(simulated))
     with pytest.raises(DocumentError, match="has no signature"):
         verify_file(path)
+
+
+def test_a_key_whose_certificate_is_not_valid_signs_nothing(tmp_path):
+    with pytest.raises(DocumentError, match="valid from 2026-01-01 to 2026-01-03, and not on 20"):
+        load_signing_key(str(new_signing_key(tmp_path / "old.pem", "Old Laboratory", days=2)))
+
+
+def test_a_document_is_unchanged_after_its_signers_certificate_has_expired(simulated, tmp_path, monkeypatch):
+    xades, weasyprint = pytest.importorskip("signxml.xades.xades"), pytest.importorskip("weasyprint")
+    monkeypatch.setattr("gyrobench.bench.certificate.signatures._validity_problem", lambda *_: "")
+    key = load_signing_key(str(new_signing_key(tmp_path / "old.pem", "Old Laboratory", days=2)))
+    monkeypatch.undo()
+    document, late, printed = (tmp_path / name for name in ("in_time.xml", "late.xml", "late.pdf"))
+    late.write_bytes(sign_dcc(certificate_dcc(simulated), key))
+    printed.write_bytes(sign_pdf(weasyprint.HTML(string="<h1>Late</h1>").write_pdf(), key, "Calibration"))
+    then = datetime.datetime(2026, 1, 2, tzinfo=datetime.UTC)
+    clock = SimpleNamespace(now=lambda _: then)
+    monkeypatch.setattr(xades, "datetime", SimpleNamespace(datetime=clock, timezone=datetime.timezone))
+    document.write_bytes(sign_dcc(certificate_dcc(simulated), key))
+    trusted = tmp_path / "old.crt"
+    assert verify_file(document, trusted).problem == ""
+    for path in (late, printed):
+        assert "valid from 2026-01-01 to 2026-01-03" in verify_file(path, trusted).problem
 
 
 @pytest.fixture(scope="module")
