@@ -124,6 +124,8 @@ class _Line:
     @property
     def is_wrong(self) -> bool:
         """Whether the rate error is larger than that of two correct clocks."""
+        if self.span_s == 0.0:  # as in a log of an adapter whose time stamps went back
+            return False
         margin = (_MAX_POLL_DRIFT_S + _MAX_SCATTER_FACTOR * self.scatter_s) / self.span_s
         return abs(self.rate_error) > _MAX_RATE_ERROR + margin
 

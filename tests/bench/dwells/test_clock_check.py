@@ -85,6 +85,12 @@ def test_a_wrong_epoch_period_is_named_with_the_one_that_fits(error, kind):
     assert f"ins.signals.epoch_period_s is {declared_s:g} s" in fault
 
 
+@pytest.mark.parametrize("first", [2000, 9000])
+def test_time_stamps_that_went_back_and_are_zero_in_the_log_say_nothing_about_the_rate(first):
+    arrival_s = np.where(first > NUMBER, PERIOD_S * NUMBER, 0.0)  # a counter of 32 bit that overflows
+    assert clock_fault(PERIOD_S * NUMBER, arrival_s, ONE_SEGMENT, TIMED) == ""
+
+
 def test_a_wrong_scale_of_the_time_is_named_with_the_factor_that_fits():
     arrival_s = 1.7e9 + PERIOD_S * NUMBER
     fault = clock_fault(1e3 * PERIOD_S * NUMBER, arrival_s, ONE_SEGMENT, TIMED)
