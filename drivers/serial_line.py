@@ -73,6 +73,8 @@ def _port_errors(*additional: type[Exception]) -> tuple[type[Exception], ...]:
 
 def system_reason(error: Exception) -> str:
     """Reason of the operating system why a port can't be opened, without the name of the port."""
+    if "exclusively lock" in str(error):  # pyserial's words
+        return "another program uses it"
     reasons = re.findall(r"\[Errno \d+\] ([^\[:']+)", str(error))
     return reasons[-1].strip() if reasons else str(error)
 

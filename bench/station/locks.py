@@ -169,7 +169,8 @@ class BenchLock(_Lock):
     """Holds every port of a bench; a context manager.
 
     Emulated ports exist inside one process and need no lock. All names of one device, such as a link under
-    ``/dev/serial/by-id`` or two names of a host, give the same lock. ``run_path`` is the present or future
+    ``/dev/serial/by-id`` or two names of a host, give the same lock; a link has another one, which stays when
+    the device comes back under another name. ``run_path`` is the present or future
     path of the run folder. ``command`` is by default the command line, and ``patience_s`` the time to wait
     for another holder's release. When entered, raises BenchInUseError if another process holds a port, and
     GyrobenchError if a lock file can't be opened.
@@ -296,7 +297,7 @@ def _lock_names(station: Station) -> Iterator[tuple[str, str]]:
     for what, section in (("rate table", file.rate_table), ("chamber", file.chamber)):
         url = section.installed_dialect.line.complete_url(section.port)
         if not url.startswith(f"{_EMULATED}://"):
-            yield f"the {what}'s port {section.port}", _canonical_port(url)
+            yield from _lock_names_of(f"the {what}'s port {section.port}", url)
     for unit in station.units:
         yield from _bus_lock_name(unit.file.ins)
 
@@ -305,11 +306,19 @@ def _bus_lock_name(ins: InsSection) -> Iterator[tuple[str, str]]:
     if ins.interface != _EMULATED:
         name = f"the INS's port {ins.interface} {ins.channel}"
         if ins.interface == "slcan":
-            yield name, _canonical_port(ins.channel.partition("@")[0])
+            yield from _lock_names_of(name, ins.channel.partition("@")[0])
         else:
             host = [_canonical_host(str(ins.options["host"]))] if "host" in ins.options else []
             port = [str(ins.options["port"])] if "port" in ins.options else []
             yield name, ":".join([ins.interface, *host, *port, ins.channel])
+
+
+def _lock_names_of(name: str, url: str) -> Iterator[tuple[str, str]]:
+    """Names of a port: its device, and a link to it, which may lead to another device after a replug."""
+    canonical = _canonical_port(url)
+    yield name, canonical
+    if "://" not in url and (link := str(Path(url).absolute())) != canonical:
+        yield f"{name} by its name", link
 
 
 def _canonical_port(url: str) -> str:

@@ -324,7 +324,13 @@ class _SlcanBus(_TextBus, slcanBus):
                 self.serialPortOrig.close()
             raise
         self.channel_info = f"slcan on {channel}"
-        self.serialPortOrig.timeout = 0.0
+        try:
+            self.serialPortOrig.exclusive = True  # two readers would take each other's frames
+            self.serialPortOrig.timeout = 0.0
+        except BaseException:
+            self._is_shutdown = True  # the command to close would be for the adapter of the other reader
+            self.serialPortOrig.close()
+            raise
         self._begin(clock)
 
     def _read_available(self) -> bytes:

@@ -114,6 +114,19 @@ def test_two_names_of_one_device_are_one_lock(make_station, tmp_path):
         pass
 
 
+def test_a_link_stays_locked_when_its_device_comes_back_under_another_name(make_station, tmp_path):
+    link = tmp_path / "by-id"
+    link.symlink_to("ttyUSB0")
+    station = make_station("bench", table=str(link))
+    with held_elsewhere(station, tmp_path / "run"):
+        link.unlink()
+        link.symlink_to("ttyUSB1")
+        other = make_station("other", str(link), "/dev/c2", "socketcan", "can7")
+        assert [holder.run for holder in bench_holders(other)] == [str(tmp_path / "run")]
+        with pytest.raises(BenchInUseError, match="rate table's port"):
+            BenchLock(other, tmp_path, WallClock()).__enter__()
+
+
 @pytest.mark.parametrize(
     ("one", "other"),
     [

@@ -87,6 +87,12 @@ def test_a_reopened_bus_replaces_a_lost_one(driver, adapter, batches):
     assert sum(map(len, batches)) == 5
 
 
+def test_a_second_reader_of_an_adapter_is_refused(driver, adapter):
+    with pytest.raises(ConnectionFailedError, match="another program uses it"):
+        adapter.bus()
+    adapter.send(FRAME)
+
+
 @pytest.mark.parametrize("count", [10, pytest.param(100, marks=pytest.mark.long)])
 def test_adapters_that_went_away_leak_no_descriptor(driver, adapter, count):
     before = open_descriptors()
