@@ -319,7 +319,8 @@ def profile_chart(snapshot: RunSnapshot) -> ProfileChart | None:
     if not planned.time_s and not measured.time_s:
         return None
     planned_ends_s = [time_s + snapshot.behind_s for time_s in planned.time_s[-1:]]
-    ends_s = [snapshot.now_s, *measured.time_s[-1:], *planned_ends_s]
+    # The past of the plan is drawn as planned, which is later than now if the run is ahead of it.
+    ends_s = [snapshot.now_s, snapshot.plan_now_s, *measured.time_s[-1:], *planned_ends_s]
     unit_s, unit = (HOUR_S, "h") if max(ends_s) > _MAX_MINUTE_AXIS_S else (MINUTE_S, "min")
     x = time_axis(f"Time since the start, {unit}", max(ends_s), unit_s)
     y = value_axis("Temperature, °C", _temperatures(planned, measured), _MIN_SPAN_C)

@@ -17,7 +17,7 @@ from gyrobench.bench.monitor.charts import (
     value_axis,
     window_charts,
 )
-from gyrobench.bench.monitor.snapshot import CurrentDwell, LiveBias, MeasuredProfile, PlannedProfile
+from gyrobench.bench.monitor.snapshot import CurrentDwell, LiveBias, MeasuredProfile, PlannedProfile, RunState
 from tests.bench.monitor.sample_snapshots import made_up_snapshot
 
 NAN = math.nan
@@ -191,6 +191,13 @@ def test_each_position_has_its_lane_with_the_stays_that_are_over_marked(snapshot
     for bar in (bar for bars in lanes.values() for bar in bars):
         assert 0.0 <= bar.start_percent < bar.start_percent + bar.width_percent <= 100.001
         assert bar.is_over == (bar.start_percent + bar.width_percent < profile.chart.now_percent)
+
+
+def test_a_run_that_was_faster_than_its_plan_shows_the_whole_plan(snapshot):
+    profile = profile_chart(replace(snapshot, state=RunState.FINISHED, left_s=0.0, now_s=9.2 * HOUR_S))
+    ends = [bar.start_percent + bar.width_percent for bars in profile.lanes.values() for bar in bars]
+    assert max(ends) <= 100.001
+    assert profile.chart.now_percent < 65.0
 
 
 def test_a_short_run_is_shown_in_minutes(snapshot):
