@@ -176,6 +176,7 @@ class Thermotron8800(TextChamber):
         return group + 1, 1 << bit_index
 
     def _set_ramp(self, rate_c_per_min: float | None) -> None:
+        self._commanded_c = None  # until the set point that follows is confirmed
         self._set_rate(f"MRMP{self._channel}", rate_c_per_min or 0.0)
 
     def _command(self, command: str, advice: str = "") -> None:

@@ -63,6 +63,26 @@ def test_after_its_unit_was_changed_the_chamber_is_not_read_and_is_switched_off(
     assert chamber.read().set_point_c == -40.0
 
 
+def test_a_set_point_whose_confirmation_was_lost_is_not_taken_for_the_one_before_in_fahrenheit(
+    bench, monkeypatch
+):
+    chamber = bench.driver()
+    chamber.set_temperature(10.0, None)
+    command = chamber._command
+
+    def loses_the_reply(text, *_):
+        command(text)
+        if text.startswith("SETP"):
+            raise NoReplyError("chamber", "no reply")
+
+    monkeypatch.setattr(chamber, "_command", loses_the_reply)
+    with pytest.raises(NoReplyError):
+        chamber.set_temperature(50.0, None)  # 10 degC is 50 degF
+    monkeypatch.undo()
+    assert chamber.read().set_point_c == 50.0
+    chamber.set_temperature(50.0, None)
+
+
 def test_a_reading_has_air_set_point_and_running_state(bench):
     chamber = bench.driver()
     bench.air.air_c = 22.0
