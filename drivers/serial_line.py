@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import re
+import threading
 from dataclasses import dataclass
 from urllib.parse import urlsplit
 
@@ -50,15 +51,23 @@ class LineDefaults:
         return parts._replace(netloc=f"{parts.netloc.rstrip(':')}:{self.tcp_port}").geturl()
 
 
+_is_shared = threading.Event()
+
+
+def share_ports() -> None:
+    """Open later ports also while another process holds them: one that was killed and hangs in the kernel."""
+    _is_shared.set()
+
+
 def open_port(url: str, clock: Clock, baudrate: int, parity: str) -> serial.Serial:
-    """Open a port for exclusive use; raises the errors of pyserial."""
+    """Open a port, for exclusive use unless :func:`share_ports` was called; raises the errors of pyserial."""
     return serial.serial_for_url(
         with_clock(url, clock),
         baudrate=baudrate,
         parity=parity,
         timeout=0,
         write_timeout=_WRITE_TIMEOUT_S,
-        exclusive=True,
+        exclusive=not _is_shared.is_set(),
     )
 
 

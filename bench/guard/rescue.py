@@ -23,6 +23,7 @@ from gyrobench.bench.station.instruments import Outputs
 from gyrobench.bench.station.locks import GUARD_COMMAND, BenchLock, bench_holders
 from gyrobench.bench.station.safe_state import RAMP_PERIOD_S, SafeAction, finish_ramp, make_safe
 from gyrobench.bench.station.station import Station
+from gyrobench.drivers.serial_line import share_ports
 
 #: Pauses between attempts, s: a quarter of an hour in all.
 _PAUSES_S = (0.0, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, *[60.0] * 14)
@@ -100,6 +101,8 @@ class Rescue:
         self._engine.kill()
         self._killed = True
         ended = self._engine.wait_for_end(_KILL_TIME_S)
+        if not ended:
+            share_ports()
         self._log.add("killed the engine" if ended else "the killed engine still hangs in the kernel")
 
     def _lock(self) -> AbstractContextManager[object]:

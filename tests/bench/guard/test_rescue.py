@@ -2,12 +2,14 @@
 
 import json
 import os
+import threading
 from functools import partial
+from types import SimpleNamespace
 
 import pytest
 
 from gyrobench.bench.foundations.clock import VirtualClock
-from gyrobench.bench.foundations.errors import NoReplyError
+from gyrobench.bench.foundations.errors import ConnectionFailedError, NoReplyError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.guard.protocol import GuardConfig
 from gyrobench.bench.guard.rescue import Rescue
@@ -16,7 +18,9 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import RATE_TABLE, Emulation, Outputs
 from gyrobench.bench.station.station import Station
+from gyrobench.drivers import serial_line
 from gyrobench.drivers.rate_table.acutrol3000 import Acutrol3000
+from gyrobench.drivers.serial_line import SerialLine
 
 NO_RAMP = "  - {fault: no_set_point_ramp, at_s: 0}\n"
 CHANGED = "  - {fault: set_point_changed_at_panel, at_s: 3660, to_c: 60}\n"
@@ -68,6 +72,22 @@ def test_another_table_under_the_name_of_the_first_is_not_commanded_and_the_cham
 
 def last_problems(entries):
     return {each["what"]: each["problem"] for entry in entries for each in entry["safe_state"]}
+
+
+def test_a_killed_engine_that_hangs_in_the_kernel_does_not_keep_the_ports(tmp_path, monkeypatch):
+    master, slave = os.openpty()
+    port, clock = os.ttyname(slave), VirtualClock()
+    monkeypatch.setattr(serial_line, "_is_shared", threading.Event())
+    config = GuardConfig(str(find_document("stations", "emulated")), str(tmp_path), 5.0, 0, "", 0.0)
+    engine = SimpleNamespace(kill=lambda: None, wait_for_end=lambda _: False)
+    rescue = Rescue(config, engine, clock, GuardLog(tmp_path / "guard.log", clock))
+    with SerialLine("rate table", port, clock):  # of the engine
+        with pytest.raises(ConnectionFailedError, match="another program uses it"):
+            SerialLine("rate table", port, clock)
+        rescue.act(EngineEnd.SILENT)
+        SerialLine("rate table", port, clock).close()
+    os.close(slave)
+    os.close(master)
 
 
 def test_a_disk_that_hangs_delays_no_safe_action(rescued, tmp_path, monkeypatch):
