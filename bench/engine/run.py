@@ -24,7 +24,7 @@ from gyrobench.bench.engine.run_context import RunContext, UnitRun
 from gyrobench.bench.engine.run_notifier import RunNotifier
 from gyrobench.bench.engine.run_outcome import RunOutcome
 from gyrobench.bench.foundations.clock import Clock, WallClock
-from gyrobench.bench.foundations.errors import GyrobenchError, InstrumentError, RunFolderError
+from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError, InstrumentError, RunFolderError
 from gyrobench.bench.foundations.files import make_folder, write_whole
 from gyrobench.bench.foundations.kernels import Kernel
 from gyrobench.bench.foundations.operator_name import operator_name
@@ -37,6 +37,7 @@ from gyrobench.bench.runs.compensation_file import write_compensation
 from gyrobench.bench.runs.folder import RUNS, RunFolder, create_run_folder
 from gyrobench.bench.runs.journal import Journal, facts_of, read_journal
 from gyrobench.bench.runs.provenance import add_identity, identities_in, update_input_hashes, write_provenance
+from gyrobench.bench.runs.seal import KEY_VARIABLE, require_usable_key
 from gyrobench.bench.runs.telemetry import Telemetry
 from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE, Instruments
 from gyrobench.bench.station.locks import BenchLock, RunLock
@@ -62,7 +63,8 @@ def run_job(
     ``out`` is the run folder, by default a new one under ``runs/``; ``earlier`` are the runs that this one
     continues. Raises BenchInUseError if another run holds the bench. Raises InstrumentError if an instrument
     can't be reached; nothing has moved and there is no run folder. Raises DocumentError if an instrument is
-    past due and not acknowledged, and RunFolderError if the run folder can't be written.
+    past due and not acknowledged, or the key for seals can't be used, and RunFolderError if the run folder
+    can't be written.
     """
     job.check_calibrations()
     clock = earlier.clock if earlier else job.station.new_clock()
@@ -200,6 +202,11 @@ def _write_inputs(job: Job, clock: Clock, folder: RunFolder, identities: Mapping
 
 def _execute(start: _Start, observer: RunObserver, operator: Operator) -> tuple[RunFolder, RunOutcome]:
     """Run the remaining steps of a job, and evaluate all dwells."""
+    try:
+        require_usable_key()
+    except DocumentError as error:
+        advice = f"Correct {KEY_VARIABLE}, or unset it: a run sealed without it never passes --key"
+        raise DocumentError(f"{error}. {advice}") from error
     _compile_estimators(start.job, observer)
     with ExitStack() as resources:
         run, messenger = _open(start, observer, operator, resources)

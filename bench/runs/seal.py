@@ -463,11 +463,14 @@ def _signature(text: bytearray, key: Path | None) -> dict[str, str]:
     }
 
 
-def _load_key(path: Path) -> Ed25519PrivateKey:
-    """Load the key that signs seals; its password, if any, is in GYROBENCH_KEY_PASSWORD.
+def require_usable_key() -> None:
+    """Raise DocumentError if GYROBENCH_SEAL_KEY names a key that can't sign."""
+    if configured := os.environ.get(KEY_VARIABLE):
+        _load_key(Path(configured))
 
-    Raises DocumentError if it can't be read or is not an Ed25519 key.
-    """
+
+def _load_key(path: Path) -> Ed25519PrivateKey:
+    """Load an Ed25519 key, with its password in GYROBENCH_KEY_PASSWORD if any; raises DocumentError."""
     ed25519 = require("cryptography.hazmat.primitives.asymmetric.ed25519")
     try:
         key = pem_key(read_limited(path, _MAX_KEY_BYTES, DocumentError))
@@ -479,10 +482,7 @@ def _load_key(path: Path) -> Ed25519PrivateKey:
 
 
 def pem_key(content: bytes) -> Any:
-    """Private key in PEM, with the password in GYROBENCH_KEY_PASSWORD if it has one.
-
-    Raises ValueError or TypeError if it can't be read.
-    """
+    """Private key in PEM, its password in GYROBENCH_KEY_PASSWORD if any; raises ValueError or TypeError."""
     load = require("cryptography.hazmat.primitives.serialization").load_pem_private_key
     password = os.environ.get(PASSWORD_VARIABLE, "").encode() or None
     try:

@@ -209,3 +209,12 @@ def test_close_on_an_interrupted_run_without_dwells_does_not_speak_of_rotations(
     with Journal(tmp_path / "run" / "journal.jsonl", VirtualClock()) as journal:
         journal.record("dwell_finished", marks={"dwell": 1, "is_rotated": True}, flags="")
     assert "Rotations need a dwell" in gyrobench("close", "run", cwd=tmp_path).stderr
+
+
+def test_a_key_for_seals_that_can_not_sign_is_named_before_anything_moves(tmp_path, monkeypatch):
+    monkeypatch.setenv("GYROBENCH_SEAL_KEY", str(tmp_path / "weekend.pem"))
+    answer = gyrobench("run", "ten_minute_check", cwd=tmp_path)
+    assert answer.returncode == 2
+    assert "weekend.pem: can't be read" in answer.stderr
+    assert "Correct GYROBENCH_SEAL_KEY, or unset it" in answer.stderr
+    assert not (tmp_path / "runs").exists()
