@@ -30,6 +30,7 @@ from gyrobench.bench.foundations.kernels import Kernel
 from gyrobench.bench.foundations.operator_name import operator_name
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.guard.process import guard_for
+from gyrobench.bench.messages.delivery import missing_secrets
 from gyrobench.bench.messages.messenger import PATIENCE_S, Messenger
 from gyrobench.bench.procedure.plan import DwellPurpose
 from gyrobench.bench.runs.can_log import CanLog
@@ -266,7 +267,8 @@ def _open(
     outcome.units = {unit.number: unit.outcome for unit in units if unit.number}
     _record_start(journal, folder, start, units[0].setup, observer)
     changes = _record_identities([folder, *(unit.folder for unit in units)], identities)
-    for text in (*bench_lock.taken_over, *run_lock.taken_over, *changes):
+    missing = missing_secrets(job.station.file.messages)
+    for text in (*bench_lock.taken_over, *run_lock.taken_over, *changes, *missing):
         journal.record("note", text=text)
         observer.noted(text)
     messenger = resources.enter_context(Messenger(job.station.file.messages, journal.record))

@@ -20,7 +20,7 @@ import ssl
 import threading
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass
 from datetime import datetime
@@ -186,6 +186,15 @@ def read_secret(receiver: Receiver) -> str:
             f"{source}: no secret found; the {receiver.kind} receiver {receiver.address} needs one"
         )
     return secret.strip()
+
+
+def missing_secrets(receivers: Iterable[Receiver]) -> Iterator[str]:
+    """Yield a note for each receiver that gets no message because its secret is missing."""
+    for receiver in receivers:
+        try:
+            read_secret(receiver)
+        except DocumentError as error:
+            yield f"{receiver.name} gets no message: {error}"
 
 
 def without_secret(secret: str, text: str) -> str:

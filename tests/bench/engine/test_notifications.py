@@ -49,10 +49,12 @@ def server():
 def run_with_receiver(tmp_path, server):
     """Run the procedure; returns its journal and what the server received."""
 
-    def run(operator, faults="", on="ends, holds, resumes, needs_person", set_c=40):
+    def run(operator, faults="", on="ends, holds, resumes, needs_person", set_c=40, needs=""):
         station, procedure = tmp_path / "station.yaml", tmp_path / "question.yaml"
         text = find_document("stations", "emulated").read_text()
-        station.write_text(f"{text}\nmessages:\n  - {{kind: webhook, address: {server.url}, on: [{on}]}}\n")
+        station.write_text(
+            f"{text}\nmessages:\n  - {{kind: webhook, address: {server.url}, on: [{on}]{needs}}}\n"
+        )
         procedure.write_text(PROCEDURE.format(set_c=set_c))
         if faults:
             (tmp_path / "faults.yaml").write_text(faults)
@@ -72,6 +74,15 @@ def test_the_end_of_a_run_is_sent_and_journaled(run_with_receiver):
     assert end["left"]["hours"] == 0.0
     sent = [entry for entry in journal if entry["event"] == "message_sent"]
     assert [(entry["about"], entry["answer"]) for entry in sent] == [("ends", "200 OK")]
+
+
+def test_a_receiver_whose_secret_is_missing_is_named_as_the_run_begins(run_with_receiver, monkeypatch):
+    monkeypatch.delenv("BENCH_TOKEN", raising=False)
+    entries, *_ = run_with_receiver(ConsentingOperator(), needs=", secret_env: BENCH_TOKEN")
+    events = [entry["event"] for entry in entries]
+    note = entries[events.index("note")]["text"]
+    assert events.index("note") < events.index("step_started")
+    assert "gets no message: the environment variable BENCH_TOKEN: no secret found" in note
 
 
 def test_an_unanswered_question_is_sent(run_with_receiver):
