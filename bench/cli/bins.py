@@ -30,7 +30,7 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
     # A run in progress writes the same files.
     with RunLock(open_run_folder(run_folder).run.path, WallClock()):
         folder = recompute_run(run_folder, is_sealed=False)
-        report = write_report(folder, are_tables_new=True)
+        report = write_report(folder, are_tables_new=True).path
     if as_json:
         check = folder.calibration_check
         print_json(

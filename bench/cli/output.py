@@ -217,7 +217,7 @@ def print_end(
 
     try:
         units_section = write_units_report(folder) if outcome.units else None
-        report = folder.report if units_section else write_report(folder)
+        report = folder.report if units_section else write_report(folder).path
     except RunFolderError:  # for instance a full disk
         if is_finished:
             console.print(

@@ -82,7 +82,7 @@ def report(
         terminal.print(section_view(write_units_report(folder, by, formats)))
         page = folder.report
     else:
-        page = write_report(folder, by, out, earlier, mark_temperature or (), formats)
+        page = write_report(folder, by, out, earlier, mark_temperature or (), formats).path
         if damage:
             terminal.print("Unit not judged.", style="bold")
         elif folder.acceptance.exists():

@@ -170,7 +170,7 @@ def _report_result(
     if result.coefficients:
         write_coefficient_tables(folder, result.coefficients)
     page = write_verification_page(folder, result, run.dwells)
-    report = write_report(run) if folder == run.verify else None
+    report = write_report(run).path if folder == run.verify else None
     if as_json:
         print_json({"folder": folder, "report": page, "comparison": table_records(result.results)})
         return

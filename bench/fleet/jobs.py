@@ -127,7 +127,7 @@ def _report(folder: RunFolder) -> str:
     from gyrobench.bench.report.run_report import write_report
 
     with _DRAWING:
-        return write_report(folder).name
+        return write_report(folder).path.name
 
 
 #: Imported in the worker: the command that distributes runs starts without them.

@@ -444,4 +444,4 @@ def write_search(
     folder = folder or (run or RunFolder(first.parent)).closure.with_name(name)
     write_closure(folder, closure)
     page = write_closure_page(folder, closure, source, run.dwells if run else first)
-    return page, write_report(run) if run and folder == run.closure else None
+    return page, write_report(run).path if run and folder == run.closure else None

@@ -9,7 +9,7 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta, timezone
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -86,6 +86,13 @@ _HASHES_TEXT = (
 )
 
 
+class WrittenReport(NamedTuple):
+    """The page of a report, and the content that it shows."""
+
+    path: Path
+    content: RunContent
+
+
 def write_report(
     folder: RunFolder,
     prepared_by: str = "",
@@ -94,25 +101,8 @@ def write_report(
     mark_temperatures_c: Sequence[float] = (),
     vectors: Sequence[str] = (),
     are_tables_new: bool = False,
-) -> Path:
-    """Write ``report.html`` and the figures of a run from the files in its folder; returns its path.
-
-    As :func:`report_run`, which returns what the report shows.
-    """
-    report_run(folder, prepared_by, out, before, mark_temperatures_c, vectors, are_tables_new)
-    return RunFolder(out or folder.path).report
-
-
-def report_run(
-    folder: RunFolder,
-    prepared_by: str = "",
-    out: Path | None = None,
-    before: RunFolder | None = None,
-    mark_temperatures_c: Sequence[float] = (),
-    vectors: Sequence[str] = (),
-    are_tables_new: bool = False,
-) -> RunContent:
-    """Write ``report.html`` and the figures of a run from the files in its folder; returns their content.
+) -> WrittenReport:
+    """Write ``report.html`` and the figures of a run from the files in its folder.
 
     An existing report is replaced. The report lists the files that are missing because the run failed or was
     interrupted. A run that has ended is sealed with its report.
@@ -164,7 +154,7 @@ def report_run(
     if out is None:
         sha256_by_path = {path: digest for each in hashes for path, digest in each.parts.items()}
         update_seal(folder, sha256_by_path, are_tables_new)
-    return content
+    return WrittenReport(target.report, content)
 
 
 def _without_unused_data(content: RunContent) -> RunContent:

@@ -19,8 +19,8 @@ from gyrobench.bench.report.run_report import (
     doubt_boxes,
     ending_box,
     head_facts,
-    report_run,
     safe_state_section,
+    write_report,
 )
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.seal import update_seal
@@ -31,7 +31,7 @@ def write_units_report(folder: RunFolder, prepared_by: str = "", vectors: Sequen
 
     A run that has ended is sealed with it. Raises RunFolderError if a file can't be written.
     """
-    units = [report_run(unit, prepared_by, vectors=vectors) for unit in folder.unit_folders]
+    units = [write_report(unit, prepared_by, vectors=vectors).content for unit in folder.unit_folders]
     content = read_run(folder)
     comparison = _section_of_units(content, units)
     facts = head_facts(content)

@@ -167,7 +167,7 @@ def test_a_later_run_is_held_against_the_calibration_of_an_earlier_one(one_run, 
 
 def test_the_report_has_the_calibration_check(later_run):
     folder, _ = later_run
-    text = write_report(folder).read_text(encoding="utf-8")
+    text = write_report(folder).path.read_text(encoding="utf-8")
     assert "Calibration check" in text
     assert "agree with the calibration" in text
 

@@ -164,7 +164,7 @@ def test_a_warm_up_is_found(job, tmp_path):
         assert holds(each, truth) or each.value == pytest.approx(truth, rel=0.12)  # self-heating adds to it
     for each, truth in zip(named(result, "time until"), WARMING["bias_dph"], strict=True):
         assert holds(each, 1800.0 * np.log(abs(truth) / 0.002))
-    page = write_report(folder).read_text()
+    page = write_report(folder).path.read_text()
     assert "<h2" in page
     assert "Warm-up" in page
     assert (folder.figures / "warm_up.png").exists()
@@ -237,4 +237,4 @@ def test_drift_scatter_and_dependence_on_rate_of_the_scale_factors_are_found(job
     assert sum(held) >= 5  # of 95 % intervals one in twenty misses
     *_, whole = durations_by_kind(read_run(folder).step_durations)
     assert whole.actual_s == pytest.approx(whole.planned_s, rel=0.02)
-    assert (write_report(folder).parent / "figures" / "scale_factor_stability.png").exists()
+    assert (write_report(folder).path.parent / "figures" / "scale_factor_stability.png").exists()

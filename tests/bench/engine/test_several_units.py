@@ -21,6 +21,7 @@ from gyrobench.bench.monitor.terminal_screen import screen
 from gyrobench.bench.monitor.website import Website
 from gyrobench.bench.report import units_report
 from gyrobench.bench.report.run_content import read_run
+from gyrobench.bench.report.run_report import WrittenReport
 from gyrobench.bench.report.units_report import write_units_report
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.index.store import find_run_folders
@@ -378,11 +379,13 @@ def test_the_units_stand_side_by_side_and_each_folder_is_read_once(without_1102,
     folder, *_ = without_1102
     reads = []
 
-    def read(read_folder, *_, **__):
+    def read(read_folder):
         reads.append(read_folder.path.name)
         return read_run(read_folder)
 
-    monkeypatch.setattr(units_report, "report_run", read)
+    monkeypatch.setattr(
+        units_report, "write_report", lambda each, *_, **__: WrittenReport(each.report, read(each))
+    )
     monkeypatch.setattr(units_report, "read_run", read)
     (table,) = write_units_report(folder).tables
     assert reads == [*NUMBERS, folder.path.name]

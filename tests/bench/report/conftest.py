@@ -259,7 +259,7 @@ def run_folder(made_once: Callable[..., Path], dwells: list[DwellRow]) -> RunFol
 
     def make(path: Path) -> None:
         folder = write_run(RunFolder(path / "six_position_fig7-001"), dwells)
-        write_report(folder).unlink()  # its figures are drawn once for all tests
+        write_report(folder).path.unlink()  # its figures are drawn once for all tests
 
     return RunFolder(made_once("made-up-run", make) / "six_position_fig7-001")
 

@@ -125,7 +125,7 @@ def test_u_of_a_bin_has_the_decimals_that_its_bias_has():
 
 def test_the_first_page_of_the_report_shows_the_figure_before_the_contents(empty_folder):
     write_budget(empty_folder.budget, budget_rows(BUDGETS))
-    page = write_report(empty_folder).read_text()
+    page = write_report(empty_folder).path.read_text()
     assert page.index("Standard uncertainty of a bias in a dwell") < page.index("Shares of the variance")
     assert page.index("Shares of the variance") < page.index("<h2>Contents</h2>")
     assert (empty_folder.figures / "uncertainty_budget.png").is_file()
@@ -137,7 +137,7 @@ def test_a_report_of_coefficients_has_them_on_its_first_page_and_the_figure_in_t
         *(1, 1, 25.0, 30.0, "accelerometer_scale_factor", "x", 12.3, 0.4, "ppm", "", math.nan, 0.0)
     )
     write_coefficients(empty_folder.coefficients, [scale_factor])
-    first, sections = write_report(empty_folder).read_text().split("<h2>Contents</h2>")
+    first, sections = write_report(empty_folder).path.read_text().split("<h2>Contents</h2>")
     assert ">12.3<" in first
     assert "Shares of the variance" not in first
     assert sections.index("Uncertainty budget") < sections.index("Shares of the variance")

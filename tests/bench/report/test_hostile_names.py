@@ -37,7 +37,7 @@ def test_what_comes_from_files_is_text_in_the_report(run_folder, tmp_path):
             "safe_state": [],
         }
         journal.write(json.dumps(entry) + "\n")
-    page = write_report(folder).read_text()
+    page = write_report(folder).path.read_text()
     assert "alert(1)" in page
     assert "<script" not in page
     assert not re.search(r"<img[^>]*onerror", page)

@@ -10,7 +10,7 @@ from gyrobench.bench.runs.folder import RunFolder
 
 def test_a_report_becomes_a_pdf(empty_folder: RunFolder, journal_writer):
     journal_writer(empty_folder)
-    pdf = write_pdf(write_report(empty_folder), empty_folder.path / "report.pdf")
+    pdf = write_pdf(write_report(empty_folder).path, empty_folder.path / "report.pdf")
     content = pdf.read_bytes()
     assert content.startswith(b"%PDF-")
     assert len(content) > 5000
@@ -18,7 +18,7 @@ def test_a_report_becomes_a_pdf(empty_folder: RunFolder, journal_writer):
 
 def test_the_contents_stay_on_one_page(empty_folder: RunFolder, journal_writer):
     journal_writer(empty_folder)
-    text = write_report(empty_folder).read_text()
+    text = write_report(empty_folder).path.read_text()
     low = text.replace("<nav>", '<div style="break-before: page; height: 23cm"></div><nav>', 1)
     pages = pytest.importorskip("weasyprint").HTML(string=low).render().pages
     assert sum(any("part-" in target for _, target, *_ in page.links) for page in pages) == 1

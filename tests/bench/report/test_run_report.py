@@ -86,7 +86,7 @@ def page_with(html: str) -> Page:
 
 
 def page_of(folder: RunFolder) -> Page:
-    return page_with(write_report(folder).read_text(encoding="utf-8"))
+    return page_with(write_report(folder).path.read_text(encoding="utf-8"))
 
 
 def text_of(folder: RunFolder, prepared_by: str = "") -> str:
@@ -152,7 +152,7 @@ def test_sign_off_has_blank_lines_but_for_the_name_given(empty_folder: RunFolder
 def test_report_can_go_elsewhere(empty_folder: RunFolder, equal_dwells: list[DwellRow]) -> None:
     write_dwells(empty_folder.dwells, equal_dwells[:2])
     out = empty_folder.path / "elsewhere"
-    assert write_report(empty_folder, out=out) == out / "report.html"
+    assert write_report(empty_folder, out=out).path == out / "report.html"
     assert not empty_folder.report.exists()
     assert not empty_folder.figures.exists()
 
@@ -422,7 +422,7 @@ def test_durations_and_safe_state_are_there(page: Page) -> None:
 
 def test_equal_runs_give_equal_reports(page: Page, run_folder: RunFolder) -> None:
     first = run_folder.report.read_bytes()
-    assert write_report(run_folder).read_bytes() == first
+    assert write_report(run_folder).path.read_bytes() == first
 
 
 def test_run_whose_positions_agree_says_so(empty_folder: RunFolder, equal_dwells: list[DwellRow]) -> None:
