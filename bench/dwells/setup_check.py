@@ -25,7 +25,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import ndtr, stdtrit
 
 from gyrobench.bench.bias.bias_filter import dwell_chi2, estimate_state_space
 from gyrobench.bench.bias.dwell import Dwell
@@ -176,6 +175,8 @@ def _information_of_drift(dwells: Sequence[VelocityRegression]) -> tuple[FloatAr
     reduced, products = (normal - common @ normal[4:])[:4, :4], (right_side - common @ right_side[4:])[:4]
     unexplained = chi2 - float(right_side @ np.linalg.lstsq(normal, right_side)[0])
     if chi2_p_value(dof, unexplained) < _MIN_SCATTER_P_VALUE:
+        from scipy.special import ndtr, stdtrit  # 50 MB, which most runs do without
+
         # Drifts larger than declared: their size is known from few dwells.
         sigmas = _MIN_SIGMAS / float(stdtrit(dof, ndtr(_MIN_SIGMAS)))
         reduced, products = (each * sigmas**2 * dof / unexplained for each in (reduced, products))
