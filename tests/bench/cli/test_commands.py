@@ -338,6 +338,17 @@ def test_help_does_not_load_the_heavy_libraries():
 
 
 @pytest.mark.long
+def test_a_run_does_not_load_scipy(tmp_path):
+    code = (
+        "import sys; sys.argv = ['gyrobench', 'run', 'ten_minute_check', '--world', 'ideal']\n"
+        "from gyrobench.bench.cli import app\n"
+        "try: app()\nexcept SystemExit: pass\n"
+        "assert {'scipy.special', 'scipy.linalg', 'scipy.optimize'}.isdisjoint(sys.modules)\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, cwd=tmp_path)
+
+
+@pytest.mark.long
 def test_what_is_typed_during_a_run_on_virtual_time_is_executed_or_answered(tmp_path):
     command = [*PROCESS, "run", "quick_campaign", "--station", "quick", "--world", "quick", "--out", "run"]
     typed = "hello\npause\nabort\n"
