@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -105,11 +106,11 @@ def close(
     if as_json:
         outcome = json.loads((folder / "closure.json").read_text(encoding="utf-8"))
         print_json({"folder": folder, "report": page, "closure": outcome})
-        print_unfinished(tables, on_stderr=True)
+        _print_doubts(tables, on_stderr=True)
         return
     terminal = console()
     terminal.print(section_view(closure_findings(closure).chapter))
-    print_unfinished(tables)
+    _print_doubts(tables)
     written = "closure.json, predictions.csv, model.yaml"
     if closure.composed and closure.composed.laws:
         written += ", composed_law.yaml"
@@ -117,3 +118,13 @@ def close(
     if report:
         terminal.print(f"Also in  {report}", soft_wrap=True)
     terminal.print(f"Folder   {folder}", soft_wrap=True)
+
+
+def _print_doubts(tables: Sequence[Path], on_stderr: bool = False) -> None:
+    """Print which of the runs are unfinished, or damaged as by an edited dwell table."""
+    from gyrobench.bench.report.run_content import damage_of
+    from gyrobench.bench.runs.folder import RunFolder
+
+    print_unfinished(tables, on_stderr)
+    for text in [text for path in tables for text in damage_of(RunFolder(path)).values()]:
+        console(on_stderr).print(text, soft_wrap=True, style="bold red")

@@ -95,6 +95,16 @@ def test_a_search_of_an_unfinished_run_as_json_states_on_standard_error_how_to_r
     assert f"Resume it with: gyrobench resume {run.path}" in done.stderr
 
 
+def test_a_search_states_that_the_dwell_table_was_edited_since_it_was_sealed(sample, tmp_path):
+    run = RunFolder(tmp_path / "run")
+    shutil.copytree(sample, run.path)
+    assert "has changed" not in gyrobench("close", run.path, cwd=tmp_path).stdout
+    run.dwells.write_text(run.dwells.read_text().replace("z_up", "z_down", 1))
+    text = gyrobench("close", run.path, cwd=tmp_path).stdout
+    advice = f"Write it again with `gyrobench bins {run.path}`."
+    assert f"{run.dwells}: has changed since it was sealed. {advice}" in text
+
+
 def test_who_prepares_it_stays_when_it_is_written_again(run, tmp_path):
     run.provenance.write_text('{"gyrobench": "0.1.0"}')
     gyrobench("report", run.path, "--by", "A. Smith", cwd=tmp_path)
