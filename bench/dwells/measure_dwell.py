@@ -145,7 +145,7 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
         if fault := turn_fault(dwell, setup, noise):
             flags.append(fault)
         faults = setup.output_faults(dwell.windows, noise)
-        evidence = None if flags else setup.evidence(dwell, noise, faults)
+        evidence = None if flags else setup.evidence(dwell, noise, faults, navigation.latitude)
         raise_setup_fault(evidence)
         paper = _paper_estimate(dwell, setup.site, noise)
         estimated = estimate_dwell(dwell, setup, noise, faults)
@@ -377,7 +377,7 @@ def measure_check_dwell(marks: DwellMarks, frames: FrameBlock, setup: Measuremen
         navigation = _navigation(dwell, setup)
         faults = setup.output_faults(dwell.windows, navigation.noise)
         if not flags:
-            raise_setup_fault(setup.evidence(dwell, navigation.noise, faults))
+            raise_setup_fault(setup.evidence(dwell, navigation.noise, faults, data.latitude))
         flags += [fault.text for fault in faults]
         (window,) = navigation.dwell.windows
         fit = navigation_fit(window, setup.site, navigation.noise, setup.prior)

@@ -73,12 +73,16 @@ class MeasurementSetup:
         return output_faults(windows, noise, self.site.gravity, *self._resolutions)
 
     def evidence(
-        self, dwell: Dwell, noise: NoiseModel, faults: Sequence[OutputFault]
+        self, dwell: Dwell, noise: NoiseModel, faults: Sequence[OutputFault], sent_latitude: float
     ) -> SetupEvidence | None:
-        """Evidence of a dwell on scale and latitude; None if faults of the output hide it."""
+        """Evidence of a dwell on scale and latitude; None if faults of the output hide it.
+
+        ``sent_latitude``: latitude by the INS, rad; NaN if it sends none.
+        """
         if any(not fault.may_be_noise for fault in faults):
             return None
-        return setup_evidence(dwell, self.site, noise, self.prior, self.heading_lsb_rad)
+        is_latitude_sent = math.isfinite(sent_latitude)
+        return setup_evidence(dwell, self.site, noise, self.prior, self.heading_lsb_rad, is_latitude_sent)
 
     @property
     def budget_inputs(self) -> BudgetInputs:

@@ -84,16 +84,24 @@ class SetupEvidence:
 
 
 def setup_evidence(
-    dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge, heading_step_rad: float
+    dwell: Dwell,
+    site: Site,
+    noise: NoiseModel,
+    prior: PriorKnowledge,
+    heading_step_rad: float,
+    is_latitude_sent: bool,
 ) -> SetupEvidence | None:
     """Evidence of a dwell without jumps of the output; None if it has none.
 
-    ``heading_step_rad``: resolution of the attitude.
+    ``heading_step_rad``: resolution of the attitude. ``is_latitude_sent``: whether the INS sends its
+    latitude, which is compared with the station's; then only the opposite one is tried.
     """
     velocities = velocity_regression(dwell, site, noise, prior, heading_step_rad)
     if velocities is None:
         return None
-    return SetupEvidence(velocities, site.latitude, *_latitude_gains(dwell, site, noise, prior))
+    return SetupEvidence(
+        velocities, site.latitude, *_latitude_gains(dwell, site, noise, prior, is_latitude_sent)
+    )
 
 
 def setup_fault(dwells: Sequence[SetupEvidence]) -> str:
@@ -271,27 +279,29 @@ def _latitude_fault(dwells: Sequence[SetupEvidence]) -> str:
 
 
 def _latitude_gains(
-    dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge
+    dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge, is_latitude_sent: bool
 ) -> tuple[float, FloatArray]:
     """Reduction of chi2 at the opposite latitude, and at others (7,); 0 if neither explains the data.
 
     A bias step fits neither latitude, but may reduce chi2 at the opposite one.
     """
+    no_gains = np.zeros(len(_LATITUDES))
     try:
         windows = tuple(
             each.thinned(max(EPOCH_S, each.duration_s / _LATITUDE_EPOCHS)) for each in dwell.windows
         )
     except MeasurementError:
-        return 0.0, np.zeros(len(_LATITUDES))
+        return 0.0, no_gains
     thinned, opposite = replace(dwell, windows=windows), replace(site, latitude=-site.latitude)
-    sites = [opposite, *(replace(site, latitude=float(each)) for each in _LATITUDES)]
+    latitudes = [] if is_latitude_sent else _LATITUDES.tolist()
+    sites = [opposite, *(replace(site, latitude=each) for each in latitudes)]
     chi2 = dwell_chi2(thinned, site, noise, prior)
     others = np.array([dwell_chi2(thinned, each, noise, prior) for each in sites])
     limit = _MAX_CHI2_PER_DATUM * 3 * sum(len(each.time_s) for each in windows)
     gain, *gains = np.where(np.minimum(chi2, others) > limit, 0.0, chi2 - others)
     if gain > 0.0 and _has_step(dwell, opposite, noise, prior):
         gain = 0.0
-    return float(gain), np.array(gains)
+    return float(gain), no_gains if is_latitude_sent else np.array(gains)
 
 
 def _has_step(dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge) -> bool:

@@ -250,7 +250,7 @@ def test_accelerometers_that_follow_the_temperature_pass_for_no_wrong_scale_and_
     known = PriorKnowledge.from_datasheet(accelerometer_slope_ug_per_c=declared_ug_per_k)
     unknown = replace(dwell, windows=tuple(replace(each, accelerometer_c=None) for each in dwell.windows))
     with_temperatures, without = (
-        setup_evidence(each, site(), noise, known, 0.0) for each in (dwell, unknown)
+        setup_evidence(each, site(), noise, known, 0.0, is_latitude_sent=True) for each in (dwell, unknown)
     )
     assert setup_fault([with_temperatures]) == drift_fault(with_temperatures.velocities) == ""
     assert "accelerometer drifts by 1" in drift_fault(without.velocities)
