@@ -392,8 +392,8 @@ def deliver(receiver: Receiver, message: Message) -> str:
     """
     try:
         secret = read_secret(receiver)
-    except DocumentError as error:  # the secret may be provided later
-        raise UndeliveredError(str(error), is_final=False) from error
+    except DocumentError as error:  # a file may be provided later
+        raise UndeliveredError(str(error), is_final=receiver.secret_env is not None) from error
     try:
         answer = _within_time_limit(lambda: _SEND[receiver.kind](receiver, secret, message))
     except UndeliveredError as error:

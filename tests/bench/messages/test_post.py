@@ -68,11 +68,16 @@ def test_a_secret_goes_where_the_address_wants_it_and_is_never_shown(serve, rece
     assert "s3cret" not in str(caught.value)
 
 
-def test_a_missing_secret_is_reported_and_may_be_there_later(receiver, tmp_path):
-    hook = receiver(kind="webhook", address="https://127.0.0.1/", secret_file=str(tmp_path / "token"))
-    with pytest.raises(UndeliveredError, match="token") as caught:
+@pytest.mark.parametrize(("key", "is_final"), [("secret_file", False), ("secret_env", True)])
+def test_a_missing_secret_is_reported_and_that_of_a_file_may_be_there_later(
+    receiver, tmp_path, monkeypatch, key, is_final
+):
+    monkeypatch.delenv("BENCH_TOKEN", raising=False)
+    source = {"secret_file": str(tmp_path / "BENCH_TOKEN"), "secret_env": "BENCH_TOKEN"}[key]
+    hook = receiver(kind="webhook", address="https://127.0.0.1/", **{key: source})
+    with pytest.raises(UndeliveredError, match="BENCH_TOKEN") as caught:
         deliver(hook, ENDS)
-    assert not caught.value.is_final
+    assert caught.value.is_final == is_final
 
 
 @pytest.mark.parametrize(
