@@ -58,6 +58,7 @@ _MIN_CHI2_GAIN, _MAX_CHI2_PER_DATUM = 30.0, 1.5
 #: this, and by more in fewer.
 _LATITUDES = np.radians([-60.0, -40.0, -20.0, 0.0, 20.0, 40.0, 60.0])
 _MIN_NEARER_GAIN, _MIN_NEARER_DWELLS = 60.0, 6
+_NO_GAINS = np.zeros(len(_LATITUDES))
 #: Largest difference of the latitudes of INS and station, rad: more than an INS drifts on the bench.
 _MAX_LATITUDE_DIFFERENCE = math.radians(0.05)
 _VELOCITIES = ("ins.signals.velocity_east", "ins.signals.velocity_north")
@@ -285,13 +286,12 @@ def _latitude_gains(
 
     A bias step fits neither latitude, but may reduce chi2 at the opposite one.
     """
-    no_gains = np.zeros(len(_LATITUDES))
     try:
         windows = tuple(
             each.thinned(max(EPOCH_S, each.duration_s / _LATITUDE_EPOCHS)) for each in dwell.windows
         )
     except MeasurementError:
-        return 0.0, no_gains
+        return 0.0, _NO_GAINS
     thinned, opposite = replace(dwell, windows=windows), replace(site, latitude=-site.latitude)
     latitudes = [] if is_latitude_sent else _LATITUDES.tolist()
     sites = [opposite, *(replace(site, latitude=each) for each in latitudes)]
@@ -301,7 +301,7 @@ def _latitude_gains(
     gain, *gains = np.where(np.minimum(chi2, others) > limit, 0.0, chi2 - others)
     if gain > 0.0 and _has_step(dwell, opposite, noise, prior):
         gain = 0.0
-    return float(gain), no_gains if is_latitude_sent else np.array(gains)
+    return float(gain), _NO_GAINS if is_latitude_sent else np.array(gains)
 
 
 def _has_step(dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge) -> bool:
