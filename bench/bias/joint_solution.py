@@ -57,10 +57,6 @@ _MIN_P_VALUE = 1e-3
 _MIN_GYRO_ERROR_P_VALUE, _FACTOR_ROUNDS = 1e-6, 50
 
 
-#: Rows and data of a dwell whose turns are not compared with the table.
-NO_TURN_ANGLES: tuple[FloatArray, FloatArray] = (np.zeros((0, 9)), np.zeros(0))
-
-
 @dataclass(frozen=True, eq=False, slots=True)
 class JointInformation:
     """Information of one dwell on the joint problem."""
@@ -83,7 +79,7 @@ class JointInformation:
         information: DwellInformation,
         position: Position,
         prior: PriorKnowledge,
-        turn_angles: tuple[FloatArray, FloatArray] = NO_TURN_ANGLES,
+        turn_angles: tuple[FloatArray, FloatArray],
     ) -> JointInformation:
         """Eliminate parameters of a single dwell: slopes, initial errors, headings, steps in the turns.
 

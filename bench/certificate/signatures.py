@@ -96,8 +96,10 @@ def load_signing_key(source: str) -> SigningKey:
     return key
 
 
-def _validity_problem(certificate: Certificate, moment: datetime) -> str:
-    """Statement that a certificate is not valid at a time; empty if it is."""
+def _validity_problem(certificate: Certificate, moment: datetime | None) -> str:
+    """Statement that a certificate is not valid at a time of signing, or that this is unknown; else empty."""
+    if moment is None:
+        return "it has no time of signing"
     begin, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
     if begin <= moment <= end:
         return ""
@@ -301,9 +303,7 @@ def _verify_xml(content: bytes, path: Path) -> tuple[Certificate, str]:
     if root.tag not in signed:
         return certificate, "the signature does not cover the whole document"
     signed_at = parse_utc(signature.findtext(".//{*}SigningTime"))
-    return certificate, _validity_problem(
-        certificate, signed_at
-    ) if signed_at else "it has no time of signing"
+    return certificate, _validity_problem(certificate, signed_at)
 
 
 def _verify_pdf(content: bytes, path: Path) -> tuple[Certificate, str]:
@@ -326,9 +326,7 @@ def _verify_pdf(content: bytes, path: Path) -> tuple[Certificate, str]:
     if not is_whole:
         return certificate, "the signature does not cover the whole file"
     signed_at = last.self_reported_timestamp
-    return certificate, _validity_problem(
-        certificate, signed_at
-    ) if signed_at else "it has no time of signing"
+    return certificate, _validity_problem(certificate, signed_at)
 
 
 def _is_trusted(certificate: Certificate, roots: Sequence[Certificate]) -> bool:

@@ -106,7 +106,7 @@ class FolderAccess:
             task, done = self._tasks.get()
             try:
                 task()
-            except Exception as error:  # noqa: BLE001 - the guard goes on without it
+            except Exception as error:  # noqa: BLE001 - the guard continues without it
                 print(f"guard: unexpected {type(error).__name__}: {error}", file=sys.stderr)  # noqa: T201
             done.set()
 

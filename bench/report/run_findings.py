@@ -299,7 +299,13 @@ def joint_solution_sentences(plateaus: Sequence[JointPlateauRow]) -> dict[str, s
                 "and pier do not turn slowly; a bias that follows gravity equally in all gyros looks the "
                 "same."
             )
-    factor = max((each.gyro_error_factor for each in plateaus if each.gyro_error_factor > 1.0), default=1.0)
+    factor, ratio = (  # columns that older tables lack are NaN
+        max((value for value in values if value > 1.0), default=1.0)
+        for values in (
+            [each.gyro_error_factor for each in plateaus],
+            [each.scale_factor_ratio for each in plateaus],
+        )
+    )
     if factor > 1.0:
         sentences["Misaligned gyros."] = (
             "The misalignments or scale factors of the gyros are larger than declared, by the half turns of "
@@ -307,11 +313,10 @@ def joint_solution_sentences(plateaus: Sequence[JointPlateauRow]) -> dict[str, s
             "gyro_misalignment_arcsec and gyro_scale_factor_ppm of ins.uncertainty by it, or calibrate the "
             "gyros by rotations."
         )
-    ratio = max((each.scale_factor_ratio for each in plateaus if each.scale_factor_ratio > 1.0), default=1.0)
     if ratio > 1.0:
         sentences["Scale factors of the gyros."] = (
             "The INS turned by other angles than the table: scale factors of the gyros are about "
-            f"{max(factor, 1.0) * ratio:.2g} times the declared ones, or the table's angles are wrong. The "
+            f"{factor * ratio:.2g} times the declared ones, or the table's angles are wrong. The "
             "uncertainties allow for that. Check the table against a polygon, and multiply "
             "gyro_scale_factor_ppm of ins.uncertainty by that number, or calibrate the gyros by rotations."
         )

@@ -17,6 +17,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from gyrobench.bench import __version__
@@ -161,27 +162,34 @@ def seal_run(folder: RunFolder, key: Path | None = None, *, accept_changes: bool
     ``accept_changes``; or if a file can't be read or written. Raises DocumentError if the key can't be used.
     """
     for unit in folder.unit_folders:
-        _seal_folder(unit, key, accept_changes)
-    written = _seal_folder(folder, key, accept_changes)
+        _seal_folder(unit, key, accept_changes, edited=edited_tables(unit))
+    written = _seal_folder(folder, key, accept_changes, edited=edited_tables(folder))
     return _read_seal(written, None) if written else None
 
 
 def _seal_folder(
-    folder: RunFolder, key: Path | None, accept_changes: bool, known: Mapping[str, str] | None = None
+    folder: RunFolder,
+    key: Path | None,
+    accept_changes: bool,
+    known: Mapping[str, str] = MappingProxyType({}),
+    edited: Sequence[str] = (),
 ) -> Path | None:
-    """Path of the new seal; None if nothing changed. ``known``: hashes by path, if tables were checked."""
+    """Path of the new seal; None if nothing has changed.
+
+    ``known``: hashes of some files, by path. ``edited``: tables that count as changed like measured data.
+    """
     seals = _read_seals(folder.path)
     last = seals[-1] if seals else None
     sealed = last.files if last else {}
     files = {
-        path: SealedFile(file.stat().st_size, (known or {}).get(path) or file_sha256(file))
+        path: SealedFile(file.stat().st_size, known.get(path) or file_sha256(file))
         for path in _paths_to_seal(folder.path)
         for file in [folder.path / path]
     }
     changes = _changes(folder.path, sealed, files)
     if last and not changes:
         return None
-    changed = [*changes.evidence, *(edited_tables(folder) if known is None else ())]
+    changed = [*changes.evidence, *edited]
     if last and changed and not accept_changes:
         raise RunFolderError(
             f"{folder.path}: {listed(changed)} changed since seal {last.number}. Restore them, tables by "
@@ -238,7 +246,7 @@ def _differs(path: Path, sealed: SealedFile) -> bool:
 
 
 def update_seal(
-    folder: RunFolder, hashes: Mapping[str, str] | None = None, are_tables_new: bool = False
+    folder: RunFolder, hashes: Mapping[str, str] = MappingProxyType({}), are_tables_new: bool = False
 ) -> None:
     """Seal a run that has ended, or what was added to it; without a signature if the key can't be used.
 
@@ -253,7 +261,7 @@ def update_seal(
         return  # damaged: a seal would confirm the damage
     is_due = (folder.path / _SEALS).exists() or is_linked(folder.journal)
     if ended and is_due and (are_tables_new or not edited_tables(folder)):
-        _seal_folder(folder, None, accept_changes=False, known=hashes or {})
+        _seal_folder(folder, None, accept_changes=False, known=hashes)
 
 
 def require_sealed_inputs(folder: RunFolder) -> None:

@@ -107,9 +107,10 @@ def is_vertical(positions: tuple[str, ...] = ALL) -> BoolArray:
 
 def joint_solution_of(dwells: Sequence[JointDwell], prior: PriorKnowledge) -> JointSolution:
     """The joint solution of dwells that have all their information."""
+    no_turns = np.zeros((0, 9)), np.zeros(0)
     return solve_jointly(
         [
-            replace(each, information=JointInformation.of(each.information, each.position, prior))
+            replace(each, information=JointInformation.of(each.information, each.position, prior, no_turns))
             for each in dwells
         ],
         prior,
