@@ -3,7 +3,8 @@
     python -m tests.benchmarks.profile_run [six_position_fig7] [--lines 20]
 
 A timer of processor time interrupts the run up to 1000 times a second. A sample belongs to the innermost
-function of a module in PARTS, together with all that this function calls: numpy, matplotlib, compiled steps.
+function of a module in PARTS, together with all that this function calls: numpy, matplotlib, compiled steps,
+files and tables.
 With ``--lines``, the functions with the most samples follow.
 """
 
@@ -28,6 +29,8 @@ PARTS = {
     "serial": ("drivers/",),
     "engine": ("bench/",),
 }
+#: Modules that work for the part that calls them.
+CALLED = "bench/foundations/"
 #: Work at the end of a run uses the modules of other parts.
 OUTERMOST = "results and figures"
 
@@ -39,7 +42,7 @@ def part_of(frame):
         _, _, module = frame.f_code.co_filename.rpartition("/gyrobench/")
         part = (
             next((part for part, paths in PARTS.items() if module.startswith(paths)), None)
-            if module
+            if module and not module.startswith(CALLED)
             else None
         )
         if part == OUTERMOST:
