@@ -115,6 +115,11 @@ class _UniformTicks(Axis):
     """Axis whose ticks are copies of the first one with separate labels; all tick lines are drawn at once."""
 
     axis_name: str
+    _drawn_ticks: list[Tick] | None = None  # while it is drawn; spine and label would ask for them again
+
+    def _update_ticks(self) -> list[Tick]:
+        ticks: list[Tick] = self._drawn_ticks or super()._update_ticks()  # type: ignore[misc]
+        return ticks
 
     def _get_tick(self, major: bool) -> Tick:
         existing_ticks = vars(self).get("majorTicks" if major else "minorTicks")
@@ -136,7 +141,7 @@ class _UniformTicks(Axis):
     def draw(self, renderer: Any) -> None:
         if not self.get_visible():
             return
-        ticks = self._update_ticks()  # type: ignore[attr-defined]
+        self._drawn_ticks = ticks = self._update_ticks()
         for tick_group in (self.majorTicks, self.minorTicks):
             if locations := [tick.get_loc() for tick in ticks if tick in tick_group]:
                 template = tick_group[0]
@@ -151,11 +156,14 @@ class _UniformTicks(Axis):
         for tick in ticks:
             tick.label1.draw(renderer)
             tick.label2.draw(renderer)
-        self._update_label_position(renderer)  # type: ignore[attr-defined]
-        self.label.draw(renderer)
-        self._update_offset_text_position(*self._get_tick_boxes_siblings(renderer))  # type: ignore[attr-defined]
-        self.offsetText.set_text(self.get_major_formatter().get_offset())
-        self.offsetText.draw(renderer)
+        if self.label.get_text():
+            self._update_label_position(renderer)  # type: ignore[attr-defined]
+            self.label.draw(renderer)
+        if offset := self.get_major_formatter().get_offset():
+            self._update_offset_text_position(*self._get_tick_boxes_siblings(renderer))  # type: ignore[attr-defined]
+            self.offsetText.set_text(offset)
+            self.offsetText.draw(renderer)
+        self._drawn_ticks = None
 
 
 class _QuickXAxis(_UniformTicks, XAxis):
