@@ -171,7 +171,7 @@ def empty_figure(folder, figure, *_):
 @pytest.fixture(scope="session", autouse=True)
 def lock_folder_of_this_worker(tmp_path_factory):
     """Locks of the tests stay among those of one worker."""
-    from gyrobench.bench.station.locks import LOCK_DIR_VARIABLE
+    from gyrobench.bench.runs.locks import LOCK_DIR_VARIABLE
 
     with pytest.MonkeyPatch.context() as environment:
         environment.setenv(LOCK_DIR_VARIABLE, str(tmp_path_factory.mktemp("locks")))

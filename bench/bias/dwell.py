@@ -1,9 +1,10 @@
-"""One dwell as the input of an estimator, and the estimated bias."""
+"""One dwell: its purpose, its output as the input of an estimator, and the estimated bias."""
 
 from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
@@ -26,6 +27,20 @@ MAX_ATTITUDE_DISAGREEMENT = np.deg2rad(5.0)
 _RIGHT_ANGLE_TOLERANCE = np.deg2rad(2.0)
 #: Largest change of the attitude of the INS within a window, rad: 3 deg/h for 10 min.
 _MAX_MOVEMENT = np.deg2rad(0.5)
+
+
+class DwellPurpose(StrEnum):
+    """Purpose of a dwell."""
+
+    CALIBRATION = "calibration"
+    CALIBRATION_CHECK = "calibration_check"  #: One navigation straight from the alignment.
+    ROTATIONS = "rotations"  #: Rotations about the table's axes.
+    NOISE = "noise"  #: One long navigation for the gyros' noise.
+
+    @property
+    def gives_bias(self) -> bool:
+        """Whether the dwell measures gyro biases by itself."""
+        return self in (DwellPurpose.CALIBRATION, DwellPurpose.CALIBRATION_CHECK)
 
 
 def interval_indices(time_s: FloatArray, first_s: float, interval_s: float) -> IntArray:

@@ -32,8 +32,11 @@ from gyrobench.bench.foundations.arrays import (
     BoolArray,
     FloatArray,
 )
+from gyrobench.bench.foundations.text import format_number
 from gyrobench.bench.navigation.positions import AXES
 
+#: Word in tables for a coefficient that the measurement does not determine.
+NOT_OBSERVABLE = "not observable"
 #: Elements of the accelerometers' matrix that are free, by rows.
 LOWER = np.tril_indices(3)
 
@@ -256,3 +259,8 @@ def _gyro_frame_vector(values: FloatArray) -> FloatArray:
             converted.force_matrix.ravel(),
         ]
     )
+
+
+def correlation_cells(values: FloatArray) -> list[str]:
+    """Cells of correlation coefficients (n,); empty for NaN."""
+    return [format_number(round(float(value), 4)) if np.isfinite(value) else "" for value in values]

@@ -10,24 +10,22 @@ from typing import Any
 
 import numpy as np
 
-from gyrobench.bench.calibration.coefficients import COEFFICIENTS, CoefficientEstimate, SensorCoefficient
+from gyrobench.bench.calibration.coefficients import (
+    COEFFICIENTS,
+    NOT_OBSERVABLE,
+    CoefficientEstimate,
+    SensorCoefficient,
+    correlation_cells,
+)
 from gyrobench.bench.calibration.estimator import Calibration
 from gyrobench.bench.calibration.rotation_list import ExpectedUncertainties
 from gyrobench.bench.calibration.spins import SpinScaleFactor
-from gyrobench.bench.foundations.arrays import (
-    DEG_PER_SQRT_H_TO_SI,
-    RADPS_TO_DPH,
-    UG_PER_SQRT_HZ_TO_SI,
-    FloatArray,
-)
+from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, RADPS_TO_DPH, UG_PER_SQRT_HZ_TO_SI
 from gyrobench.bench.foundations.csv_tables import format_rows, write_text
 from gyrobench.bench.foundations.files import make_folder, remove
-from gyrobench.bench.foundations.text import format_number
 from gyrobench.bench.navigation.earth import earth_rate_enu
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES
-
-NOT_OBSERVABLE = "not observable"
 
 #: Scale factors of three sensors are common if their mean exceeds this, ppm, and they differ by less than
 #: this share of it.
@@ -196,8 +194,3 @@ def _correlations_table(estimate: CoefficientEstimate) -> str:
         ",".join([name, *correlation_cells(row)]) for name, row in zip(names, correlations, strict=True)
     ]
     return "\n".join(lines) + "\n"
-
-
-def correlation_cells(values: FloatArray) -> list[str]:
-    """Cells of correlation coefficients (n,); empty for NaN."""
-    return [format_number(round(float(value), 4)) if np.isfinite(value) else "" for value in values]

@@ -23,9 +23,9 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
     from gyrobench.bench.foundations.clock import WallClock
     from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.runs.folder import open_run_folder
+    from gyrobench.bench.runs.locks import RunLock
     from gyrobench.bench.runs.tables.budget_table import budget_records, read_budget
     from gyrobench.bench.runs.tables.calibration_check_table import read_calibration_check
-    from gyrobench.bench.station.locks import RunLock
 
     # A run in progress writes the same files.
     with RunLock(open_run_folder(run_folder).run.path, WallClock()):

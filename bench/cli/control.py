@@ -35,8 +35,8 @@ def control(
     from gyrobench.bench.foundations.clock import WallClock
     from gyrobench.bench.foundations.operator_name import operator_name
     from gyrobench.bench.runs.folder import RunFolder
+    from gyrobench.bench.runs.locks import holder_of, is_held_by
     from gyrobench.bench.runs.provenance import run_options
-    from gyrobench.bench.station.locks import holder_of, is_held_by
 
     if not run_folder.is_dir():
         raise MissingRunError(f"{run_folder}: no such folder. Give the folder of the run in progress")

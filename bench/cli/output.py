@@ -145,7 +145,7 @@ def print_tables(console: Console, folder: RunFolder) -> None:
 def print_unfinished(paths: Iterable[Path], on_stderr: bool = False) -> None:
     """Print which of the paths are unfinished runs, and how to resume them."""
     from gyrobench.bench.runs.folder import RunFolder
-    from gyrobench.bench.station.locks import holder_of
+    from gyrobench.bench.runs.locks import holder_of
 
     for folder in filter(lambda each: each.is_unfinished, map(RunFolder, paths)):
         is_held = holder_of(folder.run.path) is not None

@@ -58,7 +58,7 @@ def resume(
     from gyrobench.bench.engine.run import resume_run
     from gyrobench.bench.foundations.errors import RunFinishedError
     from gyrobench.bench.monitor.terminal_view import observe_in_terminal
-    from gyrobench.bench.station.locks import require_no_holder
+    from gyrobench.bench.runs.locks import require_no_holder
 
     terminal = console(as_json, of_run=True)
     require_no_holder(run_folder)

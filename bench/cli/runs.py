@@ -85,7 +85,7 @@ def _list(
     from gyrobench.bench.runs.folder import RunFolder
     from gyrobench.bench.runs.index.run_index import find_runs
     from gyrobench.bench.runs.index.tables import NOT_ENDED
-    from gyrobench.bench.station.locks import holder_of
+    from gyrobench.bench.runs.locks import holder_of
 
     matches = find_runs(index, selection)
     for run in matches:

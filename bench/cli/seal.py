@@ -52,7 +52,7 @@ def seal(
     from gyrobench.bench.foundations.clock import WallClock
     from gyrobench.bench.runs import seal as seals
     from gyrobench.bench.runs.folder import open_run_folder
-    from gyrobench.bench.station.locks import RunLock
+    from gyrobench.bench.runs.locks import RunLock
 
     terminal = console(as_json)
     if new_key is not None:

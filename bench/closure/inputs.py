@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow, read_dwells
 from gyrobench.bench.closure.campaign import Campaign, Table, campaign_of
 from gyrobench.bench.closure.quantity import GYRO_BIAS, Quantity
@@ -18,7 +19,6 @@ from gyrobench.bench.closure.temperature_record import TemperatureRecord
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
-from gyrobench.bench.procedure.plan import DwellPurpose
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.runs.marks import purpose_of

@@ -11,6 +11,7 @@ from types import MappingProxyType
 import numpy as np
 
 from gyrobench.bench.bias.acceptance import judge
+from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.verdicts import JudgedQuantity, Judgement
 from gyrobench.bench.closure.campaign import Campaign
@@ -20,7 +21,7 @@ from gyrobench.bench.foundations.arrays import S_PER_H, FloatArray, triple
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import counted
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.bench.procedure.plan import DwellPurpose, Plan, PlannedStep
+from gyrobench.bench.procedure.plan import Plan, PlannedStep
 from gyrobench.bench.procedure.steps import Navigate, PowerOn
 
 _STEPS_A_LAG = 20

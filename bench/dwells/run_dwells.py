@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from gyrobench.bench.bias.damping import Damping
+from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.characteristics.allan_test import RateRecord
 from gyrobench.bench.dwells.dwell_output import ALIGNED_AGAIN
 from gyrobench.bench.dwells.measure_dwell import CheckDwell, MeasuredDwell, measure_check_dwell, measure_dwell
@@ -23,7 +24,6 @@ from gyrobench.bench.dwells.rotated_dwell import increments_from_navigation
 from gyrobench.bench.dwells.setup_check import setup_fault
 from gyrobench.bench.dwells.temperatures import stuck_sensors
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.procedure.plan import DwellPurpose
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal

@@ -13,6 +13,7 @@ import numpy as np
 from gyrobench.bench.bias.acceptance import judge
 from gyrobench.bench.bias.bins import BiasBin, bin_biases, write_bins
 from gyrobench.bench.bias.budget import BiasBudget, BudgetedDwell, bin_budgets, dwell_budgets, with_budgets
+from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells, write_dwells
 from gyrobench.bench.bias.error_sources import SOURCES
 from gyrobench.bench.bias.error_split import ErrorPart, shared_errors, split_errors
@@ -38,7 +39,7 @@ from gyrobench.bench.dwells.run_dwells import (
 from gyrobench.bench.dwells.run_rotations import RunRotations, spin_record
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.files import remove
-from gyrobench.bench.procedure.plan import DwellPurpose, Plan, PlannedStep
+from gyrobench.bench.procedure.plan import Plan, PlannedStep
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.runs.seal import update_seal

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
+from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.navigation.table_axes import Angles
-from gyrobench.bench.procedure.plan import DwellPurpose, PlannedStep
+from gyrobench.bench.procedure.plan import PlannedStep
 from gyrobench.bench.station.safe_state import SafeAction, SafePart
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.chamber import ChamberReading

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.dwells.earlier_calibration import read_calibration
 from gyrobench.bench.foundations.clock import WallClock
@@ -14,7 +15,7 @@ from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.checks import find_problems
-from gyrobench.bench.procedure.plan import DwellPurpose, Plan, expand
+from gyrobench.bench.procedure.plan import Plan, expand
 from gyrobench.bench.procedure.procedure_file import Procedure, load_procedure
 from gyrobench.bench.runs.compensation_file import read_compensation
 from gyrobench.bench.runs.folder import RunFolder

@@ -7,6 +7,7 @@ from dataclasses import asdict
 import numpy as np
 
 from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
+from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.dwells.live_estimate import LiveEstimate
 from gyrobench.bench.dwells.measure_dwell import MeasuredDwell, measure_check_dwell, measure_dwell
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
@@ -18,7 +19,6 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import SignalMapError
 from gyrobench.bench.foundations.text import flag_text
 from gyrobench.bench.navigation.table_axes import Angles
-from gyrobench.bench.procedure.plan import DwellPurpose
 from gyrobench.bench.procedure.rotation_steps import counted_moves
 from gyrobench.bench.runs.marks import DwellMarks, WindowMark
 from gyrobench.drivers.frames import FrameBlock, concatenate

@@ -22,11 +22,12 @@ from gyrobench.bench.procedure.approach import index_after_dwell
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.runs.folder import UNITS_FOLDER, RunFolder, open_run_folder
 from gyrobench.bench.runs.journal import MAX_RUN_S
+from gyrobench.bench.runs.locks import RunLock
 from gyrobench.bench.runs.provenance import identities_in, start_from_journal, started_utc
 from gyrobench.bench.runs.seal import require_sealed_inputs
 from gyrobench.bench.runs.telemetry import last_reading_s
+from gyrobench.bench.station.bench_lock import BenchLock
 from gyrobench.bench.station.instruments import Outputs
-from gyrobench.bench.station.locks import BenchLock, RunLock
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.chamber import running_profile
 

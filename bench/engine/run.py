@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
+from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.bias.dwell_table import write_dwells
 from gyrobench.bench.dwells.live_estimate import compile_estimator
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup, measurement_setup
@@ -32,16 +33,16 @@ from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.guard.process import guard_for
 from gyrobench.bench.messages.delivery import missing_secrets
 from gyrobench.bench.messages.messenger import PATIENCE_S, Messenger
-from gyrobench.bench.procedure.plan import DwellPurpose
 from gyrobench.bench.runs.can_log import CanLog
 from gyrobench.bench.runs.compensation_file import write_compensation
 from gyrobench.bench.runs.folder import RUNS, RunFolder, create_run_folder
 from gyrobench.bench.runs.journal import Journal, facts_of, read_journal
+from gyrobench.bench.runs.locks import RunLock
 from gyrobench.bench.runs.provenance import add_identity, identities_in, update_input_hashes, write_provenance
 from gyrobench.bench.runs.seal import KEY_VARIABLE, require_usable_key
 from gyrobench.bench.runs.telemetry import Telemetry
+from gyrobench.bench.station.bench_lock import BenchLock
 from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE, Instruments
-from gyrobench.bench.station.locks import BenchLock, RunLock
 
 #: A guard that has just made the bench safe releases its lock within this time.
 _GUARD_TIME_S = 60.0

@@ -23,7 +23,7 @@ from gyrobench.bench.foundations.errors import (
 )
 from gyrobench.bench.foundations.files import defer_sync, make_folder, read_limited, write_whole
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
-from gyrobench.bench.station.locks import RunLock
+from gyrobench.bench.runs.locks import RunLock
 
 #: Matplotlib's style is global, so only one thread draws at a time.
 _DRAWING = threading.Lock()

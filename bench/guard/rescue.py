@@ -19,8 +19,8 @@ from gyrobench.bench.messages.messenger import Messenger
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal, facts_of, read_journal
 from gyrobench.bench.runs.provenance import identities_in
+from gyrobench.bench.station.bench_lock import GUARD_COMMAND, BenchLock, bench_holders
 from gyrobench.bench.station.instruments import Outputs
-from gyrobench.bench.station.locks import GUARD_COMMAND, BenchLock, bench_holders
 from gyrobench.bench.station.safe_state import RAMP_PERIOD_S, SafeAction, finish_ramp, make_safe
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.serial_line import share_ports

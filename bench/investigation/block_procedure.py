@@ -12,12 +12,13 @@ from typing import Any
 
 import yaml
 
+from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.foundations.documents import Document, parse_document
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.investigation.blocks import Block
 from gyrobench.bench.investigation.external_bench import AnyStep, BlockPlan, ChamberStep, DwellStep, PowerStep
 from gyrobench.bench.investigation.profile import Profile
-from gyrobench.bench.procedure.plan import DwellPurpose, Plan, PlannedStep
+from gyrobench.bench.procedure.plan import Plan, PlannedStep
 from gyrobench.bench.procedure.steps import GoTo, Navigate, PowerOn
 
 #: For shorter times off, the power-on step itself switches the unit off and on.

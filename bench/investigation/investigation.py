@@ -64,7 +64,7 @@ from gyrobench.bench.investigation.stages import (
 )
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal, read_journal
-from gyrobench.bench.station.locks import RunLock
+from gyrobench.bench.runs.locks import RunLock
 
 #: Files of a block: its plan after approval, and its dwells after they were checked.
 _PLAN, _DWELLS = "plan.json", "dwells.csv"

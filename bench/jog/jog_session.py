@@ -32,8 +32,8 @@ from gyrobench.bench.jog.terminal import (
     TypedLines,
 )
 from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.station.bench_lock import JOG_COMMAND, BenchLock
 from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE, Emulation, Instruments
-from gyrobench.bench.station.locks import JOG_COMMAND, BenchLock
 from gyrobench.bench.station.station import Station
 
 _PROMPT = "jog> "

@@ -12,6 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
 from gyrobench.bench.bias.verdicts import read_acceptance
 from gyrobench.bench.engine.resume import NO_END_RECORDED, resume_state_of
@@ -35,14 +36,14 @@ from gyrobench.bench.monitor.snapshot_recorder import (
     profile_of_telemetry,
     snapshot_dwells,
 )
-from gyrobench.bench.procedure.plan import DwellPurpose, Plan
+from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.report.journal_sections import Entry
 from gyrobench.bench.report.run_content import read_run
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.runs.journal import MAX_RUN_S, RunFacts, facts_of, read_journal
+from gyrobench.bench.runs.locks import holder_of
 from gyrobench.bench.runs.marks import purpose_of
-from gyrobench.bench.station.locks import holder_of
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.ins.readout import InsMode
 

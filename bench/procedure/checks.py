@@ -9,18 +9,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
+from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.foundations.documents import Document, DocumentProblem
 from gyrobench.bench.foundations.yaml_nodes import KeyPath
 from gyrobench.bench.navigation.positions import POSITIONS, half_turn_pairs
 from gyrobench.bench.navigation.table_axes import TurnOrMove, turn_text
-from gyrobench.bench.procedure.plan import (
-    SINGLE_NAVIGATION,
-    DwellPurpose,
-    Plan,
-    PlannedStep,
-    turn_steps_after,
-    turns_of,
-)
+from gyrobench.bench.procedure.plan import SINGLE_NAVIGATION, Plan, PlannedStep, turn_steps_after, turns_of
 from gyrobench.bench.procedure.rotation_steps import RotatingStep, Spin
 from gyrobench.bench.procedure.steps import (
     MIN_NAVIGATION_S,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
 
+from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.yaml_nodes import KeyPath
 from gyrobench.bench.navigation.table_axes import TurnOrMove
@@ -14,21 +14,6 @@ from gyrobench.bench.procedure.estimate import BenchEstimate
 from gyrobench.bench.procedure.procedure_file import Procedure, ResolvedStep, resolve
 from gyrobench.bench.procedure.rotation_steps import RotatingStep
 from gyrobench.bench.procedure.steps import Align, GoTo, Navigate, Step, Turn, Wait
-
-
-class DwellPurpose(StrEnum):
-    """Purpose of a dwell."""
-
-    CALIBRATION = "calibration"
-    CALIBRATION_CHECK = "calibration_check"  #: One navigation straight from the alignment.
-    ROTATIONS = "rotations"  #: Rotations about the table's axes.
-    NOISE = "noise"  #: One long navigation for the gyros' noise.
-
-    @property
-    def gives_bias(self) -> bool:
-        """Whether the dwell measures gyro biases by itself."""
-        return self in (DwellPurpose.CALIBRATION, DwellPurpose.CALIBRATION_CHECK)
-
 
 #: Purposes of dwells with one navigation.
 SINGLE_NAVIGATION = (DwellPurpose.CALIBRATION_CHECK, DwellPurpose.NOISE)

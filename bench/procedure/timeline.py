@@ -10,9 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.text import hours_minutes
-from gyrobench.bench.procedure.plan import DwellPurpose, Plan, PlannedStep
+from gyrobench.bench.procedure.plan import Plan, PlannedStep
 from gyrobench.bench.procedure.steps import Align, GoTo, Soak, span
 
 #: Name in place of a position while the table rotates.

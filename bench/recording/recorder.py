@@ -17,6 +17,7 @@ from gyrobench.bench.foundations.errors import ConnectionFailedError, DocumentEr
 from gyrobench.bench.foundations.files import make_folder, write_error, write_whole
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.recording.replay import CHAMBER_QUERIES, TABLE_QUERIES, call_driver
+from gyrobench.bench.station.bench_lock import BenchLock
 from gyrobench.bench.station.instrument_sections import DialectSection
 from gyrobench.bench.station.instruments import (
     CHAMBER,
@@ -27,7 +28,6 @@ from gyrobench.bench.station.instruments import (
     open_ins,
     open_table,
 )
-from gyrobench.bench.station.locks import BenchLock
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.chamber import Chamber
 from gyrobench.drivers.frames import FrameBlock

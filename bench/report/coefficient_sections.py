@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from functools import partial
 
-from gyrobench.bench.calibration.results import NOT_OBSERVABLE
+from gyrobench.bench.calibration.coefficients import NOT_OBSERVABLE
 from gyrobench.bench.foundations.text import counted, decimals_of
 from gyrobench.bench.report.figures.coefficients import COEFFICIENT_NAMES, coefficients_figure
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from gyrobench.bench.bias.bins import DEFAULT_WIDTH_C, BiasBin, bin_biases, read_bins, with_power_cycles
+from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells, read_packed_dwells
 from gyrobench.bench.bias.noise_estimate import NoiseEstimate
 from gyrobench.bench.bias.verdicts import Acceptance, read_acceptance
@@ -21,7 +22,6 @@ from gyrobench.bench.foundations.documents import read_document
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
 from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import hours_minutes, run_ending
-from gyrobench.bench.procedure.plan import DwellPurpose
 from gyrobench.bench.report.journal_sections import Entry, KindDuration, add_step_duration
 from gyrobench.bench.report.page import FINDINGS_FILE, Findings, read_findings_file
 from gyrobench.bench.runs.folder import DWELLS, JOURNAL, RunFolder

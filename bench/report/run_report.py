@@ -16,13 +16,13 @@ import numpy as np
 
 from gyrobench.bench import __version__
 from gyrobench.bench.bias.bins import BiasBin, compare_positions
+from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.verdicts import Acceptance
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import file_sha256, make_folder, write_whole
 from gyrobench.bench.foundations.text import counted, hours_minutes, listed
 from gyrobench.bench.navigation.positions import AXES
-from gyrobench.bench.procedure.plan import DwellPurpose
 from gyrobench.bench.report.bias_sections import (
     acceptance_section,
     before_after_section,

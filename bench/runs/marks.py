@@ -14,9 +14,9 @@ from typing import Any, ClassVar
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
+from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.bench.procedure.plan import DwellPurpose
 
 _CHECK_KEY = "is_verification"
 #: Purpose by its key in the journal. The first key is always present; for a calibration all are false.

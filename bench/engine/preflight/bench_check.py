@@ -24,9 +24,9 @@ from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.telemetry import TELEMETRY_COLUMNS
+from gyrobench.bench.station.bench_lock import BenchLock
 from gyrobench.bench.station.check_result import Check, CheckVerdict
 from gyrobench.bench.station.instruments import Emulation, Outputs, open_ins
-from gyrobench.bench.station.locks import BenchLock
 from gyrobench.bench.station.receivers import Receiver
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.ins.can_ins import CanIns

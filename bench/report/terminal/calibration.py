@@ -9,12 +9,11 @@ import numpy as np
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, NOT_OBSERVABLE
 from gyrobench.bench.calibration.estimator import Calibration, bias_per_asymmetry
 from gyrobench.bench.calibration.increment_recording import SensorNoise
 from gyrobench.bench.calibration.problem import UNEXPLAINED_P_VALUE
 from gyrobench.bench.calibration.results import (
-    NOT_OBSERVABLE,
     CoefficientRow,
     RestRate,
     coefficient_rows,

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gyrobench.bench.calibration.coefficients import COEFFICIENTS
-from gyrobench.bench.calibration.results import NOT_OBSERVABLE, correlation_cells
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS, NOT_OBSERVABLE, correlation_cells
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.csv_tables import (
     CsvTable,

@@ -22,7 +22,7 @@ import signal, sys
 from pathlib import Path
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.runs.journal import Journal
-from gyrobench.bench.station.locks import RunLock
+from gyrobench.bench.runs.locks import RunLock
 signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGUSR1])
 run = Path(sys.argv[1])
 with RunLock(run, WallClock()), Journal(run / "journal.jsonl", WallClock()) as journal:

@@ -10,7 +10,8 @@ import pytest
 from gyrobench.bench.foundations.clock import VirtualClock, WallClock
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.journal import Journal
-from gyrobench.bench.station.locks import LOCK_DIR_VARIABLE, BenchLock
+from gyrobench.bench.runs.locks import LOCK_DIR_VARIABLE
+from gyrobench.bench.station.bench_lock import BenchLock
 from gyrobench.bench.station.station import Station
 from tests.bench.command_line import PROCESS, gyrobench
 

@@ -11,7 +11,7 @@ from gyrobench.bench.cli.output import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, EXIT_
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
-from gyrobench.bench.station.locks import RunLock
+from gyrobench.bench.runs.locks import RunLock
 from tests.bench.command_line import gyrobench
 
 

@@ -7,7 +7,7 @@ import pytest
 from gyrobench.bench.cli.output import EXIT_WRONG_INPUT
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.station.locks import RunLock
+from gyrobench.bench.runs.locks import RunLock
 from tests.bench.command_line import gyrobench
 from tests.bench.runs.index.sample_runs import copy_run
 

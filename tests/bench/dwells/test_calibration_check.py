@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.dwells.calibration_check import calibration_check_rows
@@ -16,7 +17,6 @@ from gyrobench.bench.dwells.temperatures import DwellTemperatures
 from gyrobench.bench.navigation.attitude import rotation_matrix
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 from gyrobench.bench.navigation.table_axes import TwoAxisTable
-from gyrobench.bench.procedure.plan import DwellPurpose
 from gyrobench.bench.runs.marks import DwellMarks
 from gyrobench.drivers.ins.navigation_data import EpochCounts
 from tests.bench.bias.emulated_dwells import EAST, UP, emulate, noise_model, sensors, site

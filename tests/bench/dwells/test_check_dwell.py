@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.dwells.measure_dwell import measure_check_dwell
 from gyrobench.bench.dwells.measurement_setup import measurement_setup
-from gyrobench.bench.procedure.plan import DwellPurpose
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.runs.marks import DwellMarks

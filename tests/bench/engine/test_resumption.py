@@ -18,9 +18,9 @@ from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.errors import BenchInUseError, ConnectionFailedError, RunFolderError
 from gyrobench.bench.runs.folder import open_run_folder
 from gyrobench.bench.runs.journal import Journal, read_journal
+from gyrobench.bench.runs.locks import RunLock
 from gyrobench.bench.runs.provenance import read_provenance
 from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE, Emulation
-from gyrobench.bench.station.locks import RunLock
 from gyrobench.drivers.chamber.watlow_f4 import WatlowF4
 from gyrobench.drivers.ins.can_ins import CanIns
 from gyrobench.drivers.rate_table.acutrol3000 import Acutrol3000

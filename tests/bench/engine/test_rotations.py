@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
+from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.calibration.rotation_list import load_rotation_list
 from gyrobench.bench.dwells.measurement_setup import measurement_setup
@@ -22,7 +23,6 @@ from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.monitor.run_list import snapshot_from_records
 from gyrobench.bench.monitor.snapshot_recorder import SnapshotRecorder
 from gyrobench.bench.navigation.attitude import angle_between
-from gyrobench.bench.procedure.plan import DwellPurpose
 from gyrobench.bench.report.run_content import read_run
 from gyrobench.bench.runs.folder import open_run_folder
 from gyrobench.bench.runs.journal import read_journal

@@ -16,7 +16,7 @@ from gyrobench.bench.fleet.jobs import (
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.station.locks import RunLock
+from gyrobench.bench.runs.locks import RunLock
 from tests.bench.runs.index.sample_runs import copy_run
 
 

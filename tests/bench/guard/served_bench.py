@@ -10,8 +10,8 @@ import serial
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.guard.process import guard_for
+from gyrobench.bench.station.bench_lock import BenchLock
 from gyrobench.bench.station.instruments import Outputs
-from gyrobench.bench.station.locks import BenchLock
 from gyrobench.bench.station.station import Station
 from tests.drivers.emulators.forked import ForkedProcess, served
 from tests.drivers.emulators.quick_world import LIMIT_S, QUICK_WORLD

@@ -10,8 +10,8 @@ from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
 from gyrobench.bench.runs.provenance import write_provenance
+from gyrobench.bench.station.bench_lock import BenchLock
 from gyrobench.bench.station.instruments import Outputs
-from gyrobench.bench.station.locks import BenchLock
 from gyrobench.bench.station.safe_state import make_safe
 
 pytestmark = pytest.mark.wall_time

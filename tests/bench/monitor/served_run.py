@@ -9,7 +9,7 @@ from datetime import UTC, datetime, timedelta
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.monitor.server import MonitorServer
 from gyrobench.bench.monitor.website import Website
-from gyrobench.bench.station.locks import RunLock
+from gyrobench.bench.runs.locks import RunLock
 from tests.bench.monitor.sample_snapshots import made_up_snapshot
 
 NOW = datetime(2026, 3, 2, 16, 42, 1, tzinfo=UTC)

@@ -21,7 +21,7 @@ from gyrobench.bench.monitor.run_list import (
 from gyrobench.bench.monitor.snapshot import Question, RunSnapshot, RunState
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
-from gyrobench.bench.station.locks import RunLock
+from gyrobench.bench.runs.locks import RunLock
 from tests.bench.monitor.served_run import run_under_way, write_snapshot
 
 

@@ -3,9 +3,10 @@ from pathlib import Path
 
 import pytest
 
+from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.procedure.estimate import BenchEstimate, ThermalEstimate
-from gyrobench.bench.procedure.plan import DwellPurpose, Plan, expand, turn_steps_after, turns_after
+from gyrobench.bench.procedure.plan import Plan, expand, turn_steps_after, turns_after
 from gyrobench.bench.procedure.procedure_file import load_procedure
 
 PlanOf = Callable[[str], tuple[Document, Plan]]

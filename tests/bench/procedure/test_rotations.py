@@ -2,9 +2,9 @@
 
 import pytest
 
+from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.checks import find_problems
-from gyrobench.bench.procedure.plan import DwellPurpose
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.station.station import Station
 

@@ -4,11 +4,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.text import hours_minutes
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.estimate import BenchEstimate, ThermalEstimate
-from gyrobench.bench.procedure.plan import DwellPurpose, Plan, expand
+from gyrobench.bench.procedure.plan import Plan, expand
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.procedure.timeline import (
     ROTATIONS,

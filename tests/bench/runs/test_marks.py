@@ -2,8 +2,8 @@ from dataclasses import replace
 
 import pytest
 
+from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.procedure.plan import DwellPurpose
 from gyrobench.bench.runs.marks import DwellMarks, WindowMark
 
 MARKS = DwellMarks(

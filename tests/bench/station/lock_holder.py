@@ -6,7 +6,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from gyrobench.bench.foundations.clock import WallClock
-from gyrobench.bench.station.locks import LOCK_DIR_VARIABLE, BenchLock, RunLock
+from gyrobench.bench.runs.locks import LOCK_DIR_VARIABLE, RunLock
+from gyrobench.bench.station.bench_lock import BenchLock
 from gyrobench.bench.station.station import Station
 from tests.drivers.emulators.forked import CONTEXT, start
 

@@ -7,9 +7,9 @@ import pytest
 from gyrobench.bench.engine.preflight.bench_check import check_bench
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import BenchInUseError
+from gyrobench.bench.station.bench_lock import BenchLock
 from gyrobench.bench.station.check_result import CheckVerdict
 from gyrobench.bench.station.instruments import Emulation
-from gyrobench.bench.station.locks import BenchLock
 from gyrobench.bench.station.station import Station
 from tests.bench.engine.stations import served_station
 

@@ -9,7 +9,8 @@ import pytest
 from gyrobench.bench.foundations.clock import VirtualClock, WallClock
 from gyrobench.bench.foundations.errors import BenchInUseError, GyrobenchError
 from gyrobench.bench.foundations.shipped import find_document
-from gyrobench.bench.station.locks import BenchLock, Holder, RunLock, bench_holders, holder_of
+from gyrobench.bench.runs.locks import Holder, RunLock, holder_of
+from gyrobench.bench.station.bench_lock import BenchLock, bench_holders
 from gyrobench.bench.station.station import Station
 from tests.bench.station.lock_holder import held_elsewhere
 
