@@ -144,8 +144,8 @@ def _quaternion_product(a: _Quaternion, b: _Quaternion) -> _Quaternion:
 def _quaternion_from_vector(v0: float, v1: float, v2: float) -> _Quaternion:
     square = v0 * v0 + v1 * v1 + v2 * v2
     if square < 1e-6:  # series: exact to double precision for angles below 1 mrad
-        scale = 0.5 - square / 48.0
-        return 1.0 - square / 8.0 + square * square / 384.0, scale * v0, scale * v1, scale * v2
+        scale = 0.5 - square * (1.0 / 48.0)
+        return 1.0 - square * (0.125 - square * (1.0 / 384.0)), scale * v0, scale * v1, scale * v2
     angle = math.sqrt(square)
     scale = math.sin(0.5 * angle) / angle
     return math.cos(0.5 * angle), scale * v0, scale * v1, scale * v2
@@ -164,11 +164,16 @@ def _matrix_rows(w: float, x: float, y: float, z: float) -> tuple[_Row, _Row, _R
 def matrix_of(q: FloatArray) -> FloatArray:
     """``C_nb`` (3, 3) of a unit quaternion (w, x, y, z)."""
     C = np.empty((3, 3))
-    first, second, third = _matrix_rows(q[0], q[1], q[2], q[3])
+    _set_matrix(C, q[0], q[1], q[2], q[3])
+    return C
+
+
+@compiled
+def _set_matrix(C: FloatArray, w: float, x: float, y: float, z: float) -> None:
+    first, second, third = _matrix_rows(w, x, y, z)
     C[0, 0], C[0, 1], C[0, 2] = first
     C[1, 0], C[1, 1], C[1, 2] = second
     C[2, 0], C[2, 1], C[2, 2] = third
-    return C
 
 
 @compiled
@@ -233,8 +238,10 @@ def navigate(
     copies = np.empty((max(0, (n - 1 - first) // every + 1) if first < n else 0, STATE_SIZE))
     row, number = 0, math.inf
     reference = reference_sine = reference_cosine = per_meridian = per_across = 0.0
+    # In variables, which stay in registers.
+    attitude = (state[0], state[1], state[2], state[3])
+    v_east, v_north, latitude, longitude = state[4], state[5], state[6], state[7]
     for k in range(n):
-        v_east, v_north, latitude = state[4], state[5], state[6]
         if np.rint(latitude * _REFERENCES_PER_RAD) != number:
             number = np.rint(latitude * _REFERENCES_PER_RAD)
             reference = number / _REFERENCES_PER_RAD
@@ -253,7 +260,6 @@ def navigate(
         f0 = b0 + 0.5 * (a1 * b2 - a2 * b1)
         f1 = b1 + 0.5 * (a2 * b0 - a0 * b2)
         f2 = b2 + 0.5 * (a0 * b1 - a1 * b0)
-        attitude = (state[0], state[1], state[2], state[3])
         (c00, c01, c02), (c10, c11, c12), (c20, c21, c22) = _matrix_rows(*attitude)
         d0 = c00 * f0 + c01 * f1 + c02 * f2
         d1 = c10 * f0 + c11 * f1 + c12 * f2
@@ -265,26 +271,32 @@ def navigate(
         z1 = (earth_n + v_east * per_across) * dt
         z2 = (earth_u + transport_u) * dt
         coriolis = (2.0 * earth_u + transport_u) * dt
-        state[4] = v_east + d0 - 0.5 * (z1 * d2 - z2 * d1) + coriolis * v_north
-        state[5] = v_north + d1 - 0.5 * (z2 * d0 - z0 * d2) - coriolis * v_east
+        next_east = v_east + d0 - 0.5 * (z1 * d2 - z2 * d1) + coriolis * v_north
+        next_north = v_north + d1 - 0.5 * (z2 * d0 - z0 * d2) - coriolis * v_east
 
-        # Attitude and position with the mean velocity of the sample.
-        mean_e, mean_n = 0.5 * (v_east + state[4]), 0.5 * (v_north + state[5])
+        # Attitude and position with the mean velocity of the sample. The body's rotation comes first: the
+        # processor computes it while it waits for the velocity.
+        turned = _quaternion_product(attitude, _quaternion_from_vector(a0, a1, a2))
+        mean_e, mean_n = 0.5 * (v_east + next_east), 0.5 * (v_north + next_north)
         frame = _quaternion_from_vector(
             mean_n * per_meridian * dt,
             -(earth_n + mean_e * per_across) * dt,
             -(earth_u + mean_e * per_across * tangent) * dt,
         )
-        q = _quaternion_product(_quaternion_product(frame, attitude), _quaternion_from_vector(a0, a1, a2))
+        q = _quaternion_product(frame, turned)
         # The length is 1 except for rounding, so the first term of the series of its inverse suffices.
         scale = 1.5 - 0.5 * (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
-        state[0], state[1], state[2], state[3] = scale * q[0], scale * q[1], scale * q[2], scale * q[3]
-        state[6] = latitude + mean_n * per_meridian * dt
-        state[7] += mean_e * per_across * per_cosine * dt
+        attitude = (scale * q[0], scale * q[1], scale * q[2], scale * q[3])
+        v_east, v_north = next_east, next_north
+        latitude += mean_n * per_meridian * dt
+        longitude += mean_e * per_across * per_cosine * dt
         if k >= first and (k - first) % every == 0:
-            for i in range(STATE_SIZE):  # numba takes seconds to compile the assignment of a whole array
-                copies[row, i] = state[i]
+            copies[row, 0], copies[row, 1], copies[row, 2], copies[row, 3] = attitude
+            copies[row, 4], copies[row, 5] = v_east, v_north
+            copies[row, 6], copies[row, 7] = latitude, longitude
             row += 1
+    state[0], state[1], state[2], state[3] = attitude
+    state[4], state[5], state[6], state[7] = v_east, v_north, latitude, longitude
     return copies
 
 
@@ -308,9 +320,10 @@ def euler_output(states: FloatArray, pitch_first: bool) -> FloatArray:
 
     The columns are velocity north and east in m/s; roll, pitch and heading in rad, heading in [0, 2 pi).
     """
-    out = np.empty((states.shape[0], 5))
+    out, C = np.empty((states.shape[0], 5)), np.empty((3, 3))
     for k in range(states.shape[0]):
-        roll, pitch, heading = euler_angles(matrix_of(states[k, :4]), pitch_first)
+        _set_matrix(C, states[k, 0], states[k, 1], states[k, 2], states[k, 3])
+        roll, pitch, heading = euler_angles(C, pitch_first)
         out[k, 0], out[k, 1] = states[k, 5], states[k, 4]
         out[k, 2], out[k, 3], out[k, 4] = roll, pitch, heading % (2.0 * math.pi)
     return out
