@@ -256,10 +256,10 @@ class RunFacts:
 
 def facts_of(entries: Iterable[Mapping[str, Any]]) -> RunFacts:
     """Summarise a journal; malformed entries are ignored."""
-    facts = RunFacts()
+    facts, last_s = RunFacts(), 0.0
     for entry in entries:
-        facts = _with_entry(replace(facts, last_s=max(facts.last_s, _time_s(entry))), entry)
-    return facts
+        facts, last_s = _with_entry(facts, entry), max(last_s, _time_s(entry))
+    return replace(facts, last_s=last_s)
 
 
 def _with_entry(facts: RunFacts, entry: Mapping[str, Any]) -> RunFacts:
