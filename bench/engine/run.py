@@ -276,7 +276,8 @@ def _open(
     observers = ObserverGroup(observer, RunNotifier(messenger, job.plan, state))
     guard = resources.enter_context(guard_for(job.station, folder.path, clock))
     logs = [
-        (CanLog(unit.folder.can), Telemetry(unit.folder.telemetry, job.is_virtual)) for unit in measured_units
+        (CanLog(unit.folder.can, job.is_virtual), Telemetry(unit.folder.telemetry, job.is_virtual))
+        for unit in measured_units
     ]
     telemetry = None if measured_units[0].folder == folder else Telemetry(folder.telemetry, job.is_virtual)
     resources.callback(_flush, logs, telemetry, outcome)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import math
 import os
 import struct
 from collections.abc import Container, Iterator
@@ -105,9 +106,9 @@ class BlfWriter:
             self._write_header()
         self._stop_s = float(block.timestamp_s[-1])
         self.count += len(block)
-        step = _MAX_UNPACKED // _FRAME.itemsize
-        for first in range(0, len(block), step):
-            self._write_container(_pack_objects(block.take(slice(first, first + step)), self._start_s))
+        for first in range(0, len(block), _CONTAINER_FRAMES):
+            frames = block.take(slice(first, first + _CONTAINER_FRAMES))
+            self._write_container(_pack_objects(frames, self._start_s))
         self._stream.flush()
 
     def finish(self) -> None:
@@ -264,17 +265,21 @@ _SUFFIX = ".blf"
 _MAX_PART_BYTES = 1_000_000_000
 #: Pending frames, and their time span, s, from which they are written: the maximum loss after a kill.
 _MAX_PENDING_FRAMES, _MAX_PENDING_S = 340, 10.0
+#: On virtual time a whole container is less than a second of real time, and costs half as much in all.
+_CONTAINER_FRAMES = _MAX_UNPACKED // _FRAME.itemsize
 
 
 class CanLog:
     """Writes the raw CAN log of a run.
 
-    ``folder``: created if missing; existing parts are kept and numbering continues. Raises RunFolderError if
-    a part can't be written; that part then ends, and the next frame begins a new one.
+    ``folder``: created if missing; existing parts are kept and numbering continues. ``is_virtual``: whether
+    the run's clock is. Raises RunFolderError if a part can't be written; that part then ends, and the next
+    frame begins a new one.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, is_virtual: bool = False) -> None:
         self._folder = folder
+        self._is_virtual = is_virtual
         make_folder(folder)
         self._next_number = 1 + max(find_parts(folder, _SUFFIX), default=0)
         self._part: _OpenPart | None = None
@@ -285,11 +290,11 @@ class CanLog:
         return self._next_number
 
     def write(self, block: FrameBlock) -> None:
-        """Add frames in the order received; they are written after a few hundred frames or a few seconds."""
+        """Add frames in the order received; in real time they are written after a few seconds at most."""
         if self._part is None:
             path = log_path(self._folder, self._next_number)
             try:
-                self._part = _OpenPart(path)
+                self._part = _OpenPart(path, self._is_virtual)
             except OSError as error:
                 raise write_error(path, error) from error
             self._next_number += 1
@@ -332,9 +337,11 @@ class CanLog:
 class _OpenPart:
     """The part that is being written."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, is_virtual: bool) -> None:
         self.path = path
         self._stream: BinaryIO = path.open("xb")
+        self._max_frames = _CONTAINER_FRAMES if is_virtual else _MAX_PENDING_FRAMES
+        self._max_pending_s = math.inf if is_virtual else _MAX_PENDING_S
         self._writer = BlfWriter(self._stream)
         self._pending: list[FrameBlock] = []
         self._pending_count = 0
@@ -344,14 +351,16 @@ class _OpenPart:
     def write(self, block: FrameBlock) -> None:
         if not len(block):
             return
+        if self._pending_count + len(block) > _CONTAINER_FRAMES:
+            self._flush()
         last_s = block.timestamp_s.item(-1)
         if not self._pending:
             self._pending_since_s = last_s
         self._pending.append(block)
         self._pending_count += len(block)
         if (
-            self._pending_count >= _MAX_PENDING_FRAMES
-            or abs(last_s - self._pending_since_s) >= _MAX_PENDING_S
+            self._pending_count >= self._max_frames
+            or abs(last_s - self._pending_since_s) >= self._max_pending_s
         ):
             self._flush()
 
@@ -362,7 +371,7 @@ class _OpenPart:
     def write_waiting(self, now_s: float) -> None:
         if self._idle_since_s is None:
             self._idle_since_s = now_s if self._pending else None
-        elif now_s - self._idle_since_s >= _MAX_PENDING_S:
+        elif now_s - self._idle_since_s >= self._max_pending_s:
             self._flush()
 
     def sync(self) -> None:

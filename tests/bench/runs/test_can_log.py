@@ -1,3 +1,4 @@
+import math
 import os
 from pathlib import Path
 
@@ -91,6 +92,20 @@ def test_a_part_that_is_being_written_lacks_the_last_seconds_at_most(tmp_path):
         assert begin + 10 - len(read) <= 350
     log.cut()
     assert contents(tmp_path) == {1: list(range(2000))}
+
+
+def test_on_virtual_time_containers_are_full_and_the_last_one_alone_can_be_lost(tmp_path):
+    log = CanLog(tmp_path, is_virtual=True)
+    for begin in range(0, 40_000, 400):
+        log.write(frames(begin, 400))
+        log.write_waiting(begin / 40.0)
+        read = contents(tmp_path)[1]
+        assert read == list(range(len(read)))
+        assert begin + 400 - len(read) <= 2800
+    log.cut()
+    assert contents(tmp_path) == {1: list(range(40_000))}
+    (part,) = tmp_path.iterdir()
+    assert part.read_bytes().count(b"LOBJ") == math.ceil(40_000 / 2400)
 
 
 def test_frames_that_come_seldom_are_readable_after_some_seconds(tmp_path):
