@@ -20,7 +20,7 @@ INTERVAL_S = 0.001
 #: Parts by the path of their modules, the first that matches counts; all else is the engine.
 PARTS = {
     "results and figures": ("bench/dwells/run_results", "bench/report/", "bench/closure/"),
-    "live estimate": ("bench/dwells/", "bench/bias/", "bench/navigation/"),
+    "live estimate": ("bench/dwells/", "bench/bias/", "bench/navigation/", "bench/calibration/"),
     "log": ("bench/runs/can_log", "bench/runs/blf"),
     "journal and telemetry": ("bench/runs/", "bench/monitor/"),
     "interlocks": ("bench/engine/interlocks/", "bench/station/interlocks"),
