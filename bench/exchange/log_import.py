@@ -126,44 +126,35 @@ def _log_warnings(logs: Sequence[_ReadLog]) -> list[str]:
     return warnings
 
 
-#: Smallest rate of the Earth for which signs are tested, deg/h, and relative tolerance of the test.
-_MIN_EARTH_DPH, _EARTH_TOLERANCE = 2.0, 0.1
+#: Smallest vertical rate of the Earth for which signs are tested, deg/h, and relative tolerance of the test.
+_MIN_EARTH_DPH, _EARTH_TOLERANCE = 1.0, 0.1
 
 
-def _reversed_earth_warnings(rows: Sequence[DwellRow], latitude_deg: float) -> Iterator[str]:
-    """Warnings about axes whose biases look as if the Earth's rotation was subtracted with the wrong sign."""
-    expected_dph = 2.0 * float(earth_rate_enu(math.radians(latitude_deg))[2]) * RADPS_TO_DPH
-    for index, axis in enumerate(AXES):
-        up, down = (
-            [row.bias_dph[index] for row in rows if row.position == f"{axis}_{way}"] for way in ("up", "down")
-        )
-        if up and down and abs(expected_dph) > _MIN_EARTH_DPH:
-            half_dph = 0.5 * float(np.mean(down) - np.mean(up))
-            if abs(half_dph - expected_dph) < _EARTH_TOLERANCE * abs(expected_dph):
-                yield (
-                    f"the bias of the {axis} gyro differs by {2.0 * abs(half_dph):.1f} deg/h with its axis up"
-                    " and down: four times the vertical part of the Earth's rotation, as with wrong signs of "
-                    "the accelerometers ('position'), of the gyro or of the latitude. Check them"
-                )
-
-
-def _missing_earth_warnings(rows: Sequence[DwellRow], latitude_deg: float) -> Iterator[str]:
-    """Warnings about axes whose rates seem to lack the Earth's rotation that was subtracted from them."""
+def _earth_warnings(rows: Sequence[DwellRow], latitude_deg: float) -> Iterator[str]:
+    """Warnings about axes from which the Earth's rotation was subtracted with a wrong sign, or that lack it."""
     earth_dph = float(earth_rate_enu(math.radians(latitude_deg))[2]) * RADPS_TO_DPH
+    if abs(earth_dph) <= _MIN_EARTH_DPH:
+        return
     for index, axis in enumerate(AXES):
         biases_by_way = (
             [sign * row.bias_dph[index] for row in rows if row.position == f"{axis}_{way}"]
             for way, sign in (("up", 1.0), ("down", -1.0))
         )
         means = [float(np.mean(biases)) for biases in biases_by_way if biases]
-        if means and abs(earth_dph) > 0.5 * _MIN_EARTH_DPH:
-            along_up_dph = float(np.mean(means))
-            if abs(along_up_dph + earth_dph) < _EARTH_TOLERANCE * abs(earth_dph):
-                yield (
-                    f"if vertical, the {axis} gyro seems to lack the Earth's rotation: subtracting "
-                    f"it leaves {along_up_dph:.1f} deg/h along Up. Check 'unit' and 'scale' of the gyro; "
-                    "leave 'earth_rate' out if it was removed from the log"
-                )
+        along_up_dph = float(np.mean(means)) if means else 0.0
+        excess = -along_up_dph / earth_dph  # 1 without rotation in the log, 2 with one of the wrong sign
+        if abs(excess - 1.0) < _EARTH_TOLERANCE:
+            yield (
+                f"if vertical, the {axis} gyro seems to lack the Earth's rotation: subtracting "
+                f"it leaves {along_up_dph:.1f} deg/h along Up. Check 'unit' and 'scale' of the gyro; "
+                "leave 'earth_rate' out if it was removed from the log"
+            )
+        elif len(means) == 2 and abs(excess - 2.0) < 2.0 * _EARTH_TOLERANCE:
+            yield (
+                f"the bias of the {axis} gyro differs by {2.0 * abs(along_up_dph):.1f} deg/h with its axis up"
+                " and down: four times the vertical part of the Earth's rotation, as with wrong signs of "
+                "the accelerometers ('position'), of the gyro or of the latitude. Check them"
+            )
 
 
 def _map_warnings(log_map: LogMap, rows: Sequence[DwellRow]) -> list[str]:
@@ -175,8 +166,7 @@ def _map_warnings(log_map: LogMap, rows: Sequence[DwellRow]) -> list[str]:
                 "Give 'earth_rate' in the import map"
             )
     else:
-        warnings += _reversed_earth_warnings(rows, log_map.earth_rate.latitude_deg)
-        warnings += _missing_earth_warnings(rows, log_map.earth_rate.latitude_deg)
+        warnings += _earth_warnings(rows, log_map.earth_rate.latitude_deg)
         if log_map.earth_rate.azimuth_deg is None:
             _, north, _ = earth_rate_enu(math.radians(log_map.earth_rate.latitude_deg))
             horizontal_dph = north * RADPS_TO_DPH

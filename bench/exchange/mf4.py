@@ -34,55 +34,31 @@ _STRUCTURES = {0: "CAN_DataFrame", REMOTE_FRAME: "CAN_RemoteFrame", ERROR_FRAME:
 
 
 def write_mf4(path: Path, parts: Iterable[TimedPart], dbc: Path, origin: Mapping[str, Any]) -> None:
-    """Write all frames with the bus database attached and the origin in the comment."""
-    log: _Mf4Log | None = None
-    try:
-        for part in parts:
-            log = log or _Mf4Log(path.parent, float(part.frames.timestamp_s[0]), dbc, origin)
-            log.add(part.frames)
-        if log is not None:
-            log.save(path)
-    finally:
-        if log is not None:
-            log.close()
+    """Write all frames with the bus database attached and the origin in the comment.
 
-
-class _Mf4Log:
-    """A file that is being written; its samples are in a temporary file in ``folder`` until it is saved.
-
-    ``begin_s`` is the time of the first frame in seconds since 1970 UTC.
+    Samples are in a temporary file beside ``path`` until the file is complete.
     """
-
-    def __init__(self, folder: Path, begin_s: float, dbc: Path, origin: Mapping[str, Any]) -> None:
-        self._begin_s = begin_s
-        self._attachment = (dbc.read_bytes(), Path(dbc.name), b"")
-        self._groups: dict[int, int] = {}
-        self._file = MDF(version="4.10", temporary_folder=str(folder))
-        self._file.header.start_time = datetime.fromtimestamp(begin_s, UTC)
-        self._file.header.comment = f"<HDcomment><TX>{escape(json.dumps(origin))}</TX></HDcomment>"
-
-    def add(self, frames: FrameBlock) -> None:
-        """Add frames."""
-        for kind, structure in _STRUCTURES.items():
-            selected = frames.take(frames.flags == kind)
-            if not len(selected):
-                continue
-            time_s, samples = selected.timestamp_s - self._begin_s, _samples(structure, selected)
-            if kind in self._groups:
-                self._file.extend(self._groups[kind], [(time_s, None), (samples, None)])
-                continue
-            self._groups[kind] = len(self._groups)
-            attachment = self._attachment if kind == 0 else None
-            self._file.append(Signal(samples, time_s, name=structure, source=_BUS, attachment=attachment))
-
-    def save(self, path: Path) -> None:
-        """Write the file by a stream, since the library changes the suffix of a path."""
-        with path.open("wb+") as stream:
-            self._file.save(stream, overwrite=True, compression=_COMPRESSION)
-
-    def close(self) -> None:
-        """Remove the temporary file."""
-        self._file.close()
+    groups: dict[int, int] = {}
+    begin_s: float | None = None
+    with MDF(version="4.10", temporary_folder=str(path.parent)) as log:
+        log.header.comment = f"<HDcomment><TX>{escape(json.dumps(origin))}</TX></HDcomment>"
+        for part in parts:
+            if begin_s is None:
+                begin_s = float(part.frames.timestamp_s[0])
+                log.header.start_time = datetime.fromtimestamp(begin_s, UTC)
+            for kind, structure in _STRUCTURES.items():
+                frames = part.frames.take(part.frames.flags == kind)
+                if not len(frames):
+                    continue
+                time_s, samples = frames.timestamp_s - begin_s, _samples(structure, frames)
+                if kind in groups:
+                    log.extend(groups[kind], [(time_s, None), (samples, None)])
+                    continue
+                groups[kind] = len(groups)
+                attachment = (dbc.read_bytes(), Path(dbc.name), b"") if kind == 0 else None
+                log.append(Signal(samples, time_s, name=structure, source=_BUS, attachment=attachment))
+        with path.open("wb+") as stream:  # the library changes the suffix of a path
+            log.save(stream, overwrite=True, compression=_COMPRESSION)
 
 
 def _samples(structure: str, frames: FrameBlock) -> NDArray[np.void]:

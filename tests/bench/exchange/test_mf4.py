@@ -94,3 +94,9 @@ def test_an_mdf4_file_says_where_it_came_from_and_brings_its_database(mf4, messa
 
 def test_nothing_is_left_beside_the_file(mf4):
     assert [path.name for path in mf4.parent.iterdir()] == ["can.mf4"]
+
+
+def test_a_log_without_frames_gives_a_file_without_groups(dbc, tmp_path):
+    write_mf4(tmp_path / "can.mf4", [], dbc, {})
+    with MDF(tmp_path / "can.mf4") as log:
+        assert log.groups == []
