@@ -17,11 +17,9 @@ import platform
 import re
 import smtplib
 import ssl
-import threading
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import Future
 from dataclasses import dataclass
 from datetime import datetime
 from email.header import Header
@@ -33,10 +31,12 @@ from typing import Any, Literal
 from urllib.parse import quote, quote_plus
 
 from gyrobench.bench import __version__
-from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
+from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.bench.foundations.errors import ConnectionFailedError, DocumentError, GyrobenchError
 from gyrobench.bench.foundations.files import read_limited
 from gyrobench.bench.foundations.text import hours_minutes, listed
 from gyrobench.bench.station.receivers import SECRET, Email, EventName, Ntfy, Receiver, Webhook
+from gyrobench.bench.station.time_limit import call_within
 
 #: Event of a message. Receivers select events with their key ``on``; the last two go to all.
 Event = Literal[EventName, "guard_acted", "test"]
@@ -377,7 +377,8 @@ def _ntfy_tag(message: Message) -> str:
     )
 
 
-#: Time limit of the whole exchange, from the host's name to the end of the reply.
+#: Time limit of the whole exchange, from the host's name to the end of the reply. Time-outs of sockets
+#: apply to single operations: a slow name server, or a server that sends byte by byte, could take forever.
 MAX_EXCHANGE_S = 30.0
 
 _SEND: Mapping[str, Callable[[Any, str, Message], str]] = MappingProxyType(
@@ -395,30 +396,16 @@ def deliver(receiver: Receiver, message: Message) -> str:
     except DocumentError as error:  # a file may be provided later
         raise UndeliveredError(str(error), is_final=receiver.secret_env is not None) from error
     try:
-        answer = _within_time_limit(lambda: _SEND[receiver.kind](receiver, secret, message))
+        answer = call_within(
+            WallClock(),
+            MAX_EXCHANGE_S,
+            receiver.name,
+            lambda: _SEND[receiver.kind](receiver, secret, message),
+        )
     except UndeliveredError as error:
         raise UndeliveredError(without_secret(secret, str(error)), error.is_final) from None
+    except ConnectionFailedError:
+        raise UndeliveredError(f"no answer within {MAX_EXCHANGE_S:g} s", is_final=False) from None
     except ValueError as error:  # an address or secret that the protocol can't carry
         raise UndeliveredError(without_secret(secret, str(error)), is_final=True) from None
     return without_secret(secret, answer)
-
-
-def _within_time_limit(exchange: Callable[[], str]) -> str:
-    """Perform an exchange within :data:`MAX_EXCHANGE_S`; afterwards it is abandoned in its thread.
-
-    The time-outs of sockets apply to single operations: a slow name server, or a server that sends byte
-    by byte, could take forever.
-    """
-    outcome: Future[str] = Future()
-
-    def perform() -> None:
-        try:
-            outcome.set_result(exchange())
-        except Exception as error:  # noqa: BLE001 - raised in the waiting thread
-            outcome.set_exception(error)
-
-    threading.Thread(target=perform, name="one message", daemon=True).start()
-    try:
-        return outcome.result(MAX_EXCHANGE_S)
-    except TimeoutError:
-        raise UndeliveredError(f"no answer within {MAX_EXCHANGE_S:g} s", is_final=False) from None

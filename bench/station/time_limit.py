@@ -1,4 +1,4 @@
-"""Calls of instruments with a time limit."""
+"""Calls of instruments and servers with a time limit."""
 
 from __future__ import annotations
 
