@@ -8,7 +8,6 @@ import sys
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
 from functools import partial
 from itertools import takewhile
 from pathlib import Path
@@ -199,12 +198,9 @@ _END_USAGES = {"quit": "end; the bench goes to its safe state", "leave": "end; o
 _END_COMMANDS = ("quit", "exit", "q", "leave")
 
 
-@dataclass(frozen=True)
-class _JogCommand:
-    """A command: its usages with their meanings, and the function that executes it."""
-
-    usages: Mapping[str, str]
-    execute: Callable[[list[str]], None]
+#: Usages of a command with their meanings, and the function that takes its arguments from a list of words and
+#: returns what to execute.
+_JogCommand = tuple[Mapping[str, str], Callable[[list[str]], Callable[[], object]]]
 
 
 class _Shell:
@@ -212,9 +208,9 @@ class _Shell:
         self._control = control
         self._display = display
         self._commands: Mapping[str, _JogCommand] = {
-            "show": _JogCommand({"show": "all readings"}, self._show),
-            "watch": _JogCommand({"watch [S]": "readings for S seconds, default 60"}, self._watch),
-            "table": _JogCommand(
+            "show": ({"show": "all readings"}, lambda _: self._show),
+            "watch": ({"watch [S]": "readings for S seconds, default 60"}, self._watch),
+            "table": (
                 {
                     "table outer|inner ANGLE [at RATE]": "move one axis; deg, deg/s",
                     "table to POSITION [AZIMUTH] [at RATE]": "go to z_up, x_down, ...",
@@ -222,28 +218,35 @@ class _Shell:
                 },
                 self._table,
             ),
-            "stop": _JogCommand(
-                {"stop": "stop the table"}, lambda words: _without_arguments(words, control.stop)
+            "stop": ({"stop": "stop the table"}, lambda _: control.stop),
+            "home": ({"home [at RATE]": "all axes to zero"}, self._home),
+            "servo": (
+                {"servo on|off": "close or open the table's servos"},
+                lambda words: control.servo_on if _parse_on_off(words) else control.servo_off,
             ),
-            "home": _JogCommand({"home [at RATE]": "all axes to zero"}, self._home),
-            "servo": _JogCommand({"servo on|off": "close or open the table's servos"}, self._servo),
-            "chamber": _JogCommand(
+            "chamber": (
                 {
                     "chamber TEMPERATURE [at RAMP]": "set point; degC, degC/min",
                     "chamber on|off": "switch temperature control",
                 },
                 self._chamber,
             ),
-            "unit": _JogCommand({"unit on|off": "switch the power of the INS"}, self._unit),
-            "ins": _JogCommand({"ins align|navigate|standby": "command the INS"}, self._ins),
-            "faults": _JogCommand({"faults": "faults, alarms, tripped interlocks"}, self._faults),
-            "clear": _JogCommand(
-                {"clear": "clear the chamber's alarms"},
-                lambda words: _without_arguments(words, control.clear),
+            "unit": (
+                {"unit on|off": "switch the power of the INS"},
+                lambda words: partial(control.unit_switch, _parse_on_off(words)),
             ),
-            "events": _JogCommand({"events": "the chamber's event outputs"}, self._events),
-            "limits": _JogCommand({"limits": "limits of angle, rate, temperature"}, self._limits),
-            "help": _JogCommand({"help": "this list"}, self._help),
+            "ins": ({"ins align|navigate|standby": "command the INS"}, self._ins),
+            "faults": ({"faults": "faults, alarms, tripped interlocks"}, lambda _: self._faults),
+            "clear": ({"clear": "clear the chamber's alarms"}, lambda _: control.clear),
+            "events": (
+                {"events": "the chamber's event outputs"},
+                lambda _: lambda: self._print(control.events()),
+            ),
+            "limits": (
+                {"limits": "limits of angle, rate, temperature"},
+                lambda _: lambda: self._print(limit_lines(control.limits)),
+            ),
+            "help": ({"help": "this list"}, self._help),
         }
 
     def execute(self, line: str) -> None:
@@ -262,37 +265,38 @@ class _Shell:
                 f"unknown command '{words[0]}'{did_you_mean(words[0], command_names)}; `help` lists the "
                 "commands"
             )
+        usages, parse = command
+        arguments = words[1:]
         try:
-            command.execute(words[1:])
+            execute = parse(arguments)
+            if arguments:
+                raise _UsageError(f"unexpected argument '{' '.join(arguments)}'")
         except _UsageError as error:
-            raise CommandError(f"{error}. Usage: {'  or  '.join(command.usages)}") from None
+            raise CommandError(f"{error}. Usage: {'  or  '.join(usages)}") from None
+        execute()
 
-    def _show(self, words: list[str]) -> None:
-        _without_arguments(words, self._control.bench.read_instruments)
+    def _show(self) -> None:
+        self._control.bench.read_instruments()
         self._print(readings(self._control.bench, self._control.tripped))
 
-    def _watch(self, words: list[str]) -> None:
+    def _watch(self, words: list[str]) -> Callable[[], object]:
         duration_s = _parse_number(words.pop(0), "a time in s") if words else _WATCH_S
-        _require_end(words)
         if not 0.0 < duration_s <= _MAX_WATCH_S:
             raise _UsageError("the time must be above 0 s and at most a week")
-        self._control.watch(duration_s)
+        return partial(self._control.watch, duration_s)
 
-    def _table(self, words: list[str]) -> None:
+    def _table(self, words: list[str]) -> Callable[[], object]:
         keyword = words.pop(0) if words else ""
         if keyword == "rate":
-            axis, rate = _parse_axis(words), _parse_number(_next_word(words), "a rate in deg/s")
-            _require_end(words)
-            self._control.turn_at(axis, rate)
-            return
+            axis, rate_dps = _parse_axis(words), _parse_number(_next_word(words), "a rate in deg/s")
+            return partial(self._control.turn_at, axis, rate_dps)
         if keyword == "to":
-            self._to_position(words)
-            return
+            return self._to_position(words)
         axis = _parse_axis([keyword])
         angle_deg = _parse_number(_next_word(words), "an angle in deg")
-        self._control.move({axis: angle_deg}, _parse_rate(words))
+        return partial(self._control.move, {axis: angle_deg}, _parse_rate(words))
 
-    def _to_position(self, words: list[str]) -> None:
+    def _to_position(self, words: list[str]) -> Callable[[], object]:
         name = _next_word(words)
         if name not in POSITIONS:
             raise _UsageError(
@@ -302,62 +306,42 @@ class _Shell:
         if words and words[0] != "at":
             azimuth_deg = _parse_number(words.pop(0), "an azimuth in deg")
         rate_dps = _parse_rate(words)
-        station = self._control.bench.station
-        angles_deg = station.table.angles(POSITIONS[name].C_nb(np.deg2rad(azimuth_deg)))
-        axis_names = self._control.limits.axes
-        self._control.move(
-            {axis: each for axis, each in zip(TABLE_AXES, angles_deg, strict=True) if axis in axis_names},
-            rate_dps,
-        )
+        table, axes = self._control.bench.station.table, self._control.limits.axes
+        angles_deg = table.angles(POSITIONS[name].C_nb(np.deg2rad(azimuth_deg)))
+        targets_deg = {axis: each for axis, each in zip(TABLE_AXES, angles_deg, strict=True) if axis in axes}
+        return partial(self._control.move, targets_deg, rate_dps)
 
-    def _home(self, words: list[str]) -> None:
-        rate_dps = _parse_rate(words)
-        self._control.move(dict.fromkeys(self._control.limits.axes, 0.0), rate_dps)
+    def _home(self, words: list[str]) -> Callable[[], object]:
+        return partial(self._control.move, dict.fromkeys(self._control.limits.axes, 0.0), _parse_rate(words))
 
-    def _servo(self, words: list[str]) -> None:
-        self._control.servo_on() if _parse_on_off(words) else self._control.servo_off()
-
-    def _chamber(self, words: list[str]) -> None:
+    def _chamber(self, words: list[str]) -> Callable[[], object]:
         if words and words[0] in ("on", "off"):
-            self._control.chamber_switch(_parse_on_off(words))
-            return
+            return partial(self._control.chamber_switch, _parse_on_off(words))
         temperature_c = _parse_number(_next_word(words), "a temperature in degC")
         if words and words[0] == "at":
             words.pop(0)
-        ramp = _parse_number(words.pop(0), "a ramp in degC/min") if words else None
-        _require_end(words)
-        self._control.chamber_to(temperature_c, ramp)
+        ramp_c_per_min = _parse_number(words.pop(0), "a ramp in degC/min") if words else None
+        return partial(self._control.chamber_to, temperature_c, ramp_c_per_min)
 
-    def _unit(self, words: list[str]) -> None:
-        self._control.unit_switch(_parse_on_off(words))
-
-    def _ins(self, words: list[str]) -> None:
+    def _ins(self, words: list[str]) -> Callable[[], object]:
         command = _next_word(words)
-        _require_end(words)
         if command not in ("align", "navigate", "standby"):
             raise _UsageError(f"the INS has no command '{command}'")
-        self._control.ins(command)
+        return partial(self._control.ins, command)
 
-    def _faults(self, words: list[str]) -> None:
-        _without_arguments(words, self._control.bench.read_instruments)
+    def _faults(self) -> None:
+        self._control.bench.read_instruments()
         newest = self._control.bench.readings
         lines = [f"rate table: {each}" for each in newest.table.faults]
         lines += [f"chamber: {each}" for each in newest.chamber.alarms]
         lines += [f"interlock tripped: {each}" for each in self._control.tripped]
         self._print(lines or ["none"])
 
-    def _events(self, words: list[str]) -> None:
-        _require_end(words)
-        self._print(self._control.events())
-
-    def _limits(self, words: list[str]) -> None:
-        _require_end(words)
-        self._print(limit_lines(self._control.limits))
-
-    def _help(self, words: list[str]) -> None:  # noqa: ARG002 - the help has no topics
-        usages = [usage for command in self._commands.values() for usage in command.usages.items()]
-        self._print([f"  {usage:38} {meaning}" for usage, meaning in (*usages, *_END_USAGES.items())])
-        self._print(["Ctrl-C stops the table."])
+    def _help(self, words: list[str]) -> Callable[[], object]:
+        words.clear()  # the help has no topics
+        usages = [usage for command_usages, _ in self._commands.values() for usage in command_usages.items()]
+        lines = [f"  {usage:38} {meaning}" for usage, meaning in (*usages, *_END_USAGES.items())]
+        return partial(self._print, [*lines, "Ctrl-C stops the table."])
 
     def _print(self, lines: list[str]) -> None:
         for line in lines:
@@ -368,20 +352,10 @@ class _UsageError(Exception):
     """The arguments do not fit the command."""
 
 
-def _without_arguments(words: list[str], execute: Callable[[], None]) -> None:
-    _require_end(words)
-    execute()
-
-
 def _next_word(words: list[str]) -> str:
     if not words:
         raise _UsageError("an argument is missing")
     return words.pop(0)
-
-
-def _require_end(words: list[str]) -> None:
-    if words:
-        raise _UsageError(f"unexpected argument '{' '.join(words)}'")
 
 
 def _parse_number(word: str, quantity: str) -> float:
@@ -407,14 +381,11 @@ def _parse_rate(words: list[str]) -> float | None:
         return None
     if words.pop(0) != "at":
         raise _UsageError("expected 'at RATE'")
-    rate_dps = _parse_number(_next_word(words), "a rate in deg/s")
-    _require_end(words)
-    return rate_dps
+    return _parse_number(_next_word(words), "a rate in deg/s")
 
 
 def _parse_on_off(words: list[str]) -> bool:
     word = _next_word(words)
-    _require_end(words)
     if word not in ("on", "off"):
         raise _UsageError(f"'{word}' is neither on nor off")
     return word == "on"
