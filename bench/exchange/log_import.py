@@ -131,7 +131,7 @@ _MIN_EARTH_DPH, _EARTH_TOLERANCE = 1.0, 0.1
 
 
 def _earth_warnings(rows: Sequence[DwellRow], latitude_deg: float) -> Iterator[str]:
-    """Warnings about axes from which the Earth's rotation was subtracted with a wrong sign, or that lack it."""
+    """Warnings about axes whose log lacks the Earth's rotation, or has it with the wrong sign."""
     earth_dph = float(earth_rate_enu(math.radians(latitude_deg))[2]) * RADPS_TO_DPH
     if abs(earth_dph) <= _MIN_EARTH_DPH:
         return

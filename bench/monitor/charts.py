@@ -169,15 +169,6 @@ _SETTLED_SHARE = 0.5
 
 
 @dataclass(frozen=True)
-class WindowCharts:
-    """Charts of one window, its number from 1."""
-
-    number: int
-    velocity: Chart
-    heading: Chart
-
-
-@dataclass(frozen=True)
 class BiasChart:
     """Live bias of one gyro: "x", "X gyro", newest bias with its standard uncertainty, unit, history."""
 
@@ -188,8 +179,8 @@ class BiasChart:
     chart: Chart
 
 
-def window_charts(dwell: CurrentDwell) -> list[WindowCharts]:
-    """Draw the windows of a dwell on common scales."""
+def window_charts(dwell: CurrentDwell) -> list[tuple[Chart, Chart]]:
+    """Draw velocity and heading of each window of a dwell, on common scales."""
     velocities = [
         _MM_PER_M * value
         for window in dwell.windows
@@ -201,10 +192,9 @@ def window_charts(dwell: CurrentDwell) -> list[WindowCharts]:
     max_s = max((max((window.planned_s, *window.time_s)) for window in dwell.windows), default=0.0)
     x = time_axis("Time in the window, min", max_s, MINUTE_S)
     return [
-        WindowCharts(number, _velocity_chart(number, window, x, velocity_y),
-                     _heading_chart(number, window, x, heading_y))
+        (_velocity_chart(number, window, x, velocity_y), _heading_chart(number, window, x, heading_y))
         for number, window in enumerate(dwell.windows, start=1)
-    ]  # fmt: skip
+    ]
 
 
 def bias_charts(dwell: CurrentDwell) -> list[BiasChart]:

@@ -6,8 +6,9 @@ Source of the naming rules: the Prometheus documentation on metric and label nam
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Iterable, Iterator
+from types import SimpleNamespace
+from typing import TYPE_CHECKING
 
 from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.monitor.run_list import verdict_in
@@ -17,8 +18,6 @@ from gyrobench.bench.runs.folder import RunFolder
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    import prometheus_client.core
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 
@@ -53,12 +52,8 @@ METRICS: dict[str, tuple[str, tuple[str, ...]]] = {
 }
 
 
-class _Sample(NamedTuple):
-    """One value of a metric, with the values of its labels except ``run``."""
-
-    metric: str
-    value: float
-    labels: Sequence[str] = ()
+#: Metric, value, and values of its labels except ``run``.
+_Sample = tuple[str, float, tuple[str, ...]]
 
 
 def metrics_text(runs: Iterable[tuple[Path, RunSnapshot, float]]) -> bytes:
@@ -73,50 +68,37 @@ def metrics_text(runs: Iterable[tuple[Path, RunSnapshot, float]]) -> bytes:
         for name, (meaning, labels) in METRICS.items()
     }
     for folder, snapshot, age_s in runs:
-        for sample in _samples(folder, snapshot, age_s):
-            if math.isfinite(sample.value):
-                families[sample.metric].add_metric((folder.name, *sample.labels), sample.value)
-    registry = core.CollectorRegistry()
-    registry.register(_Families(families.values()))
-    return bytes(exposition.generate_latest(registry))
-
-
-class _Families:
-    """Collector of prometheus_client for metrics that are already collected."""
-
-    def __init__(self, families: Iterable[prometheus_client.core.Metric]) -> None:
-        self._families = list(families)
-
-    def collect(self) -> list[prometheus_client.core.Metric]:
-        """All metrics."""
-        return self._families
+        for metric, value, labels in _samples(folder, snapshot, age_s):
+            if math.isfinite(value):
+                families[metric].add_metric((folder.name, *labels), value)
+    return bytes(exposition.generate_latest(SimpleNamespace(collect=families.values)))
 
 
 def _samples(folder: Path, snapshot: RunSnapshot, age_s: float) -> Iterator[_Sample]:
     """All samples of one run."""
-    yield _Sample("gyrobench_run_info", 1.0, (snapshot.procedure, snapshot.station, snapshot.unit))
+    yield "gyrobench_run_info", 1.0, (snapshot.procedure, snapshot.station, snapshot.unit)
     for state in RunState:
-        yield _Sample("gyrobench_run_state", state is snapshot.state, (state.value,))
-    yield _Sample("gyrobench_run_age_seconds", age_s)
-    yield _Sample("gyrobench_run_elapsed_seconds", snapshot.now_s)
-    yield _Sample("gyrobench_run_left_seconds", snapshot.left_s)
-    yield _Sample("gyrobench_run_behind_plan_seconds", snapshot.behind_s)
-    yield _Sample("gyrobench_dwells_planned", snapshot.dwell_count)
+        yield "gyrobench_run_state", state is snapshot.state, (state.value,)
+    yield "gyrobench_run_age_seconds", age_s, ()
+    yield "gyrobench_run_elapsed_seconds", snapshot.now_s, ()
+    yield "gyrobench_run_left_seconds", snapshot.left_s, ()
+    yield "gyrobench_run_behind_plan_seconds", snapshot.behind_s, ()
+    yield "gyrobench_dwells_planned", snapshot.dwell_count, ()
     for alarm in snapshot.alarms:
-        yield _Sample("gyrobench_alarm", 1.0, (alarm.name,))
+        yield "gyrobench_alarm", 1.0, (alarm.name,)
     yield from _bench_samples(snapshot)
     for unit in snapshot.units or (_single_unit(snapshot),):
         yield from _unit_samples(unit)
         run = RunFolder(folder).unit(unit.number) if snapshot.units else RunFolder(folder)
         if verdict := verdict_in(run.path):
-            yield _Sample("gyrobench_verdict", 1.0, (verdict, unit.number))
+            yield "gyrobench_verdict", 1.0, (verdict, unit.number)
     for unit in snapshot.units:
-        yield _Sample("gyrobench_unit_dropped", bool(unit.dropped), (unit.number,))
+        yield "gyrobench_unit_dropped", bool(unit.dropped), (unit.number,)
     if live := snapshot.live_bias:
         for axis, bias_dph, sigma_dph in zip(AXES, live.bias_dph, live.sigma_dph, strict=True):
             labels = (axis, snapshot.unit)
-            yield _Sample("gyrobench_live_bias_degrees_per_hour", bias_dph, labels)
-            yield _Sample("gyrobench_live_bias_sigma_degrees_per_hour", sigma_dph, labels)
+            yield "gyrobench_live_bias_degrees_per_hour", bias_dph, labels
+            yield "gyrobench_live_bias_sigma_degrees_per_hour", sigma_dph, labels
 
 
 def _bench_samples(snapshot: RunSnapshot) -> Iterator[_Sample]:
@@ -125,18 +107,18 @@ def _bench_samples(snapshot: RunSnapshot) -> Iterator[_Sample]:
     if bench is None:
         return
     for sensor, value in (("chamber_air", bench.chamber_c), ("chamber_set_point", bench.chamber_set_c)):
-        yield _Sample("gyrobench_temperature_celsius", value, (sensor, ""))
-    yield _Sample("gyrobench_temperature_celsius", bench.case_c, ("case", snapshot.unit))
+        yield "gyrobench_temperature_celsius", value, (sensor, "")
+    yield "gyrobench_temperature_celsius", bench.case_c, ("case", snapshot.unit)
     for axis, value in zip(AXES, bench.electronics_c, strict=True):
-        yield _Sample("gyrobench_temperature_celsius", value, (f"electronics_{axis}", snapshot.unit))
+        yield "gyrobench_temperature_celsius", value, (f"electronics_{axis}", snapshot.unit)
     for axis, angle_deg, rate_dps in (
         ("outer", bench.outer_deg, bench.outer_rate_dps),
         ("inner", bench.inner_deg, bench.inner_rate_dps),
     ):
-        yield _Sample("gyrobench_table_angle_degrees", angle_deg, (axis,))
-        yield _Sample("gyrobench_table_rate_degrees_per_second", rate_dps, (axis,))
+        yield "gyrobench_table_angle_degrees", angle_deg, (axis,)
+        yield "gyrobench_table_rate_degrees_per_second", rate_dps, (axis,)
     for instrument, age_s in (("rate_table", bench.table_age_s), ("chamber", bench.chamber_age_s)):
-        yield _Sample("gyrobench_reply_age_seconds", age_s, (instrument, ""))
+        yield "gyrobench_reply_age_seconds", age_s, (instrument, "")
 
 
 def _single_unit(snapshot: RunSnapshot) -> UnitStatus:
@@ -159,12 +141,12 @@ def _single_unit(snapshot: RunSnapshot) -> UnitStatus:
 
 def _unit_samples(unit: UnitStatus) -> Iterator[_Sample]:
     """Samples of one unit."""
-    yield _Sample("gyrobench_dwells_measured", unit.dwells, (unit.number,))
-    yield _Sample("gyrobench_dwells_flagged", unit.flagged, (unit.number,))
-    yield _Sample("gyrobench_reply_age_seconds", unit.ins_age_s, ("ins", unit.number))
+    yield "gyrobench_dwells_measured", unit.dwells, (unit.number,)
+    yield "gyrobench_dwells_flagged", unit.flagged, (unit.number,)
+    yield "gyrobench_reply_age_seconds", unit.ins_age_s, ("ins", unit.number)
     values = zip(AXES, unit.gyro_c, unit.bias_dph, unit.sigma_dph, strict=True)
     for axis, gyro_c, bias_dph, sigma_dph in values:
-        yield _Sample("gyrobench_temperature_celsius", gyro_c, (f"gyro_{axis}", unit.number))
+        yield "gyrobench_temperature_celsius", gyro_c, (f"gyro_{axis}", unit.number)
         labels = (axis, unit.position, unit.number)
-        yield _Sample("gyrobench_bias_degrees_per_hour", bias_dph, labels)
-        yield _Sample("gyrobench_bias_sigma_degrees_per_hour", sigma_dph, labels)
+        yield "gyrobench_bias_degrees_per_hour", bias_dph, labels
+        yield "gyrobench_bias_sigma_degrees_per_hour", sigma_dph, labels

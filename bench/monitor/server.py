@@ -153,12 +153,10 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = _SOCKET_TIMEOUT_S
 
     def do_GET(self) -> None:
-        """Answer a request for content."""
+        """Answer a request for content, or for headers."""
         self._send(self._answer())
 
-    def do_HEAD(self) -> None:
-        """Answer a request for headers."""
-        self._send(self._answer())
+    do_HEAD = do_GET  # noqa: N815 - a name of http.server
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:  # noqa: ARG002
         """Refuse a request that http.server can't read, or whose method has no ``do_...`` here."""

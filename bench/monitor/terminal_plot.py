@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from rich.text import Text
 
 from gyrobench.bench.monitor.snapshot import Attitude, NumberTriple
+from gyrobench.bench.navigation.positions import AXES
 
 #: Bit of each dot of a braille character, by row from the top and column.
 _BRAILLE = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
@@ -202,25 +203,22 @@ def attitude_lines(attitude: Attitude, width: int, height: int, is_ascii: bool) 
     canvas = Canvas(width, height, is_ascii)
     axis_length = min(0.5, 0.5 * height * _ASPECT / width) * 0.9
     centre: Point = (0.5, 0.5)
-    columns = tuple(zip(*attitude.body_in_enu, strict=True))
+    columns = zip(*attitude.body_in_enu, strict=True)
+    in_view = [
+        (*_in_view(cosines), axis, style) for cosines, axis, style in zip(columns, AXES, _STYLES, strict=True)
+    ]
     # Axes that point away from the viewpoint are drawn first.
-    for axis in sorted(range(3), key=lambda each: -_depth(columns[each])):
-        right, up = _project(columns[axis])
+    for right, up, _, axis, style in sorted(in_view, key=lambda each: -each[2]):
         end = (centre[0] + axis_length * right, centre[1] + axis_length * up * width / (height * _ASPECT))
-        canvas.line([centre, end], _STYLES[axis])
-        canvas.letter(end, "xyz"[axis], f"bold {_STYLES[axis]}")
+        canvas.line([centre, end], style)
+        canvas.letter(end, axis, f"bold {style}")
     return canvas.rows()
 
 
-def _project(cosines: NumberTriple) -> Point:
-    """End of a unit vector (East, North, Up) in the drawing, from the centre, to the right and upwards."""
+def _in_view(cosines: NumberTriple) -> tuple[float, float, float]:
+    """Components of a unit vector (East, North, Up) to the right, upwards and away from the viewpoint."""
     east, north, up = cosines
     right = east * math.cos(_VIEW_AZIMUTH_RAD) + north * math.sin(_VIEW_AZIMUTH_RAD)
     ahead = north * math.cos(_VIEW_AZIMUTH_RAD) - east * math.sin(_VIEW_AZIMUTH_RAD)
-    return right, up * math.cos(_VIEW_ELEVATION_RAD) + ahead * math.sin(_VIEW_ELEVATION_RAD)
-
-
-def _depth(cosines: NumberTriple) -> float:
-    east, north, up = cosines
-    ahead = north * math.cos(_VIEW_AZIMUTH_RAD) - east * math.sin(_VIEW_AZIMUTH_RAD)
-    return ahead * math.cos(_VIEW_ELEVATION_RAD) - up * math.sin(_VIEW_ELEVATION_RAD)
+    cos_elevation, sin_elevation = math.cos(_VIEW_ELEVATION_RAD), math.sin(_VIEW_ELEVATION_RAD)
+    return right, up * cos_elevation + ahead * sin_elevation, ahead * cos_elevation - up * sin_elevation
