@@ -200,18 +200,10 @@ _HINT = (
 
 
 def new_procedure(name: str, like: str, path: Path) -> str:
-    """Write the text of a procedure file.
+    """Write the text of a procedure file at ``path``.
 
+    ``like``: a key of :data:`gyrobench.bench.foundations.shipped.TEMPLATES`, a shipped procedure, or a file.
     Raises DocumentError if there is no such template, or the name is invalid.
-
-    Parameters
-    ----------
-    name : str
-        Name of the procedure.
-    like : str
-        A key of :data:`gyrobench.bench.foundations.shipped.TEMPLATES`, a shipped procedure, or a file.
-    path : Path
-        Path of the new file.
     """
     template = read_document(find_document("procedures", TEMPLATES.get(like, like)))
     values = {
@@ -240,16 +232,8 @@ def new_procedure(name: str, like: str, path: Path) -> str:
 def new_station(name: str, path: Path, table: str | None = None, chamber: str | None = None) -> str:
     """Write the text of a station file from the shipped example, with placeholders for bench-specific values.
 
-    Raises DocumentError if there is no such dialect, or the name is invalid.
-
-    Parameters
-    ----------
-    name : str
-        Name of the bench.
-    path : Path
-        Path of the new file.
-    table, chamber : str, optional
-        Dialects of the rate table and the chamber; by default those of the example.
+    ``table``, ``chamber``: dialects; by default those of the example. Raises DocumentError if there is no
+    such dialect, or the name is invalid.
     """
     values = read_document(find_document("stations", _EXAMPLE_STATION)).data
     values |= {"station": name, "description": _NOT_FILLED_IN}
@@ -267,18 +251,9 @@ def new_station(name: str, path: Path, table: str | None = None, chamber: str | 
 
 
 def new_world(name: str, like: str, path: Path) -> str:
-    """Copy a world file under another name without parsing it, which only the emulators may do.
+    """Copy a world, shipped or a file, under another name without parsing it: only the emulators may do that.
 
     Raises DocumentError if there is no such world, or the name is invalid.
-
-    Parameters
-    ----------
-    name : str
-        Name of the new world.
-    like : str
-        A shipped world, or a file.
-    path : Path
-        Path of the new file.
     """
     if not _NAME.fullmatch(name):
         raise DocumentError(f"{name}: not a name of a world; use letters, digits, underscore and hyphen")
@@ -287,10 +262,7 @@ def new_world(name: str, like: str, path: Path) -> str:
 
 
 def new_import_map(like: str, path: Path) -> str:
-    """Copy an import map: ``like`` is a shipped one or a file, ``path`` that of the new file.
-
-    Raises DocumentError if there is no such import map.
-    """
+    """Copy an import map, shipped or a file. Raises DocumentError if there is no such import map."""
     return editor_line(IMPORT_MAP, path) + _text_to_copy(find_document("imports", like))
 
 
@@ -303,7 +275,7 @@ def _text_to_copy(path: Path) -> str:
 def new_effect(name: str, path: Path) -> str:
     """Write the text of an effect file to edit: an onset of the electronics temperature.
 
-    ``name``: of the effect. ``path``: of the new file. Raises DocumentError if the name is invalid.
+    Raises DocumentError if the name is invalid.
     """
     values = {
         "effect": name,
