@@ -24,7 +24,6 @@ from gyrobench.bench.bias.statistics import weighted_fit
 from gyrobench.bench.closure.files import holds_search
 from gyrobench.bench.closure.loadable_model import model_with_effects
 from gyrobench.bench.closure.loop import repeat_search
-from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
 from gyrobench.bench.foundations.files import file_sha256
@@ -57,10 +56,8 @@ _LOADABLE = (
     "Model of the bias by gyrobench close: polynomial over the temperature T of the gyro in °C, and effects "
     "by the formulas of compensation.yaml."
 )
-_POWER_PREFIX = "polynomial, degree "
-#: Names and units of the numbers in a bias model.
+#: Names and units of the numbers in a bias model beside the polynomial.
 _LABELS = {
-    "polynomial_dph": ("polynomial, degree", ""),
     "rate_dph_per_c_per_h": ("temperature rate", "deg/K"),
     "gradient_dph_per_k": ("gradient", "deg/h/K"),
     "saturating_dph_per_k": ("heat flow, saturating", "deg/h/K"),
@@ -392,21 +389,17 @@ def _model_numbers(folder: RunFolder, run: RunContent) -> tuple[list[ModelNumber
         for gyro in AXES
     }
     rows = [
-        ModelNumber(
-            f"{label}{suffix}",
-            gyro,
-            float(value),
-            coverage_factors[gyro] * float(sigma),
-            coverage_factors[gyro],
-            unit,
-        )
+        ModelNumber(label, gyro, value, coverage_factors[gyro] * sigma, coverage_factors[gyro], unit)
         for name, sigmas in compensation.sigma.items()
-        for (label, unit) in [_LABELS.get(name, (plain_name(name), ""))]
         for gyro, values, own_sigmas in zip(AXES, getattr(compensation, name), sigmas, strict=True)
-        for suffix, value, sigma in _elements(name, np.atleast_1d(values), np.atleast_1d(own_sigmas))
+        for (label, unit), value, sigma in zip(
+            _labels(name, np.size(values)),
+            np.atleast_1d(values).tolist(),
+            np.atleast_1d(own_sigmas).tolist(),
+            strict=True,
+        )
         if sigma > 0.0 and value
     ]
-    rows = [_with_power_unit(row) for row in rows]
     notes = f" Notes: {'; '.join(model.notes)}." if model.notes else ""
     sizes = {
         each.candidate.effect.name: with_sigma(each.rms_dph, NORMAL_K * each.rms_sigma_dph)
@@ -419,20 +412,17 @@ def _model_numbers(folder: RunFolder, run: RunContent) -> tuple[list[ModelNumber
     return rows, f"{_LOADABLE} Effects found beyond the temperature: {effects or 'none'}.{notes}"
 
 
-def _elements(name: str, values: FloatArray, sigmas: FloatArray) -> Iterator[tuple[str, float, float]]:
-    for index, (value, sigma) in enumerate(zip(values.tolist(), sigmas.tolist(), strict=True)):
-        if name == "polynomial_dph":
-            yield f" {index}", value, sigma
-        else:
-            yield f" along {AXES[index]}" if len(values) > 1 else "", value, sigma
+def _labels(name: str, count: int) -> list[tuple[str, str]]:
+    """Label and unit of each number of a parameter of the model."""
+    if name == "polynomial_dph":
+        return [_power_label(power) for power in range(count)]
+    label, unit = _LABELS.get(name, (plain_name(name), ""))
+    return [(f"{label} along {axis}", unit) for axis in AXES] if count > 1 else [(label, unit)]
 
 
-def _with_power_unit(row: ModelNumber) -> ModelNumber:
-    """The row with its unit, deg/h over a power of K, if it is a coefficient of the polynomial."""
-    if not row.name.startswith(_POWER_PREFIX):
-        return row
-    power = int(row.name.removeprefix(_POWER_PREFIX))
-    return replace(row, unit=f"deg/h/K{power}" if power > 1 else "deg/h/K" if power else "deg/h")
+def _power_label(power: int) -> tuple[str, str]:
+    """Label and unit of a coefficient of a polynomial."""
+    return f"polynomial, degree {power}", f"deg/h/K{power}" if power > 1 else "deg/h/K" if power else "deg/h"
 
 
 def _polynomial(gyro: str, run: RunContent) -> Iterator[ModelNumber]:
@@ -449,4 +439,5 @@ def _polynomial(gyro: str, run: RunContent) -> Iterator[ModelNumber]:
     k = coverage_factor(fit.dof if ratio > 1.0 else run.budget.dwells_dof(gyro))
     expanded = k * max(ratio, 1.0) * np.sqrt(np.diag(fit.covariance))
     for power, (value, value_expanded) in enumerate(zip(fit.values.tolist(), expanded.tolist(), strict=True)):
-        yield _with_power_unit(ModelNumber(f"{_POWER_PREFIX}{power}", gyro, value, value_expanded, k, ""))
+        label, unit = _power_label(power)
+        yield ModelNumber(label, gyro, value, value_expanded, k, unit)
