@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field
 from typing_extensions import override
 
 from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.text import counted
 from gyrobench.bench.procedure.estimate import BenchEstimate
-from gyrobench.bench.procedure.steps import Duration, DurationOrZero, Step, TableRate, span
+from gyrobench.bench.procedure.steps import Duration, DurationOrZero, Step, TableRate, TurnAngle, span
 
 #: A change of the angles of outer and inner axis, deg.
 Move = tuple[float, float]
@@ -27,14 +27,7 @@ class Rotation(StrictModel):
     """One rotation about an axis of the table."""
 
     axis: Literal["outer", "inner"] = Field(description="axis of the table")
-    angle_deg: float = Field(ge=-360.0, le=360.0, description="by how much, deg; not zero")
-
-    @field_validator("angle_deg")
-    @classmethod
-    def _check_angle(cls, angle_deg: float) -> float:
-        if angle_deg == 0.0:
-            raise ValueError("a rotation by zero has no effect")
-        return angle_deg
+    angle_deg: TurnAngle = Field(description="by how much, deg; not zero")
 
 
 class RotatingStep(Step):

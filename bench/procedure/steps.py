@@ -31,9 +31,16 @@ def _checked_position(name: str) -> str:
     )
 
 
+def _checked_angle(angle_deg: float) -> float:
+    if angle_deg == 0.0:
+        raise ValueError("a turn by zero has no effect")
+    return angle_deg
+
+
 Duration = Annotated[float, Field(gt=0.0, le=_MAX_STEP_S)]
 DurationOrZero = Annotated[float, Field(ge=0.0, le=_MAX_STEP_S)]
 Celsius = Annotated[float, Field(gt=-273.15, le=1000.0)]
+TurnAngle = Annotated[float, Field(ge=-360.0, le=360.0), AfterValidator(_checked_angle)]
 TableRate = Annotated[float, Field(ge=0.001, le=10_000.0)]
 KnownPosition = Annotated[
     str, Field(json_schema_extra={"enum": [*POSITIONS]}), AfterValidator(_checked_position)
@@ -324,16 +331,9 @@ class Turn(Step):
 
     name = "turn"
     at_position = True
-    angle_deg: float = Field(ge=-360.0, le=360.0, description="turn about Up, deg; not zero")
+    angle_deg: TurnAngle = Field(description="turn about Up, deg; not zero")
     rate_dps: TableRate = Field(default=10.0, description="rate of the table's axes, deg/s")
     settle_s: DurationOrZero = Field(default=5.0, description="wait after the turn, s")
-
-    @field_validator("angle_deg")
-    @classmethod
-    def _check_angle(cls, angle_deg: float) -> float:
-        if angle_deg == 0.0:
-            raise ValueError("a turn by zero has no effect")
-        return angle_deg
 
     @override
     def expected_s(self, bench: BenchEstimate) -> float:

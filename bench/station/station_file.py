@@ -133,6 +133,8 @@ class InsUncertainty(StrictModel):
     )
 
 
+Channel = Annotated[str, Field(min_length=1), AfterValidator(without_password)]
+BusOptions = dict[Annotated[str, AfterValidator(_option_key)], str | int | float | bool]
 _IDENTIFIER_OFFSET = (
     "added to the CAN identifier of every message of the DBC, so that several units can share one bus"
 )
@@ -147,13 +149,9 @@ class InsSection(StrictModel):
     interface: str = Field(
         min_length=1, description="python-can interface: socketcan, slcan, socketcand, ..."
     )
-    channel: Annotated[str, AfterValidator(without_password)] = Field(
-        min_length=1, description="python-can channel"
-    )
+    channel: Channel = Field(description="python-can channel")
     bitrate: int | None = Field(None, gt=0, description="bit/s, if the interface sets it")
-    options: dict[Annotated[str, AfterValidator(_option_key)], str | int | float | bool] = Field(
-        {}, description="further options of the python-can interface"
-    )
+    options: BusOptions = Field({}, description="further options of the python-can interface")
     dbc: str = Field(
         pattern=_DBC_PATTERN,
         description="name of a DBC file, NAME.dbc, next to the station file, or of a shipped one",
@@ -226,13 +224,9 @@ class UnitEntry(StrictModel):
         description="serial number; names its folder `units/NUMBER` in a run folder",
     )
     interface: str | None = Field(None, min_length=1, description="as in `ins`")
-    channel: Annotated[str, AfterValidator(without_password)] | None = Field(
-        None, min_length=1, description="as in `ins`"
-    )
+    channel: Channel | None = Field(None, description="as in `ins`")
     bitrate: int | None = Field(None, gt=0, description="as in `ins`")
-    options: dict[Annotated[str, AfterValidator(_option_key)], str | int | float | bool] | None = Field(
-        None, description="as in `ins`"
-    )
+    options: BusOptions | None = Field(None, description="as in `ins`")
     identifier_offset: int | None = Field(None, description=_IDENTIFIER_OFFSET)
     identity: Identity | None = Field(None, description="as in `ins`")
     noise: Noise | None = Field(None, description="as in `ins`")
