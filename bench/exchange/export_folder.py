@@ -7,7 +7,6 @@ import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import pyarrow as pa
@@ -41,26 +40,24 @@ _INTEGER_COLUMNS = frozenset(
     {"dwell", "cycle", "stop", "plateau", "dwells", "turned_dwell", "count", "part", "step", "mode"}
 )
 #: Unit by the end of a column's name, longer ends first.
-_UNIT_BY_SUFFIX = MappingProxyType(
-    {
-        "_dph_per_c_per_h": "deg/h per K/h",
-        "_dph_per_k": "deg/h per K",
-        "_dph_per_g": "deg/h per g",
-        "_c_per_h": "K/h",
-        "_arcmin": "arcmin",
-        "_dph": "deg/h",
-        "_dps": "deg/s",
-        "_mps": "m/s",
-        "_deg": "deg",
-        "_ug": "ug",
-        "_c": "degC",
-        "_k": "K",
-        "_s": "s",
-        "_ratio": "1",
-        "_value": "1",
-        "chi2_reduced": "1",
-    }
-)
+_UNIT_BY_SUFFIX = {
+    "_dph_per_c_per_h": "deg/h per K/h",
+    "_dph_per_k": "deg/h per K",
+    "_dph_per_g": "deg/h per g",
+    "_c_per_h": "K/h",
+    "_arcmin": "arcmin",
+    "_dph": "deg/h",
+    "_dps": "deg/s",
+    "_mps": "m/s",
+    "_deg": "deg",
+    "_ug": "ug",
+    "_c": "degC",
+    "_k": "K",
+    "_s": "s",
+    "_ratio": "1",
+    "_value": "1",
+    "chi2_reduced": "1",
+}
 
 
 def unit_of(column: str) -> str:

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -162,14 +161,12 @@ def _export_telemetry(folder: RunFolder, start: datetime, name: str, destination
     destination.table(name, _SCHEMA, iter([table]), source=folder.telemetry.name)
 
 
-_TABLE_NAMES = MappingProxyType(
-    {
-        DataKind.DWELLS: ("dwells",),
-        DataKind.BINS: ("bias_bins",),
-        DataKind.JOINT: ("joint", "joint_biases"),
-        DataKind.VERIFICATION: ("verification",),
-    }
-)
+_TABLE_NAMES = {
+    DataKind.DWELLS: ("dwells",),
+    DataKind.BINS: ("bias_bins",),
+    DataKind.JOINT: ("joint", "joint_biases"),
+    DataKind.VERIFICATION: ("verification",),
+}
 _TABLE_MISSING = "{} is missing, as in an interrupted run; create it with `gyrobench bins {}`"
 
 
@@ -278,19 +275,17 @@ def _write_compensation(folder: RunFolder, suffixes: list[str], destination: Exp
 _TABLE_FILE, _TERMS_FILE, _COMPENSATION_FILE = "compensation_table", "compensation_terms", "compensation.yaml"
 #: Temperature step of the table, and decimals of its biases, far below the stability of any gyro.
 _STEP_C, _DECIMALS = 1.0, 8
-_MEANINGS = MappingProxyType(
-    {
-        "polynomial_dph": "times T^degree, T in degC held between low_c and high_c",
-        "rate_dph_per_c_per_h": "times dT/dt, held within rate_limit_c_per_h",
-        "gradient_dph_per_k": "times B - T, held between difference_low_k and difference_high_k",
-        "saturating_dph_per_k": "times Up along this axis, (B - T) and 1 / (1 + exp(-c))",
-        "growing_dph_per_k": "times Up along this axis, (B - T) and ln(1 + exp(c))",
-        "onset_c": "c = (onset_c - T) / onset_width_c",
-        "gravity_dph_per_g": "times Up along this axis",
-        "warm_up_dph": "times exp(-t / warm_up_s), t since power-on",
-        "hysteresis_dph_per_k": "times the play of T of half_width_k, less T",
-    }
-)
+_MEANINGS = {
+    "polynomial_dph": "times T^degree, T in degC held between low_c and high_c",
+    "rate_dph_per_c_per_h": "times dT/dt, held within rate_limit_c_per_h",
+    "gradient_dph_per_k": "times B - T, held between difference_low_k and difference_high_k",
+    "saturating_dph_per_k": "times Up along this axis, (B - T) and 1 / (1 + exp(-c))",
+    "growing_dph_per_k": "times Up along this axis, (B - T) and ln(1 + exp(c))",
+    "onset_c": "c = (onset_c - T) / onset_width_c",
+    "gravity_dph_per_g": "times Up along this axis",
+    "warm_up_dph": "times exp(-t / warm_up_s), t since power-on",
+    "hysteresis_dph_per_k": "times the play of T of half_width_k, less T",
+}
 
 
 def compensation_files(suffixes: Sequence[str]) -> list[str]:

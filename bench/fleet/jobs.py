@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from types import MappingProxyType
 
 from pydantic import BaseModel, ValidationError
 
@@ -131,9 +130,11 @@ def _report(folder: RunFolder) -> str:
 
 
 #: Imported in the worker: the command that distributes runs starts without them.
-_PROCESSORS: Mapping[JobKind, Callable[[RunFolder], str]] = MappingProxyType(
-    {JobKind.BINS: _recompute, JobKind.CLOSE: _search, JobKind.REPORT: _report}
-)
+_PROCESSORS: dict[JobKind, Callable[[RunFolder], str]] = {
+    JobKind.BINS: _recompute,
+    JobKind.CLOSE: _search,
+    JobKind.REPORT: _report,
+}
 
 
 def _stamp(path: Path) -> str:

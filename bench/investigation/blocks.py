@@ -185,13 +185,21 @@ class Timeline:
 
     def plan(self) -> BlockPlan:
         """The steps as a plan."""
+        return BlockPlan(
+            unit=self.rows[-1].unit,
+            start_s=self.start_s,
+            state=self.start.state if self.start else self._state_after_last_dwell(),
+            next_dwell=self.next_dwell,
+            next_cycle=self.next_cycle,
+            steps=self.steps,
+        )
+
+    def _state_after_last_dwell(self) -> StartState:
         last = self.rows[-1]
-        if self.start is not None:
-            return self._plan(self.start.state)
         warm = [row for row in self.rows if np.isfinite([*row.gyro_c, *row.gyro_rate_c_per_h]).all()][-1]
         rise_c = np.array(warm.gyro_rate_c_per_h) * 0.5 * (warm.end_s - warm.start_s) / S_PER_H
         x_c, y_c, z_c = (np.array(warm.gyro_c) + rise_c).tolist()
-        state = StartState(
+        return StartState(
             chamber_c=last.chamber_c if np.isfinite(last.chamber_c) else None,
             gyro_x_c=x_c,
             gyro_y_c=y_c,
@@ -199,17 +207,6 @@ class Timeline:
             powered=True,
             since_power_on_s=last.since_power_on_s + last.end_s - last.start_s,
             position=last.position,
-        )
-        return self._plan(state)
-
-    def _plan(self, state: StartState) -> BlockPlan:
-        return BlockPlan(
-            unit=self.rows[-1].unit,
-            start_s=self.start_s,
-            state=state,
-            next_dwell=self.next_dwell,
-            next_cycle=self.next_cycle,
-            steps=self.steps,
         )
 
     def _add(self, step: AnyStep) -> None:

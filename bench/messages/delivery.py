@@ -19,14 +19,13 @@ import smtplib
 import ssl
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from email.header import Header
 from email.message import EmailMessage
 from email.utils import format_datetime, make_msgid
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Literal
 from urllib.parse import quote, quote_plus
 
@@ -43,19 +42,17 @@ Event = Literal[EventName, "guard_acted", "test"]
 
 _S_PER_H = 3600.0
 #: Names of events in the data of a message, a format that receivers rely on, if they differ.
-_NAMES_IN_DATA = MappingProxyType({"resumes": "goes_on"})
-_EVENT_TEXTS = MappingProxyType(
-    {
-        "ends": "the run has ended",
-        "holds": "the run holds",
-        "resumes": "the run has resumed",
-        "needs_person": "an operator is needed",
-        "unit_dropped": "a unit was dropped, the run continues with the others",
-        "dwells_flagged": "several successive dwells are flagged, the run continues",
-        "guard_acted": "the run died, the guard brought the bench to its safe state",
-        "test": "test message",
-    }
-)
+_NAMES_IN_DATA = {"resumes": "goes_on"}
+_EVENT_TEXTS = {
+    "ends": "the run has ended",
+    "holds": "the run holds",
+    "resumes": "the run has resumed",
+    "needs_person": "an operator is needed",
+    "unit_dropped": "a unit was dropped, the run continues with the others",
+    "dwells_flagged": "several successive dwells are flagged, the run continues",
+    "guard_acted": "the run died, the guard brought the bench to its safe state",
+    "test": "test message",
+}
 
 
 @dataclass(frozen=True)
@@ -381,9 +378,11 @@ def _ntfy_tag(message: Message) -> str:
 #: apply to single operations: a slow name server, or a server that sends byte by byte, could take forever.
 MAX_EXCHANGE_S = 30.0
 
-_SEND: Mapping[str, Callable[[Any, str, Message], str]] = MappingProxyType(
-    {"webhook": _post_webhook, "ntfy": _post_ntfy, "email": _send_mail}
-)
+_SEND: dict[str, Callable[[Any, str, Message], str]] = {
+    "webhook": _post_webhook,
+    "ntfy": _post_ntfy,
+    "email": _send_mail,
+}
 
 
 def deliver(receiver: Receiver, message: Message) -> str:

@@ -29,18 +29,21 @@ from gyrobench.bench.procedure.steps import (
 )
 
 
+def _no_reason(position: str, azimuth_deg: float, turns_deg: tuple[TurnOrMove, ...]) -> None:
+    """None, as for a table that reaches every position."""
+
+
 @dataclass(frozen=True)
 class StationLimits:
-    """Limits of one station's chamber and table."""
+    """Limits of one station's chamber and table; by default there are none."""
 
     #: chamber_low_c, chamber_high_c: Range of the chamber's set point.
-    chamber_low_c: float
-    chamber_high_c: float
-    ramp_max_c_per_min: float  #: Fastest ramp of the chamber, up or down.
-    table_rate_max_dps: float  #: Fastest turn of either axis of the table.
-    #: ``reachable(position, azimuth_deg, turns_deg)`` returns the reason why the table can't go there and
-    #: then make these turns; None if it can.
-    unreachable_reason: Callable[[str, float, tuple[TurnOrMove, ...]], str | None]
+    chamber_low_c: float = -math.inf
+    chamber_high_c: float = math.inf
+    ramp_max_c_per_min: float = math.inf  #: Fastest ramp of the chamber, up or down.
+    table_rate_max_dps: float = math.inf  #: Fastest turn of either axis of the table.
+    #: Reason why the table can't go to a position and azimuth, deg, and then make turns, deg; None if it can.
+    unreachable_reason: Callable[[str, float, tuple[TurnOrMove, ...]], str | None] = _no_reason
     #: gyro_low_c, gyro_high_c: Temperatures of the gyros at which an interlock trips.
     gyro_low_c: float = -math.inf
     gyro_high_c: float = math.inf
@@ -60,19 +63,15 @@ def check_plan(document: Document, plan: Plan, limits: StationLimits | None = No
 
 def find_problems(plan: Plan, limits: StationLimits | None = None) -> list[DocumentProblem]:
     """All problems of a plan; see :func:`check_plan`."""
-    if limits is not None:  # a long plan has few different attitudes
-        limits = replace(limits, unreachable_reason=cache(limits.unreachable_reason))
+    limits = limits or StationLimits()
+    # A long plan has few different attitudes.
+    limits = replace(limits, unreachable_reason=cache(limits.unreachable_reason))
     problems = [*_dwell_problems(plan)]
     for planned in plan.steps:
         problems += [*_order_problems(planned), *_time_problems(planned)]
-        if limits is not None:
-            problems += [*_chamber_problems(planned, limits), *_table_problems(planned, limits)]
-            problems += _command_problems(planned, limits)
-            problems += _reach_problems(plan, planned, limits)
-    problems += _test_problems(plan)
-    if limits is not None:
-        problems += _gyro_problems(plan, limits)
-    return problems
+        problems += [*_chamber_problems(planned, limits), *_table_problems(planned, limits)]
+        problems += [*_command_problems(planned, limits), *_reach_problems(plan, planned, limits)]
+    return [*problems, *_test_problems(plan), *_gyro_problems(plan, limits)]
 
 
 def _order_problems(planned: PlannedStep) -> Iterator[DocumentProblem]:
