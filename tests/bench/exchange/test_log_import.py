@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells
-from gyrobench.bench.exchange.log_import import import_logs, write_import
+from gyrobench.bench.exchange.log_import import cycle_numbers, import_logs, write_import
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 from tests.bench.exchange.sample_log import NOISE_DPH, RATE_HZ, bias_dph
 
@@ -446,3 +446,17 @@ def test_one_problem_of_a_column_is_reported_once(log):
         import_logs([path], log.mapping())
     assert str(error.value).count("column gx") == 1
     assert f"(and in {len(lines) - 2} more lines)" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("temperatures_c", "expected"),
+    [
+        ([20, 10, 0, 10, 20, 10, 0], [1, 1, 1, 2, 2, 3, 3]),
+        ([0, 10, 20, 18, 20, 30], [1, 1, 1, 1, 1, 1]),
+        ([5, 8, 5, 2, -10, 10], [1, 1, 1, 1, 1, 2]),
+        ([20, 20, 20], [1, 1, 1]),
+        ([], []),
+    ],
+)
+def test_a_leg_ends_where_the_temperature_turned_by_enough(temperatures_c, expected):
+    assert cycle_numbers(temperatures_c, 5.0) == expected

@@ -21,6 +21,8 @@ from gyrobench.bench.station.station import Station
 from gyrobench.drivers import serial_line
 from gyrobench.drivers.rate_table.acutrol3000 import Acutrol3000
 from gyrobench.drivers.serial_line import SerialLine
+from tests.bench.guard.served_bench import SmallEngine, is_running, wait_for
+from tests.bench.messages.servers import Server, free_port
 
 NO_RAMP = "  - {fault: no_set_point_ramp, at_s: 0}\n"
 CHANGED = "  - {fault: set_point_changed_at_panel, at_s: 3660, to_c: 60}\n"
@@ -133,3 +135,44 @@ def test_what_failed_is_in_the_journal_at_once_and_repeated_before_the_ramp_ends
     assert last_problems([last]) == {CHAMBER: ""}
     assert last["time_s"] - begun_s[0] > 120.0
     assert log.splitlines()[-1].endswith("the bench is in its safe state")
+
+
+pytestmark = pytest.mark.wall_time
+
+
+@pytest.fixture
+def start_engine_with_webhook(served, tmp_path):
+    """Start an engine in small whose station has a webhook at this address."""
+    engines = []
+
+    def start(url):
+        station = tmp_path / "alarm.yaml"
+        text = served.station.path.read_text()
+        station.write_text(f"{text}\nmessages:\n  - {{kind: webhook, address: '{url}', on: [ends]}}\n")
+        engines.append(SmallEngine(station, tmp_path / "run"))
+        return engines[-1]
+
+    yield start
+    for engine in engines:
+        engine.close()
+
+
+def test_an_alarm_is_sent_once_the_network_is_up_and_the_bench_does_not_wait_for_it(
+    start_engine_with_webhook,
+):
+    port = free_port()
+    engine = start_engine_with_webhook(f"http://127.0.0.1:{port}")
+    engine.process.kill()
+    wait_for(lambda: "message delayed" in engine.log() and "the bench is in its safe state" in engine.log())
+    server = Server(port=port)
+    wait_for(lambda: not is_running(engine.guard_pid))
+    ((_, _, body),) = server.received
+    server.close()
+    received = json.loads(body)
+    assert (received["event"], received["station"], received["run"]) == ("guard_acted", "emulated", "run")
+    assert received["urgent"]
+    assert (
+        "The engine died without releasing the guard, so the guard acted. The bench is in its safe state."
+        in received["why"]
+    )
+    assert "message sent" in engine.log()

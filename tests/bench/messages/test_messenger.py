@@ -5,7 +5,11 @@ import threading
 import time
 from dataclasses import replace
 
-from gyrobench.bench.messages.messenger import Messenger
+import pytest
+
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.messages.messenger import Messenger, Quota, send_test
 from tests.bench.messages.made_up import ENDS, NEEDS_PERSON
 from tests.bench.messages.servers import free_port, wait_for
 
@@ -129,3 +133,57 @@ def test_without_receivers_there_is_nothing_to_wait_for(receiver):
     with Messenger([idle], Record(), 60.0), Messenger([], Record(), 60.0) as messenger:
         messenger.send(ENDS, "finished")
         assert threading.active_count() == before
+
+
+def test_the_hour_slides():
+    quota = Quota(2)
+    assert [quota.lets_pass("a", now_s) for now_s in (0.0, 1800.0, 3599.0, 3600.0, 3601.0, 5400.0)] == [
+        True,
+        True,
+        False,
+        True,
+        False,
+        True,
+    ]
+
+
+def test_what_is_not_the_same_has_an_hour_of_its_own():
+    quota = Quota(1)
+    assert quota.lets_pass("a", 0.0)
+    assert quota.lets_pass("b", 0.0)
+    assert not quota.lets_pass("a", 1.0)
+
+
+@pytest.fixture
+def station_with(tmp_path):
+    """Write the shipped emulated station with these receivers."""
+
+    def write(*receivers):
+        path = tmp_path / "station.yaml"
+        listed = "".join(f"  - {each}\n" for each in receivers)
+        text = find_document("stations", "emulated").read_text()
+        path.write_text(f"{text}\nmessages:\n{listed}" if receivers else text)
+        return path
+
+    return write
+
+
+def test_every_receiver_gets_the_text_and_every_reply_is_returned(serve, station_with):
+    server = serve()
+    down = f"http://127.0.0.1:{free_port()}"
+    station = station_with(
+        f"{{kind: ntfy, address: '{server.url}/bench', on: [ends]}}", f"{{kind: webhook, address: '{down}'}}"
+    )
+    first, second = send_test(str(station), "Hello.")
+    assert (first.is_sent, first.reply) == (True, "200 OK")
+    assert first.receiver == f"ntfy {server.url}/bench"
+    assert server.received[0][2].decode().startswith("Hello.")
+    assert not second.is_sent
+    assert "refused" in second.reply
+
+
+def test_a_station_without_receivers_is_reported(station_with):
+    with pytest.raises(
+        DocumentError, match=r"station.yaml:\d+:1: no receivers: the section `messages` is missing"
+    ):
+        send_test(str(station_with()), "Hello.")
