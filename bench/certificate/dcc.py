@@ -30,6 +30,10 @@ if TYPE_CHECKING:
 _VERSION = "3.3.0"
 _DCC, _SI = "https://ptb.de/dcc", "https://ptb.de/si"
 _LANGUAGE = "en"
+_ROOT = "digitalCalibrationCertificate"
+_EMULATED = (
+    "emulated instruments, no measurement; this document shows what a certificate contains and is none"
+)
 #: D-SI units by the unit of a value, each with the factor that converts to it.
 _UNITS: Mapping[str, tuple[str, float]] = {
     "deg/h": (r"\degree\hour\tothe{-1}", 1.0),
@@ -59,9 +63,7 @@ _NO_NETWORK = "the schema names {}, which is not in {}. Copy it there: nothing i
 def certificate_dcc(certificate: Certificate) -> bytes:
     """The certificate as DCC without signature. Raises MissingPackageError without lxml."""
     xml = require("lxml.etree")
-    document = _Document(xml)
-    root = document.root(certificate)
-    return xml.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)  # type: ignore[no-any-return]
+    return xml.tostring(_root(certificate), xml_declaration=True, encoding="UTF-8", pretty_print=True)  # type: ignore[no-any-return]
 
 
 def validate_dcc(content: bytes, schema: Path) -> None:
@@ -99,318 +101,306 @@ def validate_dcc(content: bytes, schema: Path) -> None:
         raise DocumentError(f"the certificate is not valid against {schema_files[0]}:\n{problems}")
 
 
-class _Document:
-    def __init__(self, xml: Any) -> None:
-        self._xml = xml
+def _dcc(name: str, *children: etree._Element | str | None, **attributes: str) -> etree._Element:
+    return _element(_DCC, name, children, attributes)
 
-    def _dcc(self, name: str, *children: etree._Element | str | None, **attributes: str) -> etree._Element:
-        return self._element(_DCC, name, children, attributes)
 
-    def _si(self, name: str, *children: etree._Element | str | None) -> etree._Element:
-        return self._element(_SI, name, children, {})
+def _si(name: str, *children: etree._Element | str | None) -> etree._Element:
+    return _element(_SI, name, children, {})
 
-    def _element(
-        self, space: str, name: str, children: Iterable[Any], attributes: Mapping[str, str]
-    ) -> etree._Element:
-        element = self._xml.Element(
-            f"{{{space}}}{name}", attributes, nsmap={"dcc": _DCC, "si": _SI} if name == _ROOT else None
+
+def _element(space: str, name: str, children: Iterable[Any], attributes: Mapping[str, str]) -> etree._Element:
+    """Element of a name space with children and text; children that are None are left out."""
+    element: etree._Element = require("lxml.etree").Element(
+        f"{{{space}}}{name}", attributes, nsmap={"dcc": _DCC, "si": _SI} if name == _ROOT else None
+    )
+    for child in children:
+        if isinstance(child, str):
+            element.text = child
+        elif child is not None:
+            element.append(child)
+    return element
+
+
+def _root(certificate: Certificate) -> etree._Element:
+    """The whole document."""
+    comment = None
+    if certificate.run.is_simulated:
+        comment = _dcc("comment", _dcc("content", f"{SIMULATED}: {_EMULATED}", lang=_LANGUAGE))
+    return _dcc(
+        _ROOT,
+        _administration(certificate),
+        _dcc("measurementResults", *_common_elements(certificate), *_results(certificate)),
+        comment,
+        schemaVersion=_VERSION,
+    )
+
+
+def _text(tag: str, *texts: str) -> etree._Element:
+    return _dcc(tag, *(_dcc("content", text, lang=_LANGUAGE) for text in texts))
+
+
+def _identifications(*identifications: tuple[str, str, str]) -> etree._Element | None:
+    """Element of the identifications (issuer, name, value) that have a value; None without any."""
+    elements = [
+        _dcc(
+            "identification",
+            _dcc("issuer", issuer),
+            _dcc("value", _collapse_spaces(value)),
+            _text("name", name),
         )
-        for child in children:
-            if isinstance(child, str):
-                element.text = child
-            elif child is not None:
-                element.append(child)
-        return element
+        for issuer, name, value in identifications
+        if value.strip()
+    ]
+    return _dcc("identifications", *elements) if elements else None
 
-    def root(self, certificate: Certificate) -> etree._Element:
-        """The whole document."""
-        comment = None
-        if certificate.run.is_simulated:
-            comment = self._dcc("comment", self._dcc("content", f"{SIMULATED}: {_EMULATED}", lang=_LANGUAGE))
-        return self._dcc(
-            _ROOT,
-            self._administration(certificate),
-            self._dcc("measurementResults", *self._common_elements(certificate), *self._results(certificate)),
-            comment,
-            schemaVersion=_VERSION,
+
+def _administration(certificate: Certificate) -> etree._Element:
+    started, ended = certificate.performed
+    order, lab = certificate.order, certificate.station.laboratory
+    software = _dcc(
+        "software", _text("name", "gyrobench"), _dcc("release", __version__), _dcc("type", "application")
+    )
+    core = _dcc(
+        "coreData",
+        _dcc("countryCodeISO3166_1", lab.country if lab else "XX"),
+        _dcc("usedLangCodeISO639_1", _LANGUAGE),
+        _dcc("mandatoryLangCodeISO639_1", _LANGUAGE),
+        _dcc("uniqueIdentifier", _collapse_spaces(certificate.number)),
+        _identifications(
+            ("customer", "Order", order.order),
+            ("customer", "Item of the order", order.item),
+            ("calibrationLaboratory", "Run", certificate.run.run_name),
+            ("calibrationLaboratory", "Sealed data", certificate.seal),
+        ),
+        _dcc("beginPerformanceDate", f"{started}"),
+        _dcc("endPerformanceDate", f"{ended}"),
+        _dcc("performanceLocation", "laboratory"),
+        _dcc("issueDate", f"{certificate.issued}"),
+    )
+    item = _dcc(
+        "item",
+        _text("name", "Inertial navigation system"),
+        _identifications(("manufacturer", "Serial number", certificate.unit or "unknown")),
+    )
+    address = [
+        _dcc(tag, value)
+        for tag, value in (
+            ("city", lab.city if lab else "unknown"),
+            ("countryCode", lab.country if lab else "XX"),
+            ("postCode", lab.post_code if lab else ""),
+            ("street", lab.street if lab else ""),
         )
+        if value
+    ]
+    laboratory = _dcc(
+        "calibrationLaboratory",
+        _dcc("calibrationLaboratoryCode", lab.accreditation) if lab and lab.accreditation else None,
+        _dcc(
+            "contact",
+            _text("name", lab.name if lab else "not stated"),
+            _dcc("eMail", lab.email) if lab and lab.email else None,
+            _dcc("location", *address),
+        ),
+    )
+    name = f"none: {SIMULATED}" if certificate.run.is_simulated else order.authorised_by
+    person = _dcc(
+        "respPerson",
+        _dcc("person", _text("name", name)),
+        _dcc("role", "authorises the certificate"),
+        _dcc("mainSigner", "true"),
+    )
+    customer = _dcc(
+        "customer",
+        _text("name", order.customer or "not stated"),
+        _dcc("location", _text("further", order.customer or "not stated")),
+    )
+    return _dcc(
+        "administrativeData",
+        _dcc("dccSoftware", software),
+        core,
+        _dcc("items", item),
+        laboratory,
+        _dcc("respPersons", person),
+        customer,
+        _statements(certificate),
+    )
 
-    def _text(self, tag: str, *texts: str) -> etree._Element:
-        return self._dcc(tag, *(self._dcc("content", text, lang=_LANGUAGE) for text in texts))
 
-    def _identifications(self, *identifications: tuple[str, str, str]) -> etree._Element | None:
-        """Element of the identifications (issuer, name, value) that have a value; None without any."""
-        elements = [
-            self._dcc(
-                "identification",
-                self._dcc("issuer", issuer),
-                self._dcc("value", _collapse_spaces(value)),
-                self._text("name", name),
-            )
-            for issuer, name, value in identifications
-            if value.strip()
-        ]
-        return self._dcc("identifications", *elements) if elements else None
+def _statements(certificate: Certificate) -> etree._Element:
+    acceptance, (sentence, rule) = certificate.run.acceptance, certificate.conformity
+    status = _CONFORMITY.get(acceptance.verdict, "") if acceptance and acceptance.limits else ""
+    statements = [
+        (SIMULATED, _EMULATED if certificate.run.is_simulated else "", "", ""),
+        ("Statement of conformity", sentence, rule, status),
+        ("Deviations from the procedure", " ".join(certificate.deviations), "", ""),
+        ("Recalibration", certificate.order.recalibration, "", ""),
+        ("Replaced certificate", certificate.order.replaces, "ISO/IEC 17025:2017, 7.8.8", ""),
+    ]
+    return _dcc("statements", *(_statement(*each) for each in statements if each[1]))
 
-    def _administration(self, certificate: Certificate) -> etree._Element:
-        started, ended = certificate.performed
-        order, lab = certificate.order, certificate.station.laboratory
-        software = self._dcc(
-            "software",
-            self._text("name", "gyrobench"),
-            self._dcc("release", __version__),
-            self._dcc("type", "application"),
-        )
-        core = self._dcc(
-            "coreData",
-            self._dcc("countryCodeISO3166_1", lab.country if lab else "XX"),
-            self._dcc("usedLangCodeISO639_1", _LANGUAGE),
-            self._dcc("mandatoryLangCodeISO639_1", _LANGUAGE),
-            self._dcc("uniqueIdentifier", _collapse_spaces(certificate.number)),
-            self._identifications(
-                ("customer", "Order", order.order),
-                ("customer", "Item of the order", order.item),
-                ("calibrationLaboratory", "Run", certificate.run.run_name),
-                ("calibrationLaboratory", "Sealed data", certificate.seal),
+
+def _statement(name: str, declaration: str, convention: str, status: str) -> etree._Element:
+    return _dcc(
+        "statement",
+        _text("name", name),
+        _dcc("convention", _collapse_spaces(convention)) if convention else None,
+        _text("declaration", declaration),
+        _dcc("conformity", status) if status else None,
+    )
+
+
+def _common_elements(certificate: Certificate) -> list[etree._Element | None]:
+    """Methods, instruments and conditions, which are common to all results."""
+    methods = _dcc(
+        "usedMethods",
+        _dcc(
+            "usedMethod",
+            _text("name", "Six-position calibration of gyro biases"),
+            _text("description", " ".join(certificate.method)),
+            _dcc("norm", "JCGM 100:2008"),
+            refType="basic_calibrationMethod",
+        ),
+    )
+    location, conditions = certificate.station.location, certificate.conditions
+    influences = [
+        _condition("Air in the chamber, lowest and highest", "degC", *certificate.chamber_c),
+        _condition("Latitude", "deg", location.latitude_deg),
+        _condition("Height above the ellipsoid", "m", location.height_m),
+        _dcc("influenceCondition", _text("name", "Room"), _dcc("data", _text("text", conditions["room"]))),
+    ]
+    return [
+        methods,
+        _equipment(certificate),
+        _dcc("influenceConditions", *(each for each in influences if each is not None)),
+    ]
+
+
+def _equipment(certificate: Certificate) -> etree._Element | None:
+    elements = [
+        _dcc(
+            "measuringEquipment",
+            _text("name", plain_name(name)),
+            _identifications(
+                ("manufacturer", "Serial number", each.serial_number),
+                ("calibrationLaboratory", "Certificate", f"{each.certificate} {each.issuer}".strip()),
+                ("calibrationLaboratory", "Valid until", f"{each.due}"),
             ),
-            self._dcc("beginPerformanceDate", f"{started}"),
-            self._dcc("endPerformanceDate", f"{ended}"),
-            self._dcc("performanceLocation", "laboratory"),
-            self._dcc("issueDate", f"{certificate.issued}"),
-        )
-        item = self._dcc(
-            "item",
-            self._text("name", "Inertial navigation system"),
-            self._identifications(("manufacturer", "Serial number", certificate.unit or "unknown")),
-        )
-        address = [
-            self._dcc(tag, value)
-            for tag, value in (
-                ("city", lab.city if lab else "unknown"),
-                ("countryCode", lab.country if lab else "XX"),
-                ("postCode", lab.post_code if lab else ""),
-                ("street", lab.street if lab else ""),
-            )
-            if value
-        ]
-        laboratory = self._dcc(
-            "calibrationLaboratory",
-            self._dcc("calibrationLaboratoryCode", lab.accreditation) if lab and lab.accreditation else None,
-            self._dcc(
-                "contact",
-                self._text("name", lab.name if lab else "not stated"),
-                self._dcc("eMail", lab.email) if lab and lab.email else None,
-                self._dcc("location", *address),
-            ),
-        )
-        name = f"none: {SIMULATED}" if certificate.run.is_simulated else order.authorised_by
-        person = self._dcc(
-            "respPerson",
-            self._dcc("person", self._text("name", name)),
-            self._dcc("role", "authorises the certificate"),
-            self._dcc("mainSigner", "true"),
-        )
-        customer = self._dcc(
-            "customer",
-            self._text("name", order.customer or "not stated"),
-            self._dcc("location", self._text("further", order.customer or "not stated")),
-        )
-        return self._dcc(
-            "administrativeData",
-            self._dcc("dccSoftware", software),
-            core,
-            self._dcc("items", item),
-            laboratory,
-            self._dcc("respPersons", person),
-            customer,
-            self._statements(certificate),
-        )
-
-    def _statements(self, certificate: Certificate) -> etree._Element:
-        acceptance, (sentence, rule) = certificate.run.acceptance, certificate.conformity
-        status = _CONFORMITY.get(acceptance.verdict, "") if acceptance and acceptance.limits else ""
-        statements = [
-            (SIMULATED, _EMULATED if certificate.run.is_simulated else "", "", ""),
-            ("Statement of conformity", sentence, rule, status),
-            ("Deviations from the procedure", " ".join(certificate.deviations), "", ""),
-            ("Recalibration", certificate.order.recalibration, "", ""),
-            ("Replaced certificate", certificate.order.replaces, "ISO/IEC 17025:2017, 7.8.8", ""),
-        ]
-        return self._dcc("statements", *(self._statement(*each) for each in statements if each[1]))
-
-    def _statement(self, name: str, declaration: str, convention: str, status: str) -> etree._Element:
-        return self._dcc(
-            "statement",
-            self._text("name", name),
-            self._dcc("convention", _collapse_spaces(convention)) if convention else None,
-            self._text("declaration", declaration),
-            self._dcc("conformity", status) if status else None,
-        )
-
-    def _common_elements(self, certificate: Certificate) -> list[etree._Element | None]:
-        """Methods, instruments and conditions, which are common to all results."""
-        methods = self._dcc(
-            "usedMethods",
-            self._dcc(
-                "usedMethod",
-                self._text("name", "Six-position calibration of gyro biases"),
-                self._text("description", " ".join(certificate.method)),
-                self._dcc("norm", "JCGM 100:2008"),
-                refType="basic_calibrationMethod",
-            ),
-        )
-        location, conditions = certificate.station.location, certificate.conditions
-        influences = [
-            self._condition("Air in the chamber, lowest and highest", "degC", *certificate.chamber_c),
-            self._condition("Latitude", "deg", location.latitude_deg),
-            self._condition("Height above the ellipsoid", "m", location.height_m),
-            self._dcc(
-                "influenceCondition",
-                self._text("name", "Room"),
-                self._dcc("data", self._text("text", conditions["room"])),
-            ),
-        ]
-        return [
-            methods,
-            self._equipment(certificate),
-            self._dcc("influenceConditions", *(each for each in influences if each is not None)),
-        ]
-
-    def _equipment(self, certificate: Certificate) -> etree._Element | None:
-        elements = [
-            self._dcc(
-                "measuringEquipment",
-                self._text("name", plain_name(name)),
-                self._identifications(
-                    ("manufacturer", "Serial number", each.serial_number),
-                    ("calibrationLaboratory", "Certificate", f"{each.certificate} {each.issuer}".strip()),
-                    ("calibrationLaboratory", "Valid until", f"{each.due}"),
+            _dcc(
+                "measuringEquipmentQuantities",
+                _dcc(
+                    "measuringEquipmentQuantity",
+                    _text("name", f"Expanded uncertainty, k = {each.uncertainty.coverage_factor:g}"),
+                    _real_quantity(each.uncertainty.value, each.uncertainty.unit),
                 ),
-                self._dcc(
-                    "measuringEquipmentQuantities",
-                    self._dcc(
-                        "measuringEquipmentQuantity",
-                        self._text("name", f"Expanded uncertainty, k = {each.uncertainty.coverage_factor:g}"),
-                        self._real_quantity(each.uncertainty.value, each.uncertainty.unit),
-                    ),
-                ),
-            )
-            for name, each in certificate.station.traceability.instruments()
-        ]
-        return self._dcc("measuringEquipments", *elements) if elements else None
-
-    def _condition(self, name: str, unit: str, *values: float) -> etree._Element | None:
-        if not all(map(math.isfinite, values)):
-            return None
-        quantities = [self._dcc("quantity", self._real_quantity(value, unit)) for value in values]
-        return self._dcc("influenceCondition", self._text("name", name), self._dcc("data", *quantities))
-
-    def _results(self, certificate: Certificate) -> list[etree._Element]:
-        by_place: dict[tuple[str, str], list[BiasResult]] = {
-            (gyro, position): [] for gyro in AXES for position in POSITIONS
-        }
-        for each in certificate.results:
-            by_place[each.gyro, each.position].append(each)
-        bias_results = [
-            self._bias_result(*gyro_and_position, place_results)
-            for gyro_and_position, place_results in by_place.items()
-            if place_results
-        ]
-        results = (
-            [self._measurement("Gyro biases by position and temperature", bias_results)]
-            if bias_results
-            else []
+            ),
         )
-        if certificate.model:
-            quantities = [
-                self._named_quantity(f"{gyro_label(each.axis)}, {each.name}", each)
-                for each in certificate.model
-            ]
-            numbers = self._list_result("Numbers of the model", quantities, certificate.model_note)
-            results.append(self._measurement("Bias model", [numbers]))
-        if certificate.coefficients:
-            quantities = [
-                self._named_quantity(
-                    f"{each.name} {each.axis}, {each.temperature_c:.1f} °C "
-                    f"({'gyro' if each.name.startswith('gyro') else 'case'})",
-                    each,
-                )
-                for each in certificate.coefficients
-            ]
-            rows = certificate.run.coefficients
-            note = " ".join([FRAME_TEXT, *plateau_findings(rows), *plateau_notes(rows)])
-            coefficients = self._list_result("Coefficients", quantities, note)
-            results.append(self._measurement("Coefficients of the sensors", [coefficients]))
-        return results
+        for name, each in certificate.station.traceability.instruments()
+    ]
+    return _dcc("measuringEquipments", *elements) if elements else None
 
-    def _measurement(self, name: str, results: Sequence[etree._Element]) -> etree._Element:
-        return self._dcc("measurementResult", self._text("name", name), self._dcc("results", *results))
 
-    def _bias_result(self, gyro: str, position: str, results: Sequence[BiasResult]) -> etree._Element:
-        temperatures = self._si(
-            "realListXMLList",
-            self._si("valueXMLList", _number_list(each.temperature_c for each in results)),
-            self._si("unitXMLList", _UNITS["degC"][0]),
-        )
-        expanded = self._si(
-            "expandedMUXMLList",
-            self._si("valueExpandedMUXMLList", _number_list(each.expanded_dph for each in results)),
-            self._si("coverageFactorXMLList", " ".join(f"{each.k:.4f}" for each in results)),
-            self._si("coverageProbabilityXMLList", f"{COVERAGE:g}"),
-            self._si("distributionXMLList", "normal"),
-        )
-        biases = self._si(
-            "realListXMLList",
-            self._si("valueXMLList", _number_list(each.bias_dph for each in results)),
-            self._si("unitXMLList", _UNITS["deg/h"][0]),
-            self._si("measurementUncertaintyUnivariateXMLList", expanded),
-        )
+def _condition(name: str, unit: str, *values: float) -> etree._Element | None:
+    if not all(map(math.isfinite, values)):
+        return None
+    quantities = [_dcc("quantity", _real_quantity(value, unit)) for value in values]
+    return _dcc("influenceCondition", _text("name", name), _dcc("data", *quantities))
+
+
+def _results(certificate: Certificate) -> list[etree._Element]:
+    by_place: dict[tuple[str, str], list[BiasResult]] = {
+        (gyro, position): [] for gyro in AXES for position in POSITIONS
+    }
+    for each in certificate.results:
+        by_place[each.gyro, each.position].append(each)
+    bias_results = [
+        _bias_result(*gyro_and_position, place_results)
+        for gyro_and_position, place_results in by_place.items()
+        if place_results
+    ]
+    results = [_measurement("Gyro biases by position and temperature", bias_results)] if bias_results else []
+    if certificate.model:
         quantities = [
-            self._dcc("quantity", self._text("name", "Temperature of the gyro"), temperatures),
-            self._dcc("quantity", self._text("name", "Bias"), biases),
+            _named_quantity(f"{gyro_label(each.axis)}, {each.name}", each) for each in certificate.model
         ]
-        name = f"Bias of the {gyro_label(gyro)}, {position_label(position)}"
-        return self._dcc(
-            "result", self._text("name", name), self._dcc("data", self._dcc("list", *quantities))
-        )
-
-    def _named_quantity(self, name: str, number: ModelNumber) -> etree._Element:
-        value = self._real_quantity(number.value, number.unit, number.expanded, number.k)
-        return self._dcc("quantity", self._text("name", name), value)
-
-    def _list_result(self, name: str, quantities: Sequence[etree._Element], note: str = "") -> etree._Element:
-        return self._dcc(
-            "result",
-            self._text("name", name),
-            self._text("description", note) if note else None,
-            self._dcc("data", self._dcc("list", *quantities)),
-        )
-
-    def _real_quantity(
-        self, value: float, unit: str, expanded: float | None = None, k: float = 2.0
-    ) -> etree._Element:
-        dsi, factor = _UNITS[unit]
-        uncertainty = None
-        if expanded is not None:
-            uncertainty = self._si(
-                "measurementUncertaintyUnivariate",
-                self._si(
-                    "expandedMU",
-                    self._si("valueExpandedMU", f"{factor * expanded:.9g}"),
-                    self._si("coverageFactor", f"{k:.4f}"),
-                    self._si("coverageProbability", f"{COVERAGE:g}"),
-                    self._si("distribution", "normal"),
-                ),
+        numbers = _list_result("Numbers of the model", quantities, certificate.model_note)
+        results.append(_measurement("Bias model", [numbers]))
+    if certificate.coefficients:
+        quantities = [
+            _named_quantity(
+                f"{each.name} {each.axis}, {each.temperature_c:.1f} °C "
+                f"({'gyro' if each.name.startswith('gyro') else 'case'})",
+                each,
             )
-        return self._si(
-            "real", self._si("value", f"{factor * value:.9g}"), self._si("unit", dsi), uncertainty
+            for each in certificate.coefficients
+        ]
+        rows = certificate.run.coefficients
+        note = " ".join([FRAME_TEXT, *plateau_findings(rows), *plateau_notes(rows)])
+        coefficients = _list_result("Coefficients", quantities, note)
+        results.append(_measurement("Coefficients of the sensors", [coefficients]))
+    return results
+
+
+def _measurement(name: str, results: Sequence[etree._Element]) -> etree._Element:
+    return _dcc("measurementResult", _text("name", name), _dcc("results", *results))
+
+
+def _bias_result(gyro: str, position: str, results: Sequence[BiasResult]) -> etree._Element:
+    temperatures = _si(
+        "realListXMLList",
+        _si("valueXMLList", _number_list(each.temperature_c for each in results)),
+        _si("unitXMLList", _UNITS["degC"][0]),
+    )
+    expanded = _si(
+        "expandedMUXMLList",
+        _si("valueExpandedMUXMLList", _number_list(each.expanded_dph for each in results)),
+        _si("coverageFactorXMLList", " ".join(f"{each.k:.4f}" for each in results)),
+        _si("coverageProbabilityXMLList", f"{COVERAGE:g}"),
+        _si("distributionXMLList", "normal"),
+    )
+    biases = _si(
+        "realListXMLList",
+        _si("valueXMLList", _number_list(each.bias_dph for each in results)),
+        _si("unitXMLList", _UNITS["deg/h"][0]),
+        _si("measurementUncertaintyUnivariateXMLList", expanded),
+    )
+    quantities = [
+        _dcc("quantity", _text("name", "Temperature of the gyro"), temperatures),
+        _dcc("quantity", _text("name", "Bias"), biases),
+    ]
+    name = f"Bias of the {gyro_label(gyro)}, {position_label(position)}"
+    return _dcc("result", _text("name", name), _dcc("data", _dcc("list", *quantities)))
+
+
+def _named_quantity(name: str, number: ModelNumber) -> etree._Element:
+    value = _real_quantity(number.value, number.unit, number.expanded, number.k)
+    return _dcc("quantity", _text("name", name), value)
+
+
+def _list_result(name: str, quantities: Sequence[etree._Element], note: str = "") -> etree._Element:
+    return _dcc(
+        "result",
+        _text("name", name),
+        _text("description", note) if note else None,
+        _dcc("data", _dcc("list", *quantities)),
+    )
+
+
+def _real_quantity(value: float, unit: str, expanded: float | None = None, k: float = 2.0) -> etree._Element:
+    dsi, factor = _UNITS[unit]
+    uncertainty = None
+    if expanded is not None:
+        uncertainty = _si(
+            "measurementUncertaintyUnivariate",
+            _si(
+                "expandedMU",
+                _si("valueExpandedMU", f"{factor * expanded:.9g}"),
+                _si("coverageFactor", f"{k:.4f}"),
+                _si("coverageProbability", f"{COVERAGE:g}"),
+                _si("distribution", "normal"),
+            ),
         )
-
-
-_ROOT = "digitalCalibrationCertificate"
-_EMULATED = (
-    "emulated instruments, no measurement; this document shows what a certificate contains and is none"
-)
+    return _si("real", _si("value", f"{factor * value:.9g}"), _si("unit", dsi), uncertainty)
 
 
 def _number_list(values: Iterable[float]) -> str:
