@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
 
 from pydantic import Field
 
@@ -89,27 +91,24 @@ class CharacteristicTests(StrictModel):
         ``shared``: errors of the dwells due to accelerometers that follow the temperature. ``errors``: all
         errors of the dwells.
         """
-        results: list[TestResult] = []
-        if self.turn_on_repeatability:
-            results.append(_result("turn_on_repeatability", lambda: turn_on_repeatability(rows, errors)))
-        if self.warm_up:
-            within_dph = self.warm_up.within_dph
-            results.append(_result("warm_up", lambda: warm_up(rows, within_dph, shared)))
-        if self.thermal_sensitivity:
-            reference_c, degree = self.thermal_sensitivity.reference_c, self.thermal_sensitivity.degree
-            results.append(
-                _result("thermal_sensitivity", lambda: thermal_sensitivity(rows, reference_c, degree, shared))
-            )
-        if self.allan_variance:
-            results.append(_result("allan_variance", lambda: allan_test(records)))
-        if self.scale_factor_stability:
-            results.append(_result("scale_factor_stability", lambda: scale_factor_stability(spins)))
-        return results
+        tests: dict[TestName, Callable[[Any], TestResult]] = {
+            "turn_on_repeatability": lambda _: turn_on_repeatability(rows, errors),
+            "warm_up": lambda test: warm_up(rows, test.within_dph, shared),
+            "thermal_sensitivity": lambda test: thermal_sensitivity(
+                rows, test.reference_c, test.degree, shared
+            ),
+            "allan_variance": lambda _: allan_test(records),
+            "scale_factor_stability": lambda _: scale_factor_stability(spins),
+        }
+        return [
+            _result(name, partial(evaluate, test))
+            for name, evaluate in tests.items()
+            if (test := getattr(self, name)) is not None
+        ]
 
 
 def _result(test: TestName, evaluate: Callable[[], TestResult]) -> TestResult:
     try:
         return evaluate()
     except MeasurementError as error:
-        text = str(error)
-        return TestResult(test=test, notes=[f"No result: {text}."])
+        return TestResult(test=test, notes=[f"No result: {error}."])
