@@ -8,7 +8,6 @@ Up.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -46,12 +45,8 @@ def calendar_times(start: datetime, time_s: FloatArray) -> pa.Array:
 _FIRST_CALENDAR_S = 631_152_000.0
 
 
-@dataclass(frozen=True)
-class TimedPart:
-    """One part of the log: its number, and its frames with time stamps in seconds since 1970 UTC."""
-
-    number: int
-    frames: FrameBlock
+#: Number of a part of the log, and its frames with time stamps in seconds since 1970 UTC.
+TimedPart = tuple[int, FrameBlock]
 
 
 class TimedLog:
@@ -79,7 +74,7 @@ class TimedLog:
                 shift_s = self._shift_s(number, frames, end_s)
                 frames = frames.with_fields(time_s=frames.timestamp_s + shift_s)
             end_s = float(frames.timestamp_s[-1])
-            yield TimedPart(number, frames)
+            yield number, frames
 
     def _shift_s(self, number: int, frames: FrameBlock, end_s: float) -> float:
         """Offset, s, from the time stamps of a part to calendar times."""
@@ -95,8 +90,8 @@ def write_blf(path: Path, parts: Iterable[TimedPart]) -> None:
     """Write all frames, with calendar times."""
     with path.open("wb") as stream:
         writer = BlfWriter(stream)
-        for part in parts:
-            writer.write(part.frames)
+        for _, frames in parts:
+            writer.write(frames)
         writer.finish()
 
 
@@ -142,19 +137,18 @@ def _batches(folder: RunFolder, setup: MeasurementSetup, dwell: int | None) -> I
         numbers = sorted(marks.dwell for marks in finished.values())
         available = f"finished are {numbers[0]} to {numbers[-1]}" if numbers else "none is finished"
         raise RunFolderError(f"{folder.path}: has no finished dwell {dwell}; {available}")
-    for part in log:
-        if dwell is None or part.number in selected:
-            yield _table(part, setup, finished.get(part.number), log.start_s)
+    for number, frames in log:
+        if dwell is None or number in selected:
+            yield _table(number, setup.decode(frames.data_frames()), finished.get(number), log.start_s)
 
 
-def _table(part: TimedPart, setup: MeasurementSetup, marks: DwellMarks | None, start_s: float) -> pa.Table:
+def _table(part: int, data: NavigationData, marks: DwellMarks | None, start_s: float) -> pa.Table:
     """Table of one part; frames after its dwell belong to no dwell."""
-    data = setup.decode(part.frames.data_frames())
     values = dict(zip(_FLOAT_COLUMNS, _float_values(data, start_s), strict=True))
     columns = {name: pa.array(column, pa.float64(), from_pandas=True) for name, column in values.items()}
     is_in_dwell = data.row < (marks.frame_count if marks else 0)
     integers = {
-        "part": np.full(len(data.row), part.number),
+        "part": np.full(len(data.row), part),
         "dwell": np.where(is_in_dwell, marks.dwell if marks else 0, 0),
         "segment": data.segment,
         "mode": data.mode.astype(np.int64),

@@ -367,10 +367,8 @@ def _gyro_temperatures(window: Window, log_map: LogMap) -> tuple[Triple, Triple]
     constant = log_map.averages.temperatures.constant_c
     if constant is not None:
         return (constant, constant, constant), (0.0, 0.0, 0.0)
-    x, y, z = (window.slopes_per_h[f"gyro_{axis}_c"] for axis in AXES)
-    return _means(window, "gyro"), (x, y, z)
+    return _means(window, "gyro"), triple(window.slopes_per_h[f"gyro_{axis}_c"] for axis in AXES)
 
 
 def _means(window: Window, sensor: str) -> Triple:
-    x, y, z = (window.means[f"{sensor}_{axis}_c"] for axis in AXES)
-    return x, y, z
+    return triple(window.means[f"{sensor}_{axis}_c"] for axis in AXES)

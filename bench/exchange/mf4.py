@@ -42,12 +42,12 @@ def write_mf4(path: Path, parts: Iterable[TimedPart], dbc: Path, origin: Mapping
     begin_s: float | None = None
     with MDF(version="4.10", temporary_folder=str(path.parent)) as log:
         log.header.comment = f"<HDcomment><TX>{escape(json.dumps(origin))}</TX></HDcomment>"
-        for part in parts:
+        for _, part in parts:
             if begin_s is None:
-                begin_s = float(part.frames.timestamp_s[0])
+                begin_s = float(part.timestamp_s[0])
                 log.header.start_time = datetime.fromtimestamp(begin_s, UTC)
             for kind, structure in _STRUCTURES.items():
-                frames = part.frames.take(part.frames.flags == kind)
+                frames = part.take(part.flags == kind)
                 if not len(frames):
                     continue
                 time_s, samples = frames.timestamp_s - begin_s, _samples(structure, frames)

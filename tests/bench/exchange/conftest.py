@@ -47,7 +47,7 @@ def two_dwells(tmp_path_factory):
 @pytest.fixture(scope="session")
 def messages(two_dwells):
     """Every frame of that run, with calendar time."""
-    return [message for part in TimedLog(two_dwells) for message in part.frames.messages()]
+    return [message for _, frames in TimedLog(two_dwells) for message in frames.messages()]
 
 
 @pytest.fixture(scope="session")

@@ -3,7 +3,6 @@
 import can
 import pytest
 
-from gyrobench.bench.exchange.can_export import TimedPart
 from gyrobench.drivers.frames import FrameBlock
 
 BEGIN_S = 1_700_000_000.0
@@ -23,7 +22,7 @@ def strange_parts():
     """Two parts of a log with them."""
     frames = FrameBlock.from_messages(strange_frames())
     later = frames.with_fields(time_s=frames.timestamp_s + 10.0)
-    return [TimedPart(1, frames), TimedPart(2, later.take(slice(0, 2)))]
+    return [(1, frames), (2, later.take(slice(0, 2)))]
 
 
 def frames_of(path):

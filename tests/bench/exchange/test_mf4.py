@@ -34,18 +34,18 @@ def test_an_mdf4_file_holds_every_frame_with_its_calendar_time(mf4, messages):
 def test_frames_of_all_kinds_survive(dbc, tmp_path):
     path, parts = tmp_path / "can.mf4", strange_parts()
     write_mf4(path, parts, dbc, {})
-    assert_same(frames_of(path), [message for part in parts for message in part.frames.messages()])
+    assert_same(frames_of(path), [message for _, frames in parts for message in frames.messages()])
 
 
 def test_an_import_reads_the_data_frames_as_they_were(dbc, tmp_path):
     path, parts = tmp_path / "can.mf4", strange_parts()
     write_mf4(path, parts, dbc, {})
-    written = concatenate([part.frames.data_frames() for part in parts])
+    written = concatenate([frames.data_frames() for _, frames in parts])
     assert_same_rows(_mf4_frames(path), written)
 
 
 def test_an_import_reads_the_frames_of_all_buses_of_a_file_in_the_order_of_time(dbc, tmp_path):
-    written = concatenate([part.frames.data_frames() for part in strange_parts()])
+    written = concatenate([frames.data_frames() for _, frames in strange_parts()])
     with MDF(version="4.10") as log:
         for bus in (0, 1):
             block = written.take(np.arange(len(written)) % 2 == bus)
