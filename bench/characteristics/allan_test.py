@@ -40,17 +40,22 @@ from gyrobench.bench.bias.allan import (
     nonnegative_least_squares,
 )
 from gyrobench.bench.characteristics.results import Coefficient, Curve, TestResult, coefficient
-from gyrobench.bench.foundations.arrays import ARCSEC_TO_RAD, DEG_PER_SQRT_H_TO_SI, DPH_TO_RADPS, FloatArray
+from gyrobench.bench.foundations.arrays import (
+    ARCSEC_TO_RAD,
+    DEG_PER_SQRT_H_TO_SI,
+    DPH_TO_RADPS,
+    S_PER_H,
+    FloatArray,
+)
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import AXES
 
-_HOUR_S = 3600.0
 #: Name, unit and its size in SI of each coefficient.
 _TERMS = {
     WHITE_ANGLE: ("quantisation Q", "arcsec", ARCSEC_TO_RAD),
     RANDOM_WALK: ("angle random walk N", "deg/sqrt(h)", DEG_PER_SQRT_H_TO_SI),
     BIAS_INSTABILITY: ("bias instability B", "deg/h", DPH_TO_RADPS),
-    RATE_WALK: ("rate random walk K", "deg/h/sqrt(h)", DPH_TO_RADPS / np.sqrt(_HOUR_S)),
+    RATE_WALK: ("rate random walk K", "deg/h/sqrt(h)", DPH_TO_RADPS / np.sqrt(S_PER_H)),
 }
 _NORMAL_95 = 1.96
 #: The terms do not explain the Allan variance if its p-value is smaller.
@@ -94,7 +99,7 @@ def allan_test(records: Sequence[RateRecord]) -> TestResult:
             low, high = square_interval(float(fit.terms[term]), float(fit.sigmas[term]))
             value, low, high = (np.sqrt(each) / size for each in (float(fit.terms[term]), low, high))
             coefficients.append(coefficient(gyro, name, unit, float(value), float(low), float(high)))
-        ramp, sigma = (each * _HOUR_S / DPH_TO_RADPS for each in mean_ramp(segments, interval_s, fit))
+        ramp, sigma = (each * S_PER_H / DPH_TO_RADPS for each in mean_ramp(segments, interval_s, fit))
         interval = ramp - _NORMAL_95 * sigma, ramp + _NORMAL_95 * sigma
         coefficients.append(coefficient(gyro, "rate ramp R", "deg/h/h", ramp, *interval))
         notes += _notes(gyro, allan, fit) or _periodic_note(gyro, max(segments, key=len), interval_s)

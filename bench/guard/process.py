@@ -22,7 +22,6 @@ _READY_TIME_S = 30.0
 _RESTART_PAUSE_S = 60.0
 #: A small pipe soon fills with unread heartbeats if the guard hangs.
 _PIPE_BYTES = 4096
-_EMULATED = "emulator://"
 
 
 class Guard:
@@ -180,8 +179,6 @@ class GuardProcess(Guard):
 
 def guard_for(station: Station, folder: Path, clock: Clock) -> Guard:
     """Return a guard process, or one without effect if table and chamber are emulated in this process."""
-    section = station.file
-    ports = (section.rate_table.port, section.chamber.port)
-    if clock.is_virtual or all(port.startswith(_EMULATED) for port in ports):
+    if clock.is_virtual or (station.file.rate_table.is_emulated and station.file.chamber.is_emulated):
         return Guard()
     return GuardProcess(station, folder, clock)

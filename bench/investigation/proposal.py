@@ -15,7 +15,7 @@ from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.campaign import Campaign, campaign_of
 from gyrobench.bench.closure.candidates import Candidate, best_start, solve_with
 from gyrobench.bench.closure.problem import declared_problem
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms, triple
 from gyrobench.bench.investigation.blocks import Block, BlockPlanner, catalogue
 from gyrobench.bench.investigation.choice import (
     ExpectedEntropy,
@@ -480,5 +480,4 @@ def _with_electronics(row: DwellRow, expected: DwellRow) -> DwellRow:
     """The row with the expected temperature of the electronics above the optics, if that was not measured."""
     if np.isfinite(row.board_c).all():
         return row
-    x_c, y_c, z_c = (np.array(row.gyro_c) + expected.board_c - expected.gyro_c).tolist()
-    return replace(row, board_c=(x_c, y_c, z_c))
+    return replace(row, board_c=triple(np.array(row.gyro_c) + expected.board_c - expected.gyro_c))

@@ -30,6 +30,7 @@ from typing import Any, Literal
 from urllib.parse import quote, quote_plus
 
 from gyrobench.bench import __version__
+from gyrobench.bench.foundations.arrays import S_PER_H
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import ConnectionFailedError, DocumentError, GyrobenchError
 from gyrobench.bench.foundations.files import read_limited
@@ -40,7 +41,6 @@ from gyrobench.bench.station.time_limit import call_within
 #: Event of a message. Receivers select events with their key ``on``; the last two go to all.
 Event = Literal[EventName, "guard_acted", "test"]
 
-_S_PER_H = 3600.0
 #: Names of events in the data of a message, a format that receivers rely on, if they differ.
 _NAMES_IN_DATA = {"resumes": "goes_on"}
 _EVENT_TEXTS = {
@@ -65,7 +65,7 @@ class Remaining:
     @property
     def text(self) -> str:
         """Text such as "44:59 h, 12 dwells"."""
-        return f"{hours_minutes(self.hours * _S_PER_H)} h, {self.dwells} dwells"
+        return f"{hours_minutes(self.hours * S_PER_H)} h, {self.dwells} dwells"
 
 
 @dataclass(frozen=True)

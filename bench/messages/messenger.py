@@ -11,6 +11,7 @@ from itertools import chain, count, repeat
 from types import TracebackType
 from typing import Any
 
+from gyrobench.bench.foundations.arrays import S_PER_H
 from gyrobench.bench.foundations.clock import Clock, Deadline, WallClock
 from gyrobench.bench.foundations.documents import DocumentProblem
 from gyrobench.bench.foundations.errors import RunFolderError
@@ -18,8 +19,6 @@ from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.messages.delivery import Message, UndeliveredError, deliver
 from gyrobench.bench.station.receivers import Receiver
 from gyrobench.bench.station.station_file import load_station_file
-
-_HOUR_S = 3600.0
 
 
 class Quota:
@@ -32,7 +31,7 @@ class Quota:
     def lets_pass(self, about: str, now_s: float) -> bool:
         """Whether one more may be sent now; if so, it is counted."""
         sent_s = self._sent_s[about]
-        while sent_s and now_s - sent_s[0] >= _HOUR_S:
+        while sent_s and now_s - sent_s[0] >= S_PER_H:
             sent_s.popleft()
         if len(sent_s) >= self._max:
             return False

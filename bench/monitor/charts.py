@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gyrobench.bench.foundations.arrays import S_PER_H
 from gyrobench.bench.foundations.text import hours_minutes
 from gyrobench.bench.monitor.snapshot import (
     CurrentDwell,
@@ -28,11 +29,11 @@ from gyrobench.bench.report.number_format import BiasScale, true_minus
 
 #: Width and height of the square in which curves are drawn.
 _SIDE = 1000
-HOUR_S, MINUTE_S = 3600.0, 60.0
+_S_PER_MIN = 60.0
 
 _TICK_STEPS = (1.0, 2.0, 5.0, 10.0)
 _TIME_STEPS_S = tuple(
-    [MINUTE_S * step for step in (1, 2, 5, 10, 20, 30)] + [HOUR_S * step for step in (1, 2, 3, 6, 12)]
+    [_S_PER_MIN * step for step in (1, 2, 5, 10, 20, 30)] + [S_PER_H * step for step in (1, 2, 3, 6, 12)]
 )
 _MAX_TICKS = 8
 _MARGIN = 0.06
@@ -114,10 +115,10 @@ def time_axis(title: str, high_s: float, unit_s: float) -> Axis:
 
     Labels are in ``unit_s``, or h:mm for ticks at fractions of hours.
     """
-    high_s = max(high_s, MINUTE_S)
+    high_s = max(high_s, _S_PER_MIN)
     fitting = (step for step in _TIME_STEPS_S if high_s / step <= _MAX_TICKS)
-    step_s = next(fitting, 24.0 * HOUR_S * math.ceil(high_s / (24.0 * HOUR_S * _MAX_TICKS)))
-    is_clock = unit_s == HOUR_S and step_s % HOUR_S != 0.0
+    step_s = next(fitting, 24.0 * S_PER_H * math.ceil(high_s / (24.0 * S_PER_H * _MAX_TICKS)))
+    is_clock = unit_s == S_PER_H and step_s % S_PER_H != 0.0
     axis = Axis(title, 0.0, high_s, ())
     return _with_ticks(axis, step_s, hours_minutes if is_clock else lambda time_s: f"{time_s / unit_s:.3g}")
 
@@ -190,7 +191,7 @@ def window_charts(dwell: CurrentDwell) -> list[tuple[Chart, Chart]]:
     velocity_y = value_axis("Velocity, mm/s", velocities, _MIN_SPAN_MMPS)
     heading_y = value_axis("Heading change, arcsec", headings, _MIN_SPAN_ARCSEC)
     max_s = max((max((window.planned_s, *window.time_s)) for window in dwell.windows), default=0.0)
-    x = time_axis("Time in the window, min", max_s, MINUTE_S)
+    x = time_axis("Time in the window, min", max_s, _S_PER_MIN)
     return [
         (_velocity_chart(number, window, x, velocity_y), _heading_chart(number, window, x, heading_y))
         for number, window in enumerate(dwell.windows, start=1)
@@ -259,7 +260,7 @@ def _bias_chart(index: int, gyro: str, estimates: tuple[LiveBias, ...], scale: B
     low = [value - width for value, width in zip(bias, sigma, strict=True)]
     high = [value + width for value, width in zip(bias, sigma, strict=True)]
     first_settled = int(_SETTLED_SHARE * len(finite))
-    x = time_axis("Since the first estimate, min", max([0.0, *times_s]), MINUTE_S)
+    x = time_axis("Since the first estimate, min", max([0.0, *times_s]), _S_PER_MIN)
     y = value_axis(f"Bias, {scale.unit}", (*low[first_settled:], *high[first_settled:]), _MIN_SPAN_BIAS)
     curves = (
         CurvePath(f"sigma gyro-{gyro}", band_path(x, y, times_s, low, high), "± 1 sigma"),
@@ -272,7 +273,7 @@ def _bias_chart(index: int, gyro: str, estimates: tuple[LiveBias, ...], scale: B
 
 
 _MIN_SPAN_C = 10.0
-_MAX_MINUTE_AXIS_S = 2.0 * HOUR_S
+_MAX_MINUTE_AXIS_S = 2.0 * S_PER_H
 _MEASURED_CURVES = (
     ("chamber_set_c", "set-point", "chamber set"),
     ("chamber_c", "chamber", "chamber air"),
@@ -311,7 +312,7 @@ def profile_chart(snapshot: RunSnapshot) -> ProfileChart | None:
     planned_ends_s = [time_s + snapshot.behind_s for time_s in planned.time_s[-1:]]
     # The past of the plan is drawn as planned, which is later than now if the run is ahead of it.
     ends_s = [snapshot.now_s, snapshot.plan_now_s, *measured.time_s[-1:], *planned_ends_s]
-    unit_s, unit = (HOUR_S, "h") if max(ends_s) > _MAX_MINUTE_AXIS_S else (MINUTE_S, "min")
+    unit_s, unit = (S_PER_H, "h") if max(ends_s) > _MAX_MINUTE_AXIS_S else (_S_PER_MIN, "min")
     x = time_axis(f"Time since the start, {unit}", max(ends_s), unit_s)
     y = value_axis("Temperature, °C", _temperatures(planned, measured), _MIN_SPAN_C)
     curves = [

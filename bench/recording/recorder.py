@@ -228,7 +228,7 @@ def _header(station: Station, instrument: Instrument, note: str) -> RecordingHea
         dialect=section.dialect,
         options=_options(section, section.installed_dialect.options),
         axes=list(station.file.rate_table.axis_numbers) if instrument == "table" else [],
-        source="emulator" if section.port.startswith("emulator://") else "instrument",
+        source="emulator" if section.is_emulated else "instrument",
         note=note,
     )
 

@@ -20,7 +20,6 @@ from pathlib import Path
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.runs.locks import LOCK_DIR_VARIABLE, Holder, Lock, identity_of, present_holder
 from gyrobench.bench.station.station import Station
-from gyrobench.bench.station.station_file import InsSection
 
 #: Command of a guard in its locks.
 GUARD_COMMAND = "guard of this run"
@@ -85,19 +84,14 @@ def _port_files(station: Station) -> dict[str, Path]:
 def _lock_names(station: Station) -> Iterator[tuple[str, str]]:
     file = station.file
     for what, section in (("rate table", file.rate_table), ("chamber", file.chamber)):
-        url = section.installed_dialect.line.complete_url(section.port)
-        if not url.startswith(f"{_EMULATED}://"):
+        if not section.is_emulated:
+            url = section.installed_dialect.line.complete_url(section.port)
             yield from _lock_names_of(f"the {what}'s port {section.port}", url)
-    for unit in station.units:
-        yield from _bus_lock_name(unit.file.ins)
-
-
-def _bus_lock_name(ins: InsSection) -> Iterator[tuple[str, str]]:
-    if ins.interface != _EMULATED:
+    for ins in file.ins_sections:
         name = f"the INS's port {ins.interface} {ins.channel}"
         if ins.interface == "slcan":
             yield from _lock_names_of(name, ins.channel.partition("@")[0])
-        else:
+        elif not ins.is_emulated:
             host = [_canonical_host(str(ins.options["host"]))] if "host" in ins.options else []
             port = [str(ins.options["port"])] if "port" in ins.options else []
             yield name, ":".join([ins.interface, *host, *port, ins.channel])

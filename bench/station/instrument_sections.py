@@ -99,6 +99,11 @@ class DialectSection(StrictModel):
     )
 
     @property
+    def is_emulated(self) -> bool:
+        """Whether the instrument is emulated inside this process."""
+        return self.port.startswith("emulator://")
+
+    @property
     def installed_dialect(self) -> Dialect:
         """The dialect itself."""
         return load(self.group, self.dialect, self.kind)

@@ -45,7 +45,6 @@ CHECK_SUPPLY = (
     "Check the supply's wiring, whether the output is inverted, and unit.power_event of the station"
 )
 
-_EMULATOR = "emulator"
 _OPENING_TIME_S = 15.0
 #: A reply to a request from before the line was opened arrives within this time.
 _LATE_REPLY_S = 1.0
@@ -424,7 +423,7 @@ def _open_ins_bus(station: Station, clock: Clock, emulation: Emulation, bench: S
     """Open only the bus; arguments as for :func:`open_ins`."""
     section = station.file.ins
     options: dict[str, str | int | float | bool] = dict(section.options)
-    if section.interface == _EMULATOR:
+    if section.is_emulated:
         options.update(_emulation_parameters(bench or station, emulation))
         options["epoch_period_s"] = section.signals.epoch_period_s
         if section.identifier_offset:
@@ -445,7 +444,7 @@ def _open_silent_line(
 ) -> Iterator[SerialLine]:
     """Open a line and wait until it is silent; an error of the driver closes it."""
     defaults, url = section.installed_dialect.line, section.port
-    if url.startswith(f"{_EMULATOR}://") and "?" not in url:
+    if section.is_emulated and "?" not in url:
         url += f"?{urlencode({'clock': clock.name, **_emulation_parameters(station, emulation)})}"
     baudrate, parity = section.baudrate or defaults.baudrate, section.parity or defaults.parity
     line = SerialLine(instrument, defaults.complete_url(url), clock, baudrate, parity)
@@ -460,10 +459,6 @@ def _open_silent_line(
 def _emulation_parameters(station: Station, emulation: Emulation) -> dict[str, str | int]:
     """Parameters of the emulated bench in an address: its world, and the dialects of table and chamber."""
     sections = {"table": station.file.rate_table, "chamber": station.file.chamber}
-    dialects = {
-        name: section.dialect
-        for name, section in sections.items()
-        if section.port.startswith(f"{_EMULATOR}://")
-    }
+    dialects = {name: section.dialect for name, section in sections.items() if section.is_emulated}
     units = {"units": len(station.units)} if len(station.units) > 1 else {}
     return {**emulation.options(), **dialects, **units}

@@ -165,6 +165,11 @@ class InsSection(StrictModel):
         InsUncertainty(), description="uncertainty of the INS's errors other than bias and noise"
     )
 
+    @property
+    def is_emulated(self) -> bool:
+        """Whether the INS is emulated inside this process."""
+        return self.interface == "emulator"
+
 
 class ThermalEstimateSection(StrictModel):
     """How the gyros follow the chamber; for estimates of duration only."""
@@ -378,9 +383,8 @@ class StationFile(StrictModel):
 
     def emulated_instruments(self) -> list[bool]:
         """Whether each instrument is emulated inside this process: table, chamber, bus of each unit."""
-        ports = (self.rate_table.port, self.chamber.port)
-        are_buses_emulated = (ins.interface == "emulator" for ins in self.ins_sections)
-        return [*(port.startswith("emulator://") for port in ports), *are_buses_emulated]
+        buses = (ins.is_emulated for ins in self.ins_sections)
+        return [self.rate_table.is_emulated, self.chamber.is_emulated, *buses]
 
     def is_emulated(self) -> bool:
         """Whether every instrument is emulated inside this process."""

@@ -5,9 +5,8 @@ from dataclasses import replace
 
 import pytest
 
+from gyrobench.bench.foundations.arrays import S_PER_H
 from gyrobench.bench.monitor.charts import (
-    HOUR_S,
-    MINUTE_S,
     band_path,
     bias_charts,
     line_path,
@@ -60,11 +59,11 @@ def test_an_axis_of_nothing_still_is_one():
 @pytest.mark.parametrize(
     ("high_s", "unit_s", "texts"),
     [
-        (45.75 * HOUR_S, HOUR_S, ["0", "6", "12", "18", "24", "30", "36", "42"]),
-        (2.4 * HOUR_S, HOUR_S, ["0:00", "0:20", "0:40", "1:00", "1:20", "1:40", "2:00", "2:20"]),
-        (600.0, MINUTE_S, ["0", "2", "4", "6", "8", "10"]),
-        (0.0, MINUTE_S, ["0", "1"]),
-        (1000 * HOUR_S, HOUR_S, ["0", "144", "288", "432", "576", "720", "864"]),
+        (45.75 * S_PER_H, S_PER_H, ["0", "6", "12", "18", "24", "30", "36", "42"]),
+        (2.4 * S_PER_H, S_PER_H, ["0:00", "0:20", "0:40", "1:00", "1:20", "1:40", "2:00", "2:20"]),
+        (600.0, 60.0, ["0", "2", "4", "6", "8", "10"]),
+        (0.0, 60.0, ["0", "1"]),
+        (1000 * S_PER_H, S_PER_H, ["0", "144", "288", "432", "576", "720", "864"]),
     ],
 )
 def test_time_has_ticks_at_usual_hours_and_minutes(high_s, unit_s, texts):
@@ -159,7 +158,7 @@ def test_what_is_to_come_is_as_late_as_the_run(snapshot):
     chart = profile.chart
     now, late_s = round(10.0 * chart.now_percent, 1), snapshot.now_s - snapshot.plan_now_s
     planned = [place[0] for place in places(curve(chart, "chamber planned").path)]
-    assert late_s == pytest.approx(0.2 * HOUR_S)
+    assert late_s == pytest.approx(0.2 * S_PER_H)
     assert max(planned) == pytest.approx(1000.0)
     assert chart.x.high == snapshot.planned.time_s[-1] + late_s
     assert 10.0 * chart.x.percent(snapshot.plan_now_s) == pytest.approx(
@@ -192,7 +191,7 @@ def test_each_position_has_its_lane_with_the_stays_that_are_over_marked(snapshot
 
 
 def test_a_run_that_was_faster_than_its_plan_shows_the_whole_plan(snapshot):
-    profile = profile_chart(replace(snapshot, state=RunState.FINISHED, left_s=0.0, now_s=9.2 * HOUR_S))
+    profile = profile_chart(replace(snapshot, state=RunState.FINISHED, left_s=0.0, now_s=9.2 * S_PER_H))
     ends = [bar.start_percent + bar.width_percent for bars in profile.lanes.values() for bar in bars]
     assert max(ends) <= 100.001
     assert profile.chart.now_percent < 65.0
