@@ -1,15 +1,9 @@
 """Dwells that give no result, and calibration checks without a partner."""
 
-from collections.abc import Callable
-
 import pytest
 
-from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.procedure.checks import check_plan
-from gyrobench.bench.procedure.plan import Plan
-
-PlanOf = Callable[[str], tuple[Document, Plan]]
 
 # Lines 3 to 5; what follows begins in line 6.
 GO_TO = "- go_to: {position: z_up}\n"
@@ -73,9 +67,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize(("steps", "place", "message"), WRONG.values(), ids=WRONG)
-def test_what_gives_no_bias_is_named_with_its_place(
-    planned: PlanOf, steps: str, place: str, message: str
-) -> None:
+def test_what_gives_no_bias_is_named_with_its_place(planned, steps, place, message):
     document, plan = planned(START + steps)
     with pytest.raises(DocumentError, match=message) as caught:
         check_plan(document, plan)
@@ -83,7 +75,7 @@ def test_what_gives_no_bias_is_named_with_its_place(
     assert "\n" not in str(caught.value)
 
 
-def test_a_dwell_that_is_interrupted_is_reported_on_both_sides(planned: PlanOf) -> None:
+def test_a_dwell_that_is_interrupted_is_reported_on_both_sides(planned):
     document, plan = planned(START + WINDOW + "- soak: {for_s: 5}\n" + TURN + WINDOW)
     with pytest.raises(DocumentError) as caught:
         check_plan(document, plan)
@@ -111,7 +103,7 @@ GOOD = {
 
 
 @pytest.mark.parametrize("steps", GOOD.values(), ids=GOOD)
-def test_what_gives_a_bias_or_verifies_one_is_allowed(planned: PlanOf, steps: str) -> None:
+def test_what_gives_a_bias_or_verifies_one_is_allowed(planned, steps):
     document, plan = planned(START + steps)
     check_plan(document, plan)
 
@@ -120,7 +112,7 @@ POWER_ON = "- power_on\n"
 HOT, COLD = (f"- chamber: {{temperature_c: {c}, ramp_c_per_min: 1}}\n" for c in (60, -20))
 
 
-def verify(position: str, azimuth_deg: float | str) -> str:
+def verify(position, azimuth_deg):
     """Three lines."""
     return (
         f"- go_to: {{position: {position}, azimuth_deg: {azimuth_deg}}}\n"
@@ -129,7 +121,7 @@ def verify(position: str, azimuth_deg: float | str) -> str:
     )
 
 
-def loop(variables: str, body: str) -> str:
+def loop(variables, body):
     """Put steps into a loop that begins in the line after it."""
     return f"- repeat:\n    over: {{{variables}}}\n    steps:\n" + "".join(
         f"      {line}\n" for line in body.splitlines()
@@ -169,9 +161,7 @@ ALONE = {
 
 
 @pytest.mark.parametrize(("steps", "expected"), ALONE.values(), ids=ALONE)
-def test_a_verification_without_one_half_a_turn_away_is_reported_with_what_to_add(
-    planned: PlanOf, steps: str, expected: list[str]
-) -> None:
+def test_a_verification_without_one_half_a_turn_away_is_reported_with_what_to_add(planned, steps, expected):
     document, plan = planned(POWER_ON + steps)
     with pytest.raises(DocumentError) as caught:
         check_plan(document, plan)
@@ -201,6 +191,6 @@ PAIRED = {
 
 
 @pytest.mark.parametrize("steps", PAIRED.values(), ids=PAIRED)
-def test_verifications_in_pairs_half_a_turn_apart_are_allowed(planned: PlanOf, steps: str) -> None:
+def test_verifications_in_pairs_half_a_turn_apart_are_allowed(planned, steps):
     document, plan = planned(POWER_ON + steps)
     check_plan(document, plan)

@@ -9,26 +9,26 @@ from gyrobench.bench.procedure.estimate import BenchEstimate, ThermalEstimate, l
 THERMAL = ThermalEstimate(time_constant_s=2000.0, self_heating_c=10.0, air_lag_s=100.0, room_c=20.0)
 
 
-def bench(**changes: object) -> BenchEstimate:
+def bench(**changes):
     values = {"thermal": THERMAL, "chamber_c": 20.0, "gyro_c": 20.0, **changes}
     return BenchEstimate(**values)
 
 
-def test_bench_at_rest_stays_at_room_temperature() -> None:
+def test_bench_at_rest_stays_at_room_temperature():
     assert BenchEstimate.at_rest(THERMAL).passed(1e5).gyro_c == pytest.approx(20.0)
 
 
-def test_powered_gyros_make_up_63_percent_of_their_self_heating_in_one_time_constant() -> None:
+def test_powered_gyros_make_up_63_percent_of_their_self_heating_in_one_time_constant():
     assert bench(powered=True).passed(2000.0).gyro_c == pytest.approx(20.0 + 10.0 * (1.0 - math.exp(-1.0)))
 
 
-def test_gyros_follow_a_long_ramp_one_time_constant_behind() -> None:
+def test_gyros_follow_a_long_ramp_one_time_constant_behind():
     ramping = bench(set_point_c=1020.0, ramp_c_per_s=0.01).passed(90_000.0)
     assert ramping.chamber_c == pytest.approx(920.0)
     assert ramping.gyro_c == pytest.approx(920.0 - 0.01 * 2000.0)
 
 
-def test_a_ramp_ends_at_its_set_point_and_the_chamber_holds_it() -> None:
+def test_a_ramp_ends_at_its_set_point_and_the_chamber_holds_it():
     cold = bench(set_point_c=-40.0, ramp_c_per_s=1.0 / 60.0)
     assert cold.ramp_left_s() == pytest.approx(3600.0)
     assert cold.passed(3600.0).chamber_c == pytest.approx(-40.0)
@@ -37,27 +37,25 @@ def test_a_ramp_ends_at_its_set_point_and_the_chamber_holds_it() -> None:
 
 
 @given(st.floats(-60.0, 90.0), st.floats(1e-4, 0.1), st.booleans(), st.floats(0.0, 2e4), st.floats(0.0, 2e4))
-def test_two_waits_are_one_wait(
-    goal_c: float, ramp_c_per_s: float, powered: bool, first_s: float, second_s: float
-) -> None:
+def test_two_waits_are_one_wait(goal_c, ramp_c_per_s, powered, first_s, second_s):
     start = bench(set_point_c=goal_c, ramp_c_per_s=ramp_c_per_s, powered=powered)
     once, twice = start.passed(first_s + second_s), start.passed(first_s).passed(second_s)
     assert twice.chamber_c == pytest.approx(once.chamber_c, abs=1e-6)
     assert twice.gyro_c == pytest.approx(once.gyro_c, abs=1e-6)
 
 
-def test_after_the_predicted_settling_time_the_gyros_change_at_the_rate_asked_for() -> None:
+def test_after_the_predicted_settling_time_the_gyros_change_at_the_rate_asked_for():
     start = bench(gyro_c=60.0, powered=True)
     settled = start.passed(start.time_until_gyro_rate_s(2.0))
     change_c_per_h = (settled.passed(1.0).gyro_c - settled.gyro_c) * 3600.0
     assert change_c_per_h == pytest.approx(-2.0, rel=1e-3)
 
 
-def test_settled_gyros_need_no_time() -> None:
+def test_settled_gyros_need_no_time():
     assert bench(gyro_c=30.0, powered=True).time_until_gyro_rate_s(0.1) == 0.0
 
 
-def test_lag_solves_its_differential_equation() -> None:
+def test_lag_solves_its_differential_equation():
     value, goal, slope, tau_s, step_s = 3.0, 10.0, 0.02, 50.0, 0.01
     by_steps = value
     for index in range(10_000):

@@ -1,20 +1,19 @@
 import copy
-import random
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gyrobench.bench.foundations.documents import Document, parse_document
+from gyrobench.bench.foundations.documents import parse_document
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.procedure import procedure_file
 from gyrobench.bench.procedure.checks import StationLimits, check_plan
 from gyrobench.bench.procedure.plan import Plan, expand
 from gyrobench.bench.procedure.procedure_file import Repeat, checked_procedure, load_procedure
+from gyrobench.bench.procedure.steps import GoTo, Wait
 from gyrobench.bench.procedure.timeline import position_spans, timeline_rows
 
 PROCEDURES = Path(__file__).parents[3] / "procedures"
@@ -241,9 +240,7 @@ steps:
 
 
 @pytest.mark.parametrize(("steps", "place", "parts"), WRONG_FILES.values(), ids=WRONG_FILES)
-def test_a_mistake_is_named_with_its_place_and_what_is_allowed(
-    planned: Callable[[str], tuple[Document, Plan]], steps: str, place: str, parts: list[str]
-) -> None:
+def test_a_mistake_is_named_with_its_place_and_what_is_allowed(planned, steps, place, parts):
     with pytest.raises(DocumentError) as caught:
         planned(steps)
     message = str(caught.value)
@@ -252,9 +249,7 @@ def test_a_mistake_is_named_with_its_place_and_what_is_allowed(
     assert [part for part in parts if part not in message] == []
 
 
-def test_values_that_a_step_cant_take_are_reported_with_a_misspelt_variable(
-    planned: Callable[[str], tuple[Document, Plan]],
-) -> None:
+def test_values_that_a_step_cant_take_are_reported_with_a_misspelt_variable(planned):
     with pytest.raises(DocumentError) as caught:
         planned(
             "- repeat:\n    over: {cycle: [a], position: [z_upp], time_s: [1]}\n    steps:\n"
@@ -279,15 +274,13 @@ def test_values_that_a_step_cant_take_are_reported_with_a_misspelt_variable(
         ("- power_off", "1:1", "expected keys and values"),
     ],
 )
-def test_a_mistake_at_the_top_is_named_with_its_place(text: str, place: str, part: str) -> None:
+def test_a_mistake_at_the_top_is_named_with_its_place(text, place, part):
     with pytest.raises(DocumentError, match=part) as caught:
         checked_procedure(parse_document(text, Path("test.yaml")))
     assert str(caught.value).startswith(f"test.yaml:{place}: ")
 
 
-def test_all_mistakes_are_listed_at_once_in_the_order_of_the_file(
-    planned: Callable[[str], tuple[Document, Plan]],
-) -> None:
+def test_all_mistakes_are_listed_at_once_in_the_order_of_the_file(planned):
     steps = "- wait: {duration_s: -1}\n- nothing\n- repeat: {over: {a: [1]}, steps: [{turn: {angle: 5}}]}"
     with pytest.raises(DocumentError) as caught:
         planned(steps)
@@ -295,7 +288,7 @@ def test_all_mistakes_are_listed_at_once_in_the_order_of_the_file(
     assert places == ["test.yaml:3:10:", "test.yaml:4:3:", "test.yaml:5:37:", "test.yaml:5:44:"]
 
 
-def test_a_station_in_place_of_a_procedure_is_named_with_what_to_write() -> None:
+def test_a_station_in_place_of_a_procedure_is_named_with_what_to_write():
     path = find_document("stations", "quick")
     with pytest.raises(DocumentError) as caught:
         load_procedure(path)
@@ -305,9 +298,7 @@ def test_a_station_in_place_of_a_procedure_is_named_with_what_to_write() -> None
     )
 
 
-def test_a_value_wrong_in_every_pass_is_reported_once(
-    planned: Callable[[str], tuple[Document, Plan]],
-) -> None:
+def test_a_value_wrong_in_every_pass_is_reported_once(planned):
     steps = (
         "- repeat: {over: {n: [1, 2, 3], t: [-500]}, "
         "steps: [{chamber: {temperature_c: $t, ramp_c_per_min: 1}}]}"
@@ -317,7 +308,7 @@ def test_a_value_wrong_in_every_pass_is_reported_once(
     assert len(str(caught.value).splitlines()) == 1
 
 
-def test_a_variable_stands_for_the_value_of_any_key(planned: Callable[[str], tuple[Document, Plan]]) -> None:
+def test_a_variable_stands_for_the_value_of_any_key(planned):
     over = "{rate: [5], angle: [-90], sequence: [rpy_321], time: [7.5], text: ['Ready?'], "
     over += "sigma: [0.002], purpose: [calibration]}"
     steps = (
@@ -337,12 +328,12 @@ def test_a_variable_stands_for_the_value_of_any_key(planned: Callable[[str], tup
     ]
 
 
-def test_a_step_may_stand_without_keys_in_three_ways(planned: Callable[[str], tuple[Document, Plan]]) -> None:
+def test_a_step_may_stand_without_keys_in_three_ways(planned):
     _, plan = planned("- power_off\n- power_off:\n- power_off: {}")
     assert [planned_step.step.name for planned_step in plan.steps] == ["power_off"] * 3
 
 
-def test_a_file_with_every_kind_of_step_is_read(tmp_path: Path) -> None:
+def test_a_file_with_every_kind_of_step_is_read(tmp_path):
     path = tmp_path / "every.yaml"
     path.write_text(ALL_KINDS, encoding="utf-8")
     document, procedure = load_procedure(path)
@@ -364,7 +355,7 @@ JUNK = st.one_of(
 )  # fmt: skip
 
 
-def mutate(data: Any, chance: random.Random, junk: Any) -> None:
+def mutate(data, chance, junk):
     """Change one place of nested data: a value, a key, or the number of items."""
     containers = [data]
     for container in containers:
@@ -391,7 +382,7 @@ def mutate(data: Any, chance: random.Random, junk: Any) -> None:
         container[str(junk)] = value
 
 
-def outcome(text: str) -> Plan | DocumentError:
+def outcome(text):
     try:
         document = parse_document(text, Path("test.yaml"))
         plan = expand(document, checked_procedure(document))
@@ -401,7 +392,7 @@ def outcome(text: str) -> Plan | DocumentError:
     return plan
 
 
-def assert_plan_or_located_errors(text: str) -> None:
+def assert_plan_or_located_errors(text):
     result = outcome(text)
     if isinstance(result, DocumentError):
         assert all(line.startswith("test.yaml:") for line in str(result).split("\n"))
@@ -411,15 +402,13 @@ def assert_plan_or_located_errors(text: str) -> None:
         assert position_spans(result) is not None
 
 
-def test_the_procedure_that_the_mutations_start_from_is_valid() -> None:
+def test_the_procedure_that_the_mutations_start_from_is_valid():
     assert isinstance(outcome(ALL_KINDS), Plan)
 
 
 @pytest.mark.long
 @given(st.randoms(use_true_random=False), st.lists(JUNK, min_size=1, max_size=3))
-def test_a_procedure_with_changed_values_gives_a_plan_or_located_errors(
-    chance: random.Random, junk: list[Any]
-) -> None:
+def test_a_procedure_with_changed_values_gives_a_plan_or_located_errors(chance, junk):
     data = copy.deepcopy(parse_document(ALL_KINDS, Path("test.yaml")).data)
     for value in junk:
         if data:
@@ -429,9 +418,7 @@ def test_a_procedure_with_changed_values_gives_a_plan_or_located_errors(
 
 @pytest.mark.long
 @given(st.data(), st.sampled_from(sorted(PROCEDURES.glob("*.yaml"))))
-def test_a_procedure_with_changed_characters_gives_a_plan_or_located_errors(
-    data: st.DataObject, path: Path
-) -> None:
+def test_a_procedure_with_changed_characters_gives_a_plan_or_located_errors(data, path):
     text = path.read_text(encoding="utf-8")
     start = data.draw(st.integers(0, len(text)))
     end = start + data.draw(st.integers(0, 12))
@@ -444,3 +431,63 @@ def test_marked_temperatures_are_none_or_those_of_the_file():
     _, short = load_procedure(PROCEDURES / "ten_minute_check.yaml")
     assert paper.marked_temperatures_c == [50]
     assert short.marked_temperatures_c == []
+
+
+def test_the_first_variable_of_a_loop_is_the_outermost(planned):
+    _, plan = planned(
+        "- repeat: {over: {a: [1, 2], b: [10, 20]}, "
+        "steps: [{wait: {duration_s: $a}}, {wait: {duration_s: $b}}]}"
+    )
+    waits = [one.step.duration_s for one in plan.steps if isinstance(one.step, Wait)]
+    assert waits == [1, 10, 1, 20, 2, 10, 2, 20]
+
+
+def test_an_inner_loop_sees_the_variables_of_the_outer_one(planned):
+    _, plan = planned(
+        "- repeat:\n    over: {azimuth: [0, 90]}\n    steps:\n"
+        "      - repeat:\n          over: {position: [z_up, x_up]}\n          steps:\n"
+        "            - go_to: {position: $position, azimuth_deg: $azimuth}\n"
+    )
+    moves = [(one.step.position, one.step.azimuth_deg) for one in plan.steps if isinstance(one.step, GoTo)]
+    assert moves == [("z_up", 0), ("x_up", 0), ("z_up", 90), ("x_up", 90)]
+
+
+def test_a_loop_variable_that_no_step_uses_counts_repetitions(planned):
+    _, plan = planned("- repeat: {over: {again: [1, 2, 3]}, steps: [power_off]}")
+    assert len(plan.steps) == 3
+
+
+def test_a_step_knows_where_it_and_the_values_of_its_loop_stand(planned):
+    document, plan = planned(
+        "- wait: {duration_s: 5}\n"
+        "- repeat:\n    over: {t: [7, 8]}\n    steps:\n      - wait: {duration_s: $t, timeout_s: 90}\n"
+    )
+    first, _, last = plan.steps
+    assert document.place(first.location) == "test.yaml:3:3"
+    assert document.place(first.place_of("duration_s")) == "test.yaml:3:10"
+    assert document.place(last.location) == "test.yaml:7:9"
+    assert document.place(last.place_of("duration_s")) == "test.yaml:5:19"
+    assert document.place(last.place_of("timeout_s")) == "test.yaml:7:32"
+
+
+def test_steps_of_an_anchor_stand_where_the_anchor_is(planned):
+    document, plan = planned(
+        "- repeat: {over: {n: [1]}, steps: &two [power_off, {wait: {duration_s: 5}}]}\n"
+        "- repeat: {over: {n: [1]}, steps: *two}\n"
+    )
+    assert (
+        document.place(plan.steps[1].location) == document.place(plan.steps[3].location) == "test.yaml:3:53"
+    )
+
+
+def test_as_many_steps_as_allowed_are_planned_and_one_more_is_refused(planned, monkeypatch):
+    def loop(steps):
+        return f"- repeat: {{over: {{a: {[1] * 100}, b: {[1] * (steps // 100)}}}, steps: [power_off]}}"
+
+    with pytest.raises(DocumentError, match="100001 steps"):
+        planned(loop(procedure_file.MAX_STEPS) + "\n- power_off")
+    monkeypatch.setattr(procedure_file, "MAX_STEPS", 2000)
+    _, plan = planned(loop(2000))
+    assert len(plan.steps) == 2000
+    with pytest.raises(DocumentError, match="2001 steps"):
+        planned(loop(2000) + "\n- power_off")

@@ -1,15 +1,11 @@
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from gyrobench.bench.bias.dwell import DwellPurpose
-from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.text import hours_minutes
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.estimate import BenchEstimate, ThermalEstimate
-from gyrobench.bench.procedure.plan import Plan, expand
+from gyrobench.bench.procedure.plan import expand
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.procedure.timeline import (
     ROTATIONS,
@@ -20,8 +16,6 @@ from gyrobench.bench.procedure.timeline import (
     unsettled_soaks,
 )
 from gyrobench.bench.report.figures.temperatures import plan_figure
-
-PlanOf = Callable[[str], tuple[Document, Plan]]
 
 ONE_STOP = """\
 - power_on: {settle_s: 60}
@@ -40,7 +34,7 @@ ONE_STOP = """\
 """
 
 
-def test_a_stop_has_a_row_for_the_way_there_and_one_for_its_positions(planned: PlanOf) -> None:
+def test_a_stop_has_a_row_for_the_way_there_and_one_for_its_positions(planned):
     _, plan = planned(ONE_STOP)
     rows = timeline_rows(plan)
     assert [(row.steps_text, row.positions_text, row.dwells) for row in rows] == [
@@ -52,7 +46,7 @@ def test_a_stop_has_a_row_for_the_way_there_and_one_for_its_positions(planned: P
     assert [row.start for row in rows] == ["0:00", "0:01", "1:32", "2:26"]
 
 
-def test_rows_follow_one_another_and_cover_the_plan(planned: PlanOf) -> None:
+def test_rows_follow_one_another_and_cover_the_plan(planned):
     _, plan = planned(ONE_STOP)
     rows = timeline_rows(plan)
     ends = [row.start_s + row.duration_s for row in rows]
@@ -60,7 +54,7 @@ def test_rows_follow_one_another_and_cover_the_plan(planned: PlanOf) -> None:
     assert ends[-1] == pytest.approx(plan.duration_s)
 
 
-def test_a_row_of_moves_alone_names_them(planned: PlanOf) -> None:
+def test_a_row_of_moves_alone_names_them(planned):
     _, plan = planned("- go_to: {position: y_up}")
     assert [(row.steps_text, row.positions_text) for row in timeline_rows(plan)] == [
         ("go to y_up, azimuth 0 deg", "y_up")
@@ -77,9 +71,7 @@ def test_a_row_of_moves_alone_names_them(planned: PlanOf) -> None:
         ("pass: [1]", [20, 60], False),
     ],
 )
-def test_repeated_temperatures_and_positions_need_a_numbered_cycle(
-    planned: PlanOf, cycle: str, set_points: list[int], is_unnumbered: bool
-) -> None:
+def test_repeated_temperatures_and_positions_need_a_numbered_cycle(planned, cycle, set_points, is_unnumbered):
     _, plan = planned(
         "- power_on\n"
         "- repeat:\n"
@@ -95,12 +87,12 @@ def test_repeated_temperatures_and_positions_need_a_numbered_cycle(
     assert is_cycle_unnumbered(plan) is is_unnumbered
 
 
-def test_a_plan_without_dwells_needs_no_cycle(planned: PlanOf) -> None:
+def test_a_plan_without_dwells_needs_no_cycle(planned):
     _, plan = planned("- go_to: {position: y_up}")
     assert not is_cycle_unnumbered(plan)
 
 
-def test_a_soak_that_will_end_by_its_time_is_named_with_the_rate_that_is_left(planned: PlanOf) -> None:
+def test_a_soak_that_will_end_by_its_time_is_named_with_the_rate_that_is_left(planned):
     steps = (
         "- power_on: {settle_s: 60}\n"
         "- chamber: {temperature_c: 60, ramp_c_per_min: 1}\n"
@@ -118,7 +110,7 @@ def test_a_soak_that_will_end_by_its_time_is_named_with_the_rate_that_is_left(pl
 DWELL = "- go_to: {position: z_up}\n- align: {duration_s: 300}\n- navigate: {duration_s: 600}\n"
 
 
-def test_a_row_states_how_often_a_dwell_navigates_and_turns(planned: PlanOf) -> None:
+def test_a_row_states_how_often_a_dwell_navigates_and_turns(planned):
     quarter = "- turn: {angle_deg: 90}\n- navigate: {duration_s: 600}\n"
     four = DWELL + 3 * quarter
     _, plan = planned("- power_on\n" + four + four.replace("z_up", "z_down"))
@@ -128,7 +120,7 @@ def test_a_row_states_how_often_a_dwell_navigates_and_turns(planned: PlanOf) -> 
     )  # fmt: skip
 
 
-def test_a_row_states_what_may_end_early(planned: PlanOf) -> None:
+def test_a_row_states_what_may_end_early(planned):
     until = "- turn: {angle_deg: 180}\n- navigate: {until: {bias_sigma_below_dph: 0.002}, at_most_s: 900}\n"
     _, plan = planned("- power_on\n" + DWELL + until)
     assert timeline_rows(plan)[-1].steps_text == (
@@ -137,16 +129,14 @@ def test_a_row_states_what_may_end_early(planned: PlanOf) -> None:
     )
 
 
-def test_visits_of_one_position_in_succession_stand_together_with_their_azimuths(planned: PlanOf) -> None:
+def test_visits_of_one_position_in_succession_stand_together_with_their_azimuths(planned):
     moves = [("z_up", 0), ("z_up", 180), ("y_up", 90), ("z_up", 0), ("z_up", 0)]
     steps = [f"- go_to: {{position: {position}, azimuth_deg: {azimuth}}}\n" for position, azimuth in moves]
     _, plan = planned("".join(steps) + "- power_off\n")
     assert timeline_rows(plan)[0].positions_text == "z_up 0/180 deg, y_up 90 deg, z_up"
 
 
-def test_the_shipped_calibration_check_visits_both_azimuths_of_two_positions_at_each_temperature(
-    shipped: Path,
-) -> None:
+def test_the_shipped_calibration_check_visits_both_azimuths_of_two_positions_at_each_temperature(shipped):
     plan = expand(*load_procedure(shipped / "calibration_check.yaml"))
     measured = [row for row in timeline_rows(plan) if row.dwells]
     assert [(row.positions_text, row.steps_text, row.dwells) for row in measured] == [
@@ -161,11 +151,11 @@ def test_the_shipped_calibration_check_visits_both_azimuths_of_two_positions_at_
 
 
 def test_the_calibration_check_is_hot_and_cold_where_the_paper_procedure_was_not_and_at_room_where_it_was(
-    shipped: Path,
-) -> None:
+    shipped,
+):
     bench = BenchEstimate.at_rest(ThermalEstimate(self_heating_c=12.0))
 
-    def gyro_c(name: str) -> np.ndarray:
+    def gyro_c(name):
         plan = expand(*load_procedure(shipped / f"{name}.yaml"), bench)
         return np.array([one.before.gyro_c for one in plan.steps if one.step.name == "navigate"])
 
@@ -175,7 +165,7 @@ def test_the_calibration_check_is_hot_and_cold_where_the_paper_procedure_was_not
     assert max(room) < 2.0
 
 
-def test_a_plan_of_two_days_stays_readable(shipped: Path) -> None:
+def test_a_plan_of_two_days_stays_readable(shipped):
     rows = timeline_rows(expand(*load_procedure(shipped / "six_position_fig7.yaml")))
     assert len(rows) < 30
     assert sum(row.dwells for row in rows) == 60
@@ -186,11 +176,11 @@ def test_a_plan_of_two_days_stays_readable(shipped: Path) -> None:
     ("time_s", "text"),
     [(0, "0:00"), (59, "0:01"), (3600, "1:00"), (3569, "0:59"), (3571, "1:00"), (216_000, "60:00")],
 )
-def test_times_are_hours_and_minutes(time_s: float, text: str) -> None:
+def test_times_are_hours_and_minutes(time_s, text):
     assert hours_minutes(time_s) == text
 
 
-def test_temperatures_start_at_room_ramp_and_settle(planned: PlanOf) -> None:
+def test_temperatures_start_at_room_ramp_and_settle(planned):
     _, plan = planned(ONE_STOP)
     time_s, chamber_c, gyro_c = temperature_profile(plan)
     assert time_s[0] == 0.0
@@ -204,7 +194,7 @@ def test_temperatures_start_at_room_ramp_and_settle(planned: PlanOf) -> None:
     assert np.all(np.abs(np.diff(gyro_c)) < 1.0)
 
 
-def test_gyros_of_the_paper_procedure_are_on_both_sides_of_50_degc_down_to_minus_20(shipped: Path) -> None:
+def test_gyros_of_the_paper_procedure_are_on_both_sides_of_50_degc_down_to_minus_20(shipped):
     plan = expand(*load_procedure(shipped / "six_position_fig7.yaml"))
     means = [
         0.5 * (one.before.gyro_c + one.after.gyro_c)
@@ -216,9 +206,7 @@ def test_gyros_of_the_paper_procedure_are_on_both_sides_of_50_degc_down_to_minus
     assert sum(mean < 48.0 for mean in means) >= 72
 
 
-def test_each_middle_temperature_of_the_paper_procedure_is_met_from_above_and_from_below(
-    shipped: Path,
-) -> None:
+def test_each_middle_temperature_of_the_paper_procedure_is_met_from_above_and_from_below(shipped):
     plan = expand(*load_procedure(shipped / "six_position_fig7.yaml"))
     arrivals = [
         (one.after.set_point_c, one.after.set_point_c > one.before.chamber_c)
@@ -230,16 +218,14 @@ def test_each_middle_temperature_of_the_paper_procedure_is_met_from_above_and_fr
         assert {rising for reached, rising in arrivals if reached == temperature} == {True, False}
 
 
-def test_the_paper_procedure_measures_all_positions_at_every_temperature_of_both_cycles(
-    shipped: Path,
-) -> None:
+def test_the_paper_procedure_measures_all_positions_at_every_temperature_of_both_cycles(shipped):
     plan = expand(*load_procedure(shipped / "six_position_fig7.yaml"))
     cells = {(one.cycle, one.before.set_point_c, one.before.position) for one in plan.steps if one.dwell}
     temperatures = {temperature for _, temperature, _ in cells}
     assert cells == {(cycle, c, name) for cycle in (1, 2) for c in temperatures for name in POSITIONS}
 
 
-def test_positions_span_from_their_go_to_to_their_last_step(planned: PlanOf) -> None:
+def test_positions_span_from_their_go_to_to_their_last_step(planned):
     _, plan = planned(ONE_STOP)
     (first_start_s, first_end_s, first), (second_start_s, second_end_s, second) = position_spans(plan)
     assert (first, second) == ("z_up", "x_down")
@@ -249,7 +235,7 @@ def test_positions_span_from_their_go_to_to_their_last_step(planned: PlanOf) -> 
     assert second_end_s == pytest.approx(plan.duration_s)
 
 
-def test_a_stay_with_rotations_is_in_no_position(shipped: Path) -> None:
+def test_a_stay_with_rotations_is_in_no_position(shipped):
     plan = expand(*load_procedure(shipped / "full_calibration.yaml"))
     names = [name for _, _, name in position_spans(plan)]
     assert names == ["z_up", *4 * [*POSITIONS, ROTATIONS, ROTATIONS]]
@@ -257,5 +243,5 @@ def test_a_stay_with_rotations_is_in_no_position(shipped: Path) -> None:
     assert lanes[-2:] == ["X-Down", "Rotations"]
 
 
-def test_a_plan_without_positions_has_no_spans(planned: PlanOf) -> None:
+def test_a_plan_without_positions_has_no_spans(planned):
     assert position_spans(planned("- wait: {duration_s: 5}")[1]) == []
