@@ -92,7 +92,8 @@ class _TemplateWriter:
                 # Keys follow an even number of spaces, explanations a single space.
                 yield f"{indent}{line}" if line.startswith("# ") else f"{indent}#  {line.removeprefix('#')}"
             return
-        default = _inline(schema.get("default")) if "default" in schema else _empty_value(resolved)
+        empty = {"array": "[]", "object": "{}"}.get(resolved.get("type", ""), "null")
+        default = _inline(schema["default"]) if "default" in schema else empty
         yield from self._with_comment(f"{indent}#{key}: {default}", self.key_comment(schema), indent)
 
     def _with_comment(self, line: str, text: str, indent: str) -> Iterator[str]:
@@ -176,10 +177,6 @@ def _some_value(schema: Schema) -> Any:
     if "enum" in schema:
         return schema["enum"][0]
     return {"string": FILL_IN, "boolean": False, "array": [], "object": {}}.get(schema.get("type", ""), 1)
-
-
-def _empty_value(schema: Schema) -> str:
-    return {"array": "[]", "object": "{}"}.get(schema.get("type", ""), "null")
 
 
 _EXAMPLE_STATION = "example_bench"

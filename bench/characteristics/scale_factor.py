@@ -112,13 +112,14 @@ def _over_time(
     covariance = fit.covariance * fit.chi2 / fit.dof
     quantile = float(t.ppf(0.5 + 0.5 * _CONFIDENCE, fit.dof))
     mean_weights = np.append(groups.mean(axis=0), 0.0)
-    results = [
-        _with_sigma(gyro, name, unit, float(weights @ fit.values), quantile * _root(weights, covariance))
-        for name, unit, weights in (
-            ("mean scale factor", "ppm", mean_weights),
-            ("scale factor drift", "ppm/h", np.eye(len(mean_weights))[-1]),
-        )
-    ]
+    results = []
+    for name, unit, weights in (
+        ("mean scale factor", "ppm", mean_weights),
+        ("scale factor drift", "ppm/h", np.eye(len(mean_weights))[-1]),
+    ):
+        estimate = float(weights @ fit.values)
+        half_width = quantile * math.sqrt(weights @ covariance @ weights)
+        results.append(coefficient(gyro, name, unit, estimate, estimate - half_width, estimate + half_width))
     scatters = [("scale factor", variance, variance_interval(value, sigma, design))]
     if groups.shape[1] > 1:
         constants, sigmas = fit.values[:-1], np.sqrt(np.diag(fit.covariance)[:-1])
@@ -185,11 +186,3 @@ def _worst(gyro: str, name: str, values: FloatArray, half_widths: FloatArray) ->
     size = np.abs(values)
     low, high = max(0.0, float((size - half_widths).max())), float((size + half_widths).max())
     return coefficient(gyro, name, "ppm", float(size.max()), low, high)
-
-
-def _with_sigma(gyro: str, name: str, unit: str, value: float, half_widths: float) -> Coefficient:
-    return coefficient(gyro, name, unit, value, value - half_widths, value + half_widths)
-
-
-def _root(weights: FloatArray, covariance: FloatArray) -> float:
-    return math.sqrt(float(weights @ covariance @ weights))

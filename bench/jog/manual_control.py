@@ -11,7 +11,6 @@ import numpy as np
 
 from gyrobench.bench.engine.interlocks.watch import TrippedError
 from gyrobench.bench.engine.live_bench import LiveBench
-from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import FaultError, GyrobenchError, InstrumentError, RefusedError
 from gyrobench.bench.jog.manual_limits import TABLE_AXES, ManualLimits
 from gyrobench.bench.jog.terminal import CommandError, Display, Interruptions
@@ -417,7 +416,9 @@ def _position_text(bench: LiveBench) -> str:
     C_nb = bench.station.table.attitude(*bench.table_angles())
     for name, position in POSITIONS.items():
         if C_nb[2, position.up_axis] * position.up_sign > _MIN_COSINE:
-            return f"in {name}, azimuth {_azimuth_deg(C_nb, position.C_nb()):.2f} deg"
+            turn = C_nb @ position.C_nb().T
+            azimuth_deg = math.degrees(math.atan2(turn[1, 0], turn[0, 0])) % 360.0
+            return f"in {name}, azimuth {azimuth_deg:.2f} deg"
     return "in none of the six positions"
 
 
@@ -440,11 +441,6 @@ def _mode_text(ins: InsStatus) -> str:
         Alignment.FINE: ", finely aligned",
     }
     return f"{ins.mode.name.lower()}{aligned.get(ins.alignment, '')}"
-
-
-def _azimuth_deg(C_nb: FloatArray, C_zero: FloatArray) -> float:
-    turn = C_nb @ C_zero.T
-    return math.degrees(math.atan2(turn[1, 0], turn[0, 0])) % 360.0
 
 
 def _format_or_dash(value: float | None, form: str) -> str:

@@ -104,7 +104,8 @@ class Message:
         """The whole message as text."""
         lines = [self.why] if self.why else []
         if self.question:
-            lines.append(f"{self.question}\nAnswer {_choice(self.answers)} at the terminal of the bench.")
+            choice = listed(self.answers).replace(" and ", " or ")
+            lines.append(f"{self.question}\nAnswer {choice} at the terminal of the bench.")
         if lines:
             lines.append("")
         run = f"{self.folder.name} ({self.procedure})" if self.folder and self.procedure else ""
@@ -141,10 +142,6 @@ class Message:
             "title": self.title,
             "text": self.text,
         }
-
-
-def _choice(answers: tuple[str, ...]) -> str:
-    return listed(answers).replace(" and ", " or ")
 
 
 class UndeliveredError(GyrobenchError):
@@ -302,8 +299,9 @@ def _post_webhook(receiver: Webhook, secret: str, message: Message) -> str:
 
 def _post_ntfy(receiver: Ntfy, secret: str, message: Message) -> str:
     """Post a message to a topic; returns the server's answer."""
+    title = message.title
     headers = {
-        "Title": _header(message.title),
+        "Title": title if title.isascii() else Header(title, "utf-8", maxlinelen=10_000).encode(),
         "Priority": "urgent" if message.is_urgent else "default",
         "Tags": _ntfy_tag(message),
         "Content-Type": "text/plain; charset=utf-8",
@@ -358,11 +356,6 @@ def _first_line(answer: urllib.error.HTTPError, secret: str) -> str:
         return ""
     text = server_words(secret, text)
     return f": {text}" if text else ""
-
-
-def _header(text: str) -> str:
-    """Encode a text for a header."""
-    return text if text.isascii() else Header(text, "utf-8", maxlinelen=10_000).encode()
 
 
 def _ntfy_tag(message: Message) -> str:

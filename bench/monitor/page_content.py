@@ -38,7 +38,8 @@ class Freshness:
 
 def freshness_of(state: RunState, updated_utc: str, now: datetime) -> Freshness:
     """Freshness of a snapshot from its state, its time, empty if unknown, and the host's calendar time."""
-    age_s = _age_s(updated_utc, now)
+    updated = parse_utc(updated_utc)
+    age_s = max(0.0, (now - updated).total_seconds()) if updated else 0.0
     if state.is_over or age_s < _SILENT_AFTER_S:
         return Freshness(age_s, state.is_over, "")
     cause = "The run's process exists but writes no snapshot. Check whether it is stuck or the disk is full."
@@ -52,11 +53,6 @@ def age_text(age_s: float) -> str:
     if age_s < 7200.0:
         return f"{age_s / 60.0:.0f} min"
     return f"{age_s / 3600.0:.0f} h" if age_s < 172800.0 else f"{age_s / 86400.0:.0f} days"
-
-
-def _age_s(updated_utc: str, now: datetime) -> float:
-    updated = parse_utc(updated_utc)
-    return max(0.0, (now - updated).total_seconds()) if updated else 0.0
 
 
 #: Symbol of each state, recognisable from a distance and without colours.
@@ -253,11 +249,14 @@ def dwell_table(dwells: Sequence[SnapshotDwell]) -> DwellTable:
 def reading_rows(bench: BenchReadings) -> list[tuple[str, str, str]]:
     """Present readings: quantity, value, and age of the instrument's last reply."""
     chamber, table, ins = (
-        _reply_age_text(age_s) for age_s in (bench.chamber_age_s, bench.table_age_s, bench.ins_age_s)
+        "never" if math.isnan(age_s) else f"{age_s:.1f} s"
+        for age_s in (bench.chamber_age_s, bench.table_age_s, bench.ins_age_s)
     )
+    has_set_point = not math.isnan(bench.chamber_set_c)
+    set_point = _temperature_text(bench.chamber_set_c, 2) if has_set_point else "not controlled"
     return [
         ("chamber air", _temperature_text(bench.chamber_c, 2), chamber),
-        ("chamber set", _set_point_text(bench.chamber_set_c), chamber),
+        ("chamber set", set_point, chamber),
         ("gyro optics x, y, z", _triple_text(bench.gyro_c), ins),
         ("electronics x, y, z", _triple_text(bench.electronics_c), ins),
         ("INS case", _temperature_text(bench.case_c, 2), ins),
@@ -286,14 +285,8 @@ def _bin_table(gyro: str, bins: list[LiveBin], scale: BiasScale) -> BinTable:
 
 def _bin_cells(members: list[LiveBin], positions: list[str], scale: BiasScale) -> tuple[Cell, ...]:
     """A cell for each position; none for an empty range."""
-    by_position = {each.position: each for each in members}
-    return tuple(_bin_cell(by_position.get(position), scale) for position in positions) if members else ()
-
-
-def _bin_cell(each: LiveBin | None, scale: BiasScale) -> Cell:
-    if each is None or not each.count:
-        return Cell()
-    return _cell(each.bias_dph, each.sigma_dph, scale, each.count)
+    cells = {each.position: _cell(each.bias_dph, each.sigma_dph, scale, each.count) for each in members}
+    return tuple(cells.get(position, Cell()) for position in positions) if members else ()
 
 
 def _cell(bias_dph: float, sigma_dph: float, scale: BiasScale, count: int = 1) -> Cell:
@@ -315,10 +308,6 @@ def _dwell_table_row(dwell: SnapshotDwell, scale: BiasScale) -> DwellTableRow:
     )
 
 
-def _set_point_text(temperature_c: float) -> str:
-    return "not controlled" if math.isnan(temperature_c) else _temperature_text(temperature_c, 2)
-
-
 def _triple_text(values_c: Iterable[float]) -> str:
     values = list(values_c)
     if all(math.isnan(value) for value in values):
@@ -331,10 +320,6 @@ def _axis_text(angle_deg: float, rate_dps: float) -> str:
         return "unknown"
     rate = "" if math.isnan(rate_dps) else f", {rate_dps:z.2f} deg/s"
     return true_minus(f"{angle_deg:z.3f}°{rate}")
-
-
-def _reply_age_text(age_s: float) -> str:
-    return "never" if math.isnan(age_s) else f"{age_s:.1f} s"
 
 
 @dataclass(frozen=True)

@@ -325,13 +325,12 @@ def signature_of(folder: Path) -> Hashable:
 
 
 def pages_of(folder: Path) -> dict[str, str]:
-    """Titles of the pages in a run folder, by path."""
-    return {name: title for name, title in _PAGES.items() if _is_inside(folder / name, folder)}
-
-
-def _is_inside(path: Path, folder: Path) -> bool:
-    """Whether a file exists and is not a link out of the run folder."""
-    return path.is_file() and path.resolve().is_relative_to(folder.resolve())
+    """Titles of the pages in a run folder, by path, without links out of it."""
+    return {
+        name: title
+        for name, title in _PAGES.items()
+        if (page := folder / name).is_file() and page.resolve().is_relative_to(folder.resolve())
+    }
 
 
 def _sort_key(folder: Path) -> tuple[bool, int, str]:
