@@ -22,7 +22,7 @@ ARCSEC = np.pi / 180.0 / 3600.0
 TRUTHS = {"Q": 0.03, "N": 0.0005, "B": 0.004, "K": 0.006, "R": 0.02}
 
 
-def angles(random: np.random.Generator, seconds: int) -> np.ndarray:
+def angles(random, seconds):
     """Angle of one gyro each second, rad: flicker by Kasdin's filter, the others by definition."""
     from scipy.signal import fftconvolve
 
@@ -39,7 +39,7 @@ def angles(random: np.random.Generator, seconds: int) -> np.ndarray:
 
 
 @pytest.mark.long
-def test_intervals_hold_the_five_coefficients() -> None:
+def test_intervals_hold_the_five_coefficients():
     random = np.random.default_rng(1)
     held: dict[str, list[bool]] = {name: [] for name in TRUTHS}
     values: dict[str, list[float]] = {name: [] for name in TRUTHS}
@@ -54,9 +54,7 @@ def test_intervals_hold_the_five_coefficients() -> None:
         assert np.mean(values[name]) == pytest.approx(TRUTHS[name], rel=tolerance)
 
 
-def _with_line(
-    random: np.random.Generator, size_dph: float, period_s: float, hours: float = 10.0
-) -> RateRecord:
+def _with_line(random, size_dph, period_s, hours=10.0):
     """Record of three gyros with angle random walk and a sinusoidal rate, each ten seconds."""
     time_s = np.arange(0.0, 3600.0 * hours, 10.0)[:, np.newaxis]
     noise = TRUTHS["N"] * np.pi / 180.0 / 60.0 * np.sqrt(10.0) * random.standard_normal((len(time_s), 3))
@@ -66,7 +64,7 @@ def _with_line(
 
 
 @pytest.mark.parametrize("period_s", [600.0, 1800.0, 3600.0])
-def test_a_periodic_rate_is_noted_near_its_averaging_time(period_s: float) -> None:
+def test_a_periodic_rate_is_noted_near_its_averaging_time(period_s):
     notes = allan_test([_with_line(np.random.default_rng(4), 0.003, period_s)]).notes
     assert [note[:6] for note in notes] == ["X gyro", "Y gyro", "Z gyro"]
     assert all("do not explain the Allan variance" in note for note in notes)
@@ -75,7 +73,7 @@ def test_a_periodic_rate_is_noted_near_its_averaging_time(period_s: float) -> No
 
 
 @pytest.mark.parametrize(("period_s", "size_dph"), [(1800.0, 0.006), (2700.0, 0.01)])
-def test_a_periodic_rate_of_few_periods_is_noted_with_its_size(period_s: float, size_dph: float) -> None:
+def test_a_periodic_rate_of_few_periods_is_noted_with_its_size(period_s, size_dph):
     record = _with_line(np.random.default_rng(4), size_dph, period_s, hours=3.0)
     record.segments[0][1000] = np.nan
     notes = allan_test([record]).notes
@@ -89,7 +87,7 @@ def test_a_periodic_rate_of_few_periods_is_noted_with_its_size(period_s: float, 
     ("walk_dph", "count"),
     [(0.006, 14), *(pytest.param(each, 700, marks=pytest.mark.long) for each in (0.0, 0.006, 0.1))],
 )
-def test_noise_and_warm_up_are_no_periodic_rate(walk_dph: float, count: int) -> None:
+def test_noise_and_warm_up_are_no_periodic_rate(walk_dph, count):
     random, time_s = np.random.default_rng(6), np.arange(0.0, 10_800.0, 10.0)
     warm_up = 0.02 * DPH * np.exp(-time_s / 3600.0)
     ratios = []
@@ -101,22 +99,22 @@ def test_noise_and_warm_up_are_no_periodic_rate(walk_dph: float, count: int) -> 
     assert 7.0 < np.median(ratios) < 10.5
 
 
-def test_a_short_record_has_no_periodic_rate() -> None:
+def test_a_short_record_has_no_periodic_rate():
     assert periodic_rate(np.zeros(150), 1.0) is None
 
 
-def test_noise_that_the_terms_explain_has_no_note() -> None:
+def test_noise_that_the_terms_explain_has_no_note():
     random = np.random.default_rng(5)
     assert allan_test([_with_line(random, 0.0, 600.0)]).notes == []
     record = np.column_stack([angles(random, 3600) for _ in range(3)])
     assert allan_test([RateRecord(1.0, [record])]).notes == []
 
 
-def test_a_coefficient_that_does_not_show_has_an_upper_limit_only() -> None:
+def test_a_coefficient_that_does_not_show_has_an_upper_limit_only():
     low, high = square_interval(1.0, 0.8)
     assert (low, high) == (0.0, pytest.approx(1.0 + 1.96 * 0.8))
 
 
-def test_without_a_noise_record_it_says_so() -> None:
+def test_without_a_noise_record_it_says_so():
     with pytest.raises(MeasurementError, match="purpose: noise"):
         allan_test([])

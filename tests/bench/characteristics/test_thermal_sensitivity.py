@@ -20,13 +20,13 @@ from tests.bench.characteristics.simulated_rows import (
 TEMPERATURE, RAMP, HYSTERESIS = 1e-4, 5e-4, 0.006
 
 
-def _bias(celsius: float, rate: float, lead: float) -> float:
+def _bias(celsius, rate, lead):
     away = celsius - 20.0
     return 0.004 + TEMPERATURE * away - 8e-7 * away**2 + RAMP * rate + 0.5 * HYSTERESIS * lead
 
 
 @pytest.mark.long
-def test_intervals_hold_temperature_ramp_and_hysteresis() -> None:
+def test_intervals_hold_temperature_ramp_and_hysteresis():
     random = np.random.default_rng(1)
     held = {"temperature": [], "ramp": [], "hysteresis": []}
     truths = {"temperature": TEMPERATURE, "ramp": RAMP, "hysteresis": HYSTERESIS}
@@ -39,7 +39,7 @@ def test_intervals_hold_temperature_ramp_and_hysteresis() -> None:
 
 
 @pytest.mark.long
-def test_intervals_hold_where_no_dwell_shows_the_history_before_the_first() -> None:
+def test_intervals_hold_where_no_dwell_shows_the_history_before_the_first():
     random = np.random.default_rng(3)
     held = []
     for _ in range(40):
@@ -59,7 +59,7 @@ def test_intervals_hold_where_no_dwell_shows_the_history_before_the_first() -> N
         pytest.param(5.0, 40.0, 8.0, 40, marks=pytest.mark.long),
     ],
 )
-def test_intervals_hold_where_no_dwell_shows_a_turning_point(low_c, high_c, play_c, units) -> None:
+def test_intervals_hold_where_no_dwell_shows_a_turning_point(low_c, high_c, play_c, units):
     random = np.random.default_rng(5)
     held = []
     for _ in range(units):
@@ -70,14 +70,14 @@ def test_intervals_hold_where_no_dwell_shows_a_turning_point(low_c, high_c, play
     assert np.all(np.mean(held, axis=(0, 1)) >= (0.8 if units < 40 else 0.9)), np.mean(held, axis=(0, 1))
 
 
-def test_the_history_before_the_first_dwell_may_be_heating() -> None:
+def test_the_history_before_the_first_dwell_may_be_heating():
     result = thermal_sensitivity(after_soaks(np.random.default_rng(1), HYSTERESIS, 2.0, 1e-4), None, 1)
     found = [each for each in result.coefficients if each.name == "hysteresis"]
     assert all(holds(each, HYSTERESIS) and each.high < 1.3 * HYSTERESIS for each in found)
     assert sum("inseparable" in note for note in result.notes) == 3
 
 
-def test_without_noise_the_coefficients_are_those_of_the_model() -> None:
+def test_without_noise_the_coefficients_are_those_of_the_model():
     rows = over_temperature(np.random.default_rng(2), _bias, 2.0, 1e-6)
     found = {each.name.split()[0]: each.value for each in thermal_sensitivity(rows, 20.0, 3).coefficients}
     assert found["temperature"] == pytest.approx(TEMPERATURE, abs=5e-6)
@@ -85,7 +85,7 @@ def test_without_noise_the_coefficients_are_those_of_the_model() -> None:
     assert found["hysteresis"] == pytest.approx(HYSTERESIS, abs=3e-4)
 
 
-def test_the_parts_of_the_fit_are_heating_and_cooling() -> None:
+def test_the_parts_of_the_fit_are_heating_and_cooling():
     rows = over_temperature(np.random.default_rng(2), _bias, 2.0, 1e-6)
     [first, *_] = thermal_sensitivity(rows, 20.0, 3).curves
     steps = np.diff(first.x)
@@ -96,7 +96,7 @@ def test_the_parts_of_the_fit_are_heating_and_cooling() -> None:
     assert {part.split(",")[0] for part in first.parts} == {"heating", "cooling"}
 
 
-def test_errors_that_all_dwells_share_are_in_the_intervals() -> None:
+def test_errors_that_all_dwells_share_are_in_the_intervals():
     """The x gyro is off by twice a shared uncertainty that follows the rate, the y gyro by another's."""
     rows = over_temperature(np.random.default_rng(6), _bias, 2.0, 2e-4)
     rates = {row.dwell: row.gyro_rate_c_per_h[0] / 60.0 for row in rows}
@@ -125,6 +125,6 @@ def test_errors_that_all_dwells_share_are_in_the_intervals() -> None:
     assert not holds(without, RAMP)
 
 
-def test_one_temperature_is_refused() -> None:
+def test_one_temperature_is_refused():
     with pytest.raises(MeasurementError, match=r"span 0\.0 K"):
         thermal_sensitivity(power_cycles(np.random.default_rng(3), 20, 0.001, 0.001), None, 3)

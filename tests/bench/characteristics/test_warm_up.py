@@ -5,18 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gyrobench.bench.characteristics.results import Coefficient
 from gyrobench.bench.characteristics.warm_up import warm_up
 from gyrobench.bench.foundations.errors import MeasurementError
 from tests.bench.characteristics.simulated_rows import cold_start, holds
 
 
-def _named(found: list[Coefficient], start: str) -> list[Coefficient]:
+def _named(found, start):
     return [each for each in found if each.name.startswith(start)]
 
 
 @pytest.mark.long
-def test_intervals_hold_drop_time_constant_and_time_to_settle() -> None:
+def test_intervals_hold_drop_time_constant_and_time_to_settle():
     random = np.random.default_rng(1)
     results = [warm_up(cold_start(random, 0.006, 3600.0), 0.001).coefficients for _ in range(40)]
     truths = {
@@ -32,7 +31,7 @@ def test_intervals_hold_drop_time_constant_and_time_to_settle() -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("size_dph", [0.02, 0.05, 0.1])
-def test_intervals_of_large_warm_ups_hold_time_constants_of_any_value(size_dph: float) -> None:
+def test_intervals_of_large_warm_ups_hold_time_constants_of_any_value(size_dph):
     random = np.random.default_rng(2)
     held = []
     for _ in range(40):
@@ -49,7 +48,7 @@ def test_intervals_of_large_warm_ups_hold_time_constants_of_any_value(size_dph: 
     assert np.all(np.mean(held, axis=0) >= 0.82), np.mean(held, axis=0)  # 40 intervals: 0.95 +- 0.035
 
 
-def test_the_time_constant_of_a_large_warm_up_is_not_rounded_to_a_grid() -> None:
+def test_the_time_constant_of_a_large_warm_up_is_not_rounded_to_a_grid():
     taus_s = 1300.0, 1500.0, 1700.0
     found = [
         _named(warm_up(cold_start(np.random.default_rng(6), 0.1, tau_s), 0.001).coefficients, "time constant")
@@ -61,7 +60,7 @@ def test_the_time_constant_of_a_large_warm_up_is_not_rounded_to_a_grid() -> None
     assert all(0.0 < each.high - each.low < 0.25 * each.value for own in found for each in own)
 
 
-def test_a_time_constant_that_is_longer_than_the_record_has_no_upper_limit() -> None:
+def test_a_time_constant_that_is_longer_than_the_record_has_no_upper_limit():
     result = warm_up(cold_start(np.random.default_rng(0), 0.02, 28800.0), 0.001)
     sizes, constants = (_named(result.coefficients, start) for start in ("first bias", "time constant"))
     assert len(sizes) == len(constants) == 3
@@ -70,7 +69,7 @@ def test_a_time_constant_that_is_longer_than_the_record_has_no_upper_limit() -> 
     assert sum("no upper limit to the time constant and the size" in note for note in result.notes) == 3
 
 
-def test_a_rising_bias_without_a_limit_of_its_time_constant_has_no_lower_limit_of_its_size() -> None:
+def test_a_rising_bias_without_a_limit_of_its_time_constant_has_no_lower_limit_of_its_size():
     result = warm_up(cold_start(np.random.default_rng(0), -0.02, 28800.0), 0.001)
     sizes, constants = (_named(result.coefficients, start) for start in ("first bias", "time constant"))
     are_open = [each.high is None for each in constants]
@@ -79,7 +78,7 @@ def test_a_rising_bias_without_a_limit_of_its_time_constant_has_no_lower_limit_o
     assert all(each.high < 0.0 for each in sizes)
 
 
-def test_without_warm_up_it_says_so() -> None:
+def test_without_warm_up_it_says_so():
     random = np.random.default_rng(3)
     results = [warm_up(cold_start(random, 0.0, 3600.0), 0.001) for _ in range(10)]
     silent = [note for result in results for note in result.notes if "no warm-up is significant" in note]
@@ -88,8 +87,8 @@ def test_without_warm_up_it_says_so() -> None:
 
 @pytest.mark.parametrize(("size_dph", "time_constant_s"), [(0.0, 3600.0), (0.02, 1e6)])
 def test_an_insignificant_warm_up_has_a_limited_change_in_the_record_and_a_size_without_limits(
-    size_dph: float, time_constant_s: float
-) -> None:
+    size_dph, time_constant_s
+):
     result = warm_up(cold_start(np.random.default_rng(7), size_dph, time_constant_s), 0.001)
     truth = size_dph * (np.exp(-125.0 / time_constant_s) - np.exp(-14285.0 / time_constant_s))
     assert sum("no warm-up is significant in the record" in note for note in result.notes) == 3
@@ -99,13 +98,13 @@ def test_an_insignificant_warm_up_has_a_limited_change_in_the_record_and_a_size_
     assert len(changes) == 3
 
 
-def test_a_unit_that_has_not_settled_is_noted() -> None:
+def test_a_unit_that_has_not_settled_is_noted():
     result = warm_up(cold_start(np.random.default_rng(4), 0.05, 9000.0), 0.001)
     assert all(each.value is None for each in _named(result.coefficients, "time until"))
     assert "not settled within 4 h" in " ".join(result.notes)
 
 
 @pytest.mark.parametrize("count", [0, 3])
-def test_few_dwells_are_too_few(count: int) -> None:
+def test_few_dwells_are_too_few(count):
     with pytest.raises(MeasurementError, match="too few"):
         warm_up(cold_start(np.random.default_rng(5), 0.006, 3600.0)[:count], 0.001)
