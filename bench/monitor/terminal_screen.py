@@ -135,9 +135,11 @@ def _unit_lines(snapshot: RunSnapshot, plus_minus: str) -> list[Text]:
 
 def _sigma_line(estimates: tuple[LiveBias, ...], width: int, is_ascii: bool) -> Text:
     """History of the largest uncertainty of the three gyros."""
-    sigmas = [1e3 * max(each.sigma_dph) for each in estimates]
+    sigmas = [1e3 * max(each.sigma_dph) for each in estimates if all(map(math.isfinite, each.sigma_dph))]
+    if not sigmas:
+        return Text("sigma unknown", "dim")
     head, tail = f"sigma {sigmas[0]:.1f} ", f" {sigmas[-1]:.1f}"
-    room = width - len(head) - len(tail)
+    room = max(1, width - len(head) - len(tail))
     chosen = sigmas[:: max(1, math.ceil(len(sigmas) / room))]
     marks = "_.-=^" if is_ascii else "▁▂▃▄▅▆▇█"
     largest = max(chosen)

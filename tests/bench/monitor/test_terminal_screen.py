@@ -20,7 +20,7 @@ NEW = RunSnapshot(
     name="new", folder="runs/new", procedure="p", station="s", unit="", started_utc="", updated_utc="",
     state=RunState.STARTING, now_s=0.0, left_s=0.0, planned_s=0.0, dwell_count=0,
 )  # fmt: skip
-PICTURES = {
+SNAPSHOTS = {
     "running": made_up_snapshot(),
     "waiting": waiting_snapshot(),
     "new": NEW,
@@ -39,8 +39,8 @@ def shown(snapshot, width=80, height=20, is_ascii=False):
     return [line.plain for line in screen(snapshot, width, height, is_ascii)]
 
 
-@pytest.mark.parametrize("snapshot", PICTURES.values(), ids=PICTURES)
-@pytest.mark.parametrize("size", [(80, 20), (80, 36), (60, 14), (40, 8), (80, 4), (20, 1)])
+@pytest.mark.parametrize("snapshot", SNAPSHOTS.values(), ids=SNAPSHOTS)
+@pytest.mark.parametrize("size", [(80, 20), (80, 36), (60, 14), (40, 8), (80, 4), (20, 1), (15, 36)])
 @pytest.mark.parametrize("is_ascii", [False, True])
 def test_no_line_is_too_long_and_no_line_too_many(snapshot, size, is_ascii):
     lines = shown(snapshot, *size, is_ascii)
@@ -49,7 +49,7 @@ def test_no_line_is_too_long_and_no_line_too_many(snapshot, size, is_ascii):
     assert max(map(len, lines)) <= size[0]
 
 
-@pytest.mark.parametrize("snapshot", PICTURES.values(), ids=PICTURES)
+@pytest.mark.parametrize("snapshot", SNAPSHOTS.values(), ids=SNAPSHOTS)
 def test_plain_ascii_where_nothing_else_can_be_shown(snapshot):
     assert all(line.isascii() for line in shown(snapshot, is_ascii=True))
 
@@ -152,12 +152,22 @@ def test_answers_that_are_old_say_so():
     assert "table (40 s old)" in text
 
 
+@pytest.mark.parametrize("known", [0, 12])
+def test_an_estimate_without_uncertainty_is_left_out_of_the_history(known):
+    dwell = made_up_snapshot().dwell
+    unknown = replace(dwell.estimates[0], bias_dph=(math.nan,) * 3, sigma_dph=(math.nan,) * 3)
+    estimates = (unknown, *dwell.estimates[:known], unknown)
+    text = "\n".join(shown(replace(made_up_snapshot(), dwell=replace(dwell, estimates=estimates)), 80, 36))
+    assert ("sigma unknown" in text) == (known == 0)
+    assert "sigma nan" not in text
+
+
 def test_skipped_dwells_are_counted():
-    text = "\n".join(shown(replace(PICTURES["over"], skipped=(3,))))
+    text = "\n".join(shown(replace(SNAPSHOTS["over"], skipped=(3,))))
     assert "dwells measured: 13 of 24 (1 skipped)" in text
 
 
 def test_a_run_that_is_over_has_no_time_left_and_no_step():
-    text = "\n".join(shown(PICTURES["over"]))
+    text = "\n".join(shown(SNAPSHOTS["over"]))
     assert "FINISHED  9:12 h" in text
     assert "left" not in text.splitlines()[0]
