@@ -175,3 +175,11 @@ def waiting_snapshot():
         dwell=None,
         alarms=(Alarm("chamber_deviation", why), Alarm("rate table", "no reply within 1 s")),
     )
+
+
+def new_snapshot():
+    """A run of which nothing is known yet."""
+    return RunSnapshot(
+        name="new", folder="runs/new", procedure="", station="", unit="", started_utc="", updated_utc="",
+        state=RunState.STARTING, now_s=0.0, left_s=0.0, planned_s=0.0, dwell_count=0,
+    )  # fmt: skip

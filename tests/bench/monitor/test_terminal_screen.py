@@ -8,22 +8,17 @@ from gyrobench.bench.monitor.snapshot import (
     MeasuredProfile,
     PlannedProfile,
     Question,
-    RunSnapshot,
     RunState,
     UnitStatus,
     WindowTrace,
 )
 from gyrobench.bench.monitor.terminal_screen import screen
-from tests.bench.monitor.sample_snapshots import made_up_snapshot, waiting_snapshot
+from tests.bench.monitor.sample_snapshots import made_up_snapshot, new_snapshot, waiting_snapshot
 
-NEW = RunSnapshot(
-    name="new", folder="runs/new", procedure="p", station="s", unit="", started_utc="", updated_utc="",
-    state=RunState.STARTING, now_s=0.0, left_s=0.0, planned_s=0.0, dwell_count=0,
-)  # fmt: skip
 SNAPSHOTS = {
     "running": made_up_snapshot(),
     "waiting": waiting_snapshot(),
-    "new": NEW,
+    "new": new_snapshot(),
     "over": replace(made_up_snapshot(), state=RunState.FINISHED, left_s=0.0, step=None, dwell=None),
     "nothing measured": replace(
         made_up_snapshot(), measured=MeasuredProfile(), planned=PlannedProfile(), dwells=(), bins=()

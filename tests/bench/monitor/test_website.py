@@ -10,16 +10,9 @@ from html.parser import HTMLParser
 import pytest
 
 from gyrobench.bench.monitor.page_content import Freshness
-from gyrobench.bench.monitor.snapshot import (
-    MeasuredProfile,
-    Note,
-    PlannedProfile,
-    Question,
-    RunSnapshot,
-    RunState,
-)
+from gyrobench.bench.monitor.snapshot import MeasuredProfile, Note, PlannedProfile, Question, RunState
 from gyrobench.bench.monitor.website import Website, full_page, run_fragment
-from tests.bench.monitor.sample_snapshots import made_up_snapshot, waiting_snapshot
+from tests.bench.monitor.sample_snapshots import made_up_snapshot, new_snapshot, waiting_snapshot
 from tests.bench.monitor.served_run import ask, now, run_under_way, served, write_snapshot
 
 
@@ -242,15 +235,11 @@ def test_a_reader_while_the_snapshot_is_written_sees_a_whole_one(tmp_path):
 
 FRESH = Freshness(1.0, False, "")
 OVER = Freshness(0.0, True, "")
-EMPTY = RunSnapshot(
-    name="mine", folder="runs/mine", procedure="", station="", unit="", started_utc="", updated_utc="",
-    state=RunState.STARTING, now_s=0.0, left_s=0.0, planned_s=0.0, dwell_count=0,
-)  # fmt: skip
-PICTURES = {
+SNAPSHOTS = {
     "running": (made_up_snapshot(), FRESH),
     "waiting": (waiting_snapshot(), FRESH),
     "finished": (replace(made_up_snapshot(), state=RunState.FINISHED), OVER),
-    "empty": (EMPTY, FRESH),
+    "empty": (new_snapshot(), FRESH),
     "silent INS": (
         replace(
             made_up_snapshot(),
@@ -285,9 +274,9 @@ class Outline(HTMLParser):
         assert self.open.pop() == tag
 
 
-@pytest.fixture(params=PICTURES)
+@pytest.fixture(params=SNAPSHOTS)
 def page(request):
-    return full_page(run_fragment(*PICTURES[request.param], {}, ""), "nonce")
+    return full_page(run_fragment(*SNAPSHOTS[request.param], {}, ""), "nonce")
 
 
 def test_every_page_is_well_formed_with_one_name_for_each_part(page):
@@ -319,7 +308,7 @@ def test_no_number_that_is_not_known_gets_onto_the_page(page):
 
 
 def test_state_time_left_temperature_dwell_and_alarms_come_first():
-    page = run_fragment(*PICTURES["waiting"], {}, "")
+    page = run_fragment(*SNAPSHOTS["waiting"], {}, "")
     order = ["waiting for the operator", "ALARM chamber deviation", "6:00 h", "−9.8 °C", "13 of 24", "<h2"]
     places = [page.index(text) for text in order]
     assert places == sorted(places)
@@ -337,8 +326,8 @@ def test_a_long_question_is_cut_and_whole_on_demand():
 
 
 def test_a_run_under_way_shows_its_dwell_and_one_that_is_over_what_it_left():
-    running = run_fragment(*PICTURES["running"], {}, "")
-    finished = run_fragment(*PICTURES["finished"], {"report.html": "Report"}, "")
+    running = run_fragment(*SNAPSHOTS["running"], {}, "")
+    finished = run_fragment(*SNAPSHOTS["finished"], {"report.html": "Report"}, "")
     assert "Live bias of the X gyro" in running
     assert "Step 212 of 325: navigate 10 min (cycle 1, -10 degC, Z-Down)" in running
     assert "Live bias" not in finished

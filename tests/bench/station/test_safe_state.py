@@ -22,15 +22,9 @@ from gyrobench.drivers.serial_line import SerialLine
 
 
 @pytest.fixture
-def opened(request, tmp_path):
+def opened(request, changed):
     """A station whose safe state the test chooses, its instruments and the emulated bench behind them."""
-    text = find_document("stations", "emulated").read_text()
-    for old, new in getattr(request, "param", ()):
-        assert old in text
-        text = text.replace(old, new)
-    path = tmp_path / "station.yaml"
-    path.write_text(text)
-    station, clock = Station(path), VirtualClock()
+    station, clock = Station(changed(*getattr(request, "param", ()))), VirtualClock()
     with Instruments(station, clock, Emulation("ideal", 0)) as instruments:
         world = str(find_document("worlds", "ideal"))
         yield station, instruments, bench_at(BenchAddress(clock.name, world, 0))

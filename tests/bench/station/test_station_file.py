@@ -3,7 +3,6 @@ from pathlib import Path
 import pytest
 
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.station import Station
 from gyrobench.bench.station.station_file import load_station_file
 
@@ -135,24 +134,14 @@ INS = "interface: emulator\n  channel: ins"
 
 
 @pytest.fixture
-def station(tmp_path):
+def station(changed):
     """Write the shipped station with other addresses, ten times as fast."""
 
     def write(
         table="/dev/pts/3", chamber="/home/bench/chamber", ins="interface: slcan\n  channel: /dev/pts/5"
     ):
-        text = find_document("stations", "emulated").read_text()
-        for old, new in {
-            "clock: virtual": "clock: wall\nspeed: 10",
-            TABLE: table,
-            CHAMBER: chamber,
-            INS: ins,
-        }.items():
-            assert old in text
-            text = text.replace(old, new)
-        path = tmp_path / "station.yaml"
-        path.write_text(text)
-        return path
+        on_wall_clock = ("clock: virtual", "clock: wall\nspeed: 10")
+        return changed(on_wall_clock, (TABLE, table), (CHAMBER, chamber), (INS, ins))
 
     return write
 
