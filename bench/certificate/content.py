@@ -366,10 +366,8 @@ def _coefficient_numbers(
         if not row.finding:
             key = row.coefficient, row.axis, row.plateau, 0.0
             k, expanded = coverage_factors.get(key, (NORMAL_K, NORMAL_K * row.sigma))
-            yield ModelNumber(
-                *(plain_name(row.coefficient), row.axis, row.value, expanded, k, row.unit),
-                *(row.plateau, row.temperature_c),
-            )
+            number = (plain_name(row.coefficient), row.axis, row.value, expanded, k, row.unit)
+            yield ModelNumber(*number, row.plateau, row.temperature_c)
 
 
 def _model_numbers(folder: RunFolder, run: RunContent) -> tuple[list[ModelNumber], str]:

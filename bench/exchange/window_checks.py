@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator, Sequence
 
@@ -13,7 +12,7 @@ from scipy.optimize import nnls
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.exchange.import_map import EarthRate, LogMap
 from gyrobench.bench.exchange.log_windows import BLOCKS, MIN_WINDOW_SAMPLES, Window, full_scale_dph
-from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, FloatArray
+from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, BoolArray, FloatArray, true_spans
 from gyrobench.bench.foundations.csv_tables import COLDEST_C, HOTTEST_C
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.earth import earth_rate_enu
@@ -207,22 +206,18 @@ def _saturation_dph(windows: Sequence[Window], log_map: LogMap) -> FloatArray:
     return np.where(is_clipped, np.minimum(highest, declared), declared)
 
 
-def _stuck_temperature(windows: Sequence[Window], log_map: LogMap) -> list[bool]:
-    """Whether each window belongs to a long series of constant temperature, which should have noise."""
-    is_stuck = [False] * len(windows)
+def _stuck_temperature(windows: Sequence[Window], log_map: LogMap) -> BoolArray:
+    """Whether each window (n,) belongs to a long series of constant temperature, which should have noise."""
+    is_stuck = np.zeros(len(windows), dtype=bool)
     for name in _GYRO_TEMPERATURES:
         if temperature_resolution_c(windows, name) > _FINE_RESOLUTION_C:
             continue
-        values = [
-            (each.means[name] if each.spans[name] == 0.0 else (index,)) for index, each in enumerate(windows)
-        ]
-        begin = 0
-        for value, group in itertools.groupby(values):
-            count = len(list(group))
-            is_long = count >= _STUCK_WINDOWS and count * log_map.averages.window_s >= _STUCK_S
-            if is_long and not isinstance(value, tuple):
-                is_stuck[begin : begin + count] = [True] * count
-            begin += count
+        is_constant = np.array([each.spans[name] == 0.0 for each in windows])
+        is_equal = np.diff([each.means[name] for each in windows]) == 0.0
+        for begin, end in true_spans(is_equal & is_constant[1:] & is_constant[:-1]):
+            count = 1 + end - begin
+            if count >= _STUCK_WINDOWS and count * log_map.averages.window_s >= _STUCK_S:
+                is_stuck[begin : end + 1] = True
     return is_stuck
 
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import groupby
-from typing import Any
 
 import numpy as np
 
@@ -95,21 +94,11 @@ class Profile:
 
     def kinds(self) -> list[BlockKind]:
         """Blocks of dwells at each temperature that begin when the ramp ends, without a soak."""
-
-        def leg(to_c: float, length: float) -> Any:
-            def add(timeline: Timeline) -> None:
-                timeline.ramp(to_c, self.ramp_c_per_h / timeline.times.ramp_c_per_h)
-                timeline.measure_dwells(
-                    self.positions[:: -1 if timeline.next_cycle % 2 else 1], length=length
-                )
-
-            return add
-
         return [
             BlockKind(
                 f"{words} at {to_c:g} degC",
                 f"measure all positions at {to_c:g} degC{more}",
-                leg(to_c, length),
+                partial(self._ramp_and_measure, to_c=to_c, length=length),
             )
             for to_c in self.set_points_c
             for words, more, length in (
@@ -117,6 +106,10 @@ class Profile:
                 ("long dwells", " in long dwells", _LONG),
             )
         ]
+
+    def _ramp_and_measure(self, timeline: Timeline, to_c: float, length: float) -> None:
+        timeline.ramp(to_c, self.ramp_c_per_h / timeline.times.ramp_c_per_h)
+        timeline.measure_dwells(self.positions[:: -1 if timeline.next_cycle % 2 else 1], length=length)
 
     def whole_plan(self, rows: Sequence[DwellRow], start: BlockStart | None) -> BlockPlan:
         """Plan of the whole procedure after these dwells, from a power-on."""

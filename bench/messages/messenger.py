@@ -64,9 +64,8 @@ class _Sender:
         self._record = record
         self._queue: deque[Message] = deque()
         self._changed = threading.Condition()
-        self._is_closing = False
+        self._closing = threading.Event()
         self._is_over = threading.Event()
-        self._hurry = threading.Event()
         self._thread = threading.Thread(target=self._work, name=f"messages to {receiver.kind}", daemon=True)
 
     def post(self, message: Message) -> None:
@@ -80,9 +79,8 @@ class _Sender:
     def close(self) -> None:
         """Accept no more messages; queued ones are sent at once, then retried every second."""
         with self._changed:
-            self._is_closing = True
+            self._closing.set()
             self._changed.notify()
-        self._hurry.set()
 
     def wait(self, duration_s: float) -> None:
         """Wait at most ``duration_s`` until the queue is empty, then abandon the remaining messages."""
@@ -102,7 +100,7 @@ class _Sender:
     def _next_message(self) -> Message | None:
         """The oldest queued message, which stays queued; None at the end."""
         with self._changed:
-            while not self._queue and not self._is_closing:
+            while not self._queue and not self._closing.is_set():
                 self._changed.wait()
             return self._queue[0] if self._queue and not self._is_over.is_set() else None
 
@@ -126,10 +124,10 @@ class _Sender:
                 return
 
     def _pause(self, pause_s: float) -> None:
-        if self._hurry.is_set():
+        if self._closing.is_set():
             self._is_over.wait(_LAST_PAUSE_S)
         else:
-            self._hurry.wait(pause_s)
+            self._closing.wait(pause_s)
 
     def _log(self, event: str, message: Message, **details: Any) -> None:
         self._record(event, to=self._receiver.name, about=message.event, **details)

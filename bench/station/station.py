@@ -170,15 +170,11 @@ class Station:
             for identifier in unit_codec.arbitration_ids().tolist():
                 other = identifiers.setdefault((*unit.bus, identifier), unit)
                 if other is not unit:
-                    raise self._document.error(
-                        [
-                            DocumentProblem(
-                                ("units",),
-                                f"{other.instrument} and {unit.instrument} share a bus and both use the "
-                                f"identifier {identifier}. Choose identifier_offset further apart",
-                            )
-                        ]
+                    message = (
+                        f"{other.instrument} and {unit.instrument} share a bus and both use the identifier "
+                        f"{identifier}. Choose identifier_offset further apart"
                     )
+                    raise self._document.error([DocumentProblem(("units",), message)])
         signals = [quantity.source.signal for quantity in self.file.ins.signals.quantities().values()]
         if not any(signal.partition(".")[0] in codec for signal in signals):
             message = (
@@ -191,10 +187,7 @@ class Station:
             *check_commands(self.file.ins.commands, codec, ("ins", "commands")),
         ]
         if problems:
-            by_message: dict[str, DocumentProblem] = {}
-            for each in problems:
-                by_message.setdefault(each.message, each)
-            raise self._document.error(list(by_message.values()))
+            raise self._document.error({each.message: each for each in reversed(problems)}.values())
 
     def database(self) -> Database:
         """Read the DBC file, with the identifier offset of the unit.
