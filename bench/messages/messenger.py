@@ -25,15 +25,12 @@ class Quota:
     """Limits the messages per hour about the same event."""
 
     def __init__(self, max_per_hour: int) -> None:
-        self._max = max_per_hour
-        self._sent_s: defaultdict[str, deque[float]] = defaultdict(deque)
+        self._sent_s: defaultdict[str, deque[float]] = defaultdict(lambda: deque(maxlen=max_per_hour))
 
     def lets_pass(self, about: str, now_s: float) -> bool:
         """Whether one more may be sent now; if so, it is counted."""
         sent_s = self._sent_s[about]
-        while sent_s and now_s - sent_s[0] >= S_PER_H:
-            sent_s.popleft()
-        if len(sent_s) >= self._max:
+        if len(sent_s) == sent_s.maxlen and now_s - sent_s[0] < S_PER_H:
             return False
         sent_s.append(now_s)
         return True

@@ -189,6 +189,7 @@ def _test_problems(plan: Plan) -> Iterator[DocumentProblem]:
         )
 
 
+_NAMES = {"calibration_check": "calibration check", "noise": "noise record"}
 _INSEPARABLE = "biases and initial errors can't be separated"
 
 
@@ -258,11 +259,10 @@ def _turned_check_problems(
         return
     for window in windows:
         if isinstance(window.step, Navigate) and window.step.purpose != "calibration":
-            name = "a calibration check" if window.step.purpose == "calibration_check" else "a noise record"
             yield DocumentProblem(
                 window.place_of("purpose"),
-                f"{name} is one navigation directly after the alignment, without a turn before "
-                "or after it. Leave purpose out, or replace the turn by go_to and align",
+                f"a {_NAMES[window.step.purpose]} is one navigation directly after the alignment, without a "
+                "turn before or after it. Leave purpose out, or replace the turn by go_to and align",
             )
 
 
@@ -302,8 +302,8 @@ def _successive_navigation_problems(dwell: Sequence[PlannedStep]) -> Iterator[Do
 def _turn_advice(moves: Sequence[PlannedStep]) -> str:
     """Advice for two navigations in succession; a single one gives a bias only in a calibration check."""
     if moves[0].purpose in SINGLE_NAVIGATION:
-        kind = "calibration check" if moves[0].purpose is DwellPurpose.CALIBRATION_CHECK else "noise record"
-        return f": a {kind} has a single one. Make it longer, or put go_to and align between them"
+        name = _NAMES[moves[0].purpose]
+        return f": a {name} has a single one. Make it longer, or put go_to and align between them"
     has_turn = any(isinstance(planned.step, Turn) for planned in moves)
     return ". Put a turn between them" + (", or make one longer" if has_turn else "")
 
