@@ -13,5 +13,5 @@
 
 ``folder`` defines these paths; ``journal``, ``can_log``, ``telemetry`` and ``provenance`` write and read the
 files of the same name, ``tables`` the other results. ``marks`` are journal entries that state the frames of a
-dwell; ``seal`` signs the folder; ``index`` finds runs among many.
+dwell; ``locks`` excludes a second process; ``seal`` signs the folder; ``index`` finds runs among many.
 """
