@@ -10,8 +10,15 @@ from datetime import datetime
 from pathlib import Path
 
 from gyrobench.bench.foundations.clock import WallClock
-from gyrobench.bench.guard.protocol import LOG_NAME, READY, GuardConfig
-from gyrobench.bench.guard.watching import EngineEnd, EngineProcess, GuardLog, watch_engine
+from gyrobench.bench.guard.watching import (
+    LOG_NAME,
+    READY,
+    EngineEnd,
+    EngineProcess,
+    GuardConfig,
+    GuardLog,
+    watch_engine,
+)
 
 _IN, _OUT = 0, 1
 

@@ -12,7 +12,7 @@ from typing import Self
 
 from gyrobench.bench.foundations.clock import Clock, Deadline
 from gyrobench.bench.foundations.errors import GyrobenchError
-from gyrobench.bench.guard.protocol import BEAT, LOG_NAME, READY, RELEASE, GuardConfig
+from gyrobench.bench.guard.watching import BEAT, LOG_NAME, READY, RELEASE, GuardConfig
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.station.station import Station
 

@@ -12,8 +12,7 @@ from typing import Any
 from gyrobench.bench.foundations.clock import Clock, Deadline
 from gyrobench.bench.foundations.errors import BenchInUseError, GyrobenchError
 from gyrobench.bench.foundations.text import capitalised
-from gyrobench.bench.guard.protocol import GuardConfig
-from gyrobench.bench.guard.watching import EngineEnd, EngineProcess, GuardLog
+from gyrobench.bench.guard.watching import EngineEnd, EngineProcess, GuardConfig, GuardLog
 from gyrobench.bench.messages.delivery import Message
 from gyrobench.bench.messages.messenger import Messenger
 from gyrobench.bench.runs.folder import RunFolder

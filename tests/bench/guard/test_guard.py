@@ -11,7 +11,7 @@ import serial
 
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.guard.process import GuardProcess
-from gyrobench.bench.guard.protocol import GuardConfig
+from gyrobench.bench.guard.watching import GuardConfig
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.bench_lock import BenchLock
 from tests.bench.guard.served_bench import is_running, wait_for

@@ -11,9 +11,8 @@ import pytest
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.errors import ConnectionFailedError, NoReplyError
 from gyrobench.bench.foundations.shipped import find_document
-from gyrobench.bench.guard.protocol import GuardConfig
 from gyrobench.bench.guard.rescue import Rescue
-from gyrobench.bench.guard.watching import EngineEnd, EngineProcess, GuardLog
+from gyrobench.bench.guard.watching import EngineEnd, EngineProcess, GuardConfig, GuardLog
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import RATE_TABLE, Emulation, Outputs

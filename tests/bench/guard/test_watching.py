@@ -3,8 +3,7 @@ import os
 import pytest
 
 from gyrobench.bench.foundations.clock import WallClock
-from gyrobench.bench.guard.protocol import GuardConfig
-from gyrobench.bench.guard.watching import EngineEnd, watch_engine
+from gyrobench.bench.guard.watching import EngineEnd, GuardConfig, watch_engine
 
 
 @pytest.fixture
