@@ -221,14 +221,6 @@ class DwellTableRow:
     flags: str
 
 
-@dataclass(frozen=True)
-class DwellTable:
-    """Table of the dwells, the newest first, and the unit of their biases."""
-
-    unit: str
-    rows: tuple[DwellTableRow, ...]
-
-
 def bin_tables(bins: Iterable[LiveBin]) -> list[BinTable]:
     """Tables of the bins of each gyro, the warmest first; empty while all bins are empty."""
     all_bins = list(bins)
@@ -239,11 +231,11 @@ def bin_tables(bins: Iterable[LiveBin]) -> list[BinTable]:
     return [_bin_table(gyro, [each for each in all_bins if each.gyro == gyro], scale) for gyro in AXES]
 
 
-def dwell_table(dwells: Sequence[SnapshotDwell]) -> DwellTable:
-    """Table of dwells, the newest first."""
+def dwell_table(dwells: Sequence[SnapshotDwell]) -> tuple[str, list[DwellTableRow]]:
+    """Unit of the biases, and a row for each dwell, the newest first."""
     biases = [value for dwell in dwells for value in dwell.bias_dph]
     scale = BiasScale.of(biases, [value for dwell in dwells for value in dwell.sigma_dph])
-    return DwellTable(scale.unit, tuple(_dwell_table_row(dwell, scale) for dwell in reversed(dwells)))
+    return scale.unit, [_dwell_table_row(dwell, scale) for dwell in reversed(dwells)]
 
 
 def reading_rows(bench: BenchReadings) -> list[tuple[str, str, str]]:

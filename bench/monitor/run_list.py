@@ -118,7 +118,9 @@ def snapshot_from_records(folder: RunFolder) -> RunSnapshot:
     It has no traces of the current dwell, and alarms only as part of the reason.
     """
     content = read_run(folder)
-    journal = list(_intact_entries(folder.journal))
+    journal: list[Entry] = []
+    with suppress(RunFolderError):  # entries up to the first damaged one
+        journal.extend(read_journal(folder.journal))
     station, plan = _station_and_plan(folder)
     state, reason = _state_by_records(folder, content.facts)
     rows, now_s = content.dwells, content.facts.last_s
@@ -130,7 +132,7 @@ def snapshot_from_records(folder: RunFolder) -> RunSnapshot:
         station=str(content.station.get("station", "")),
         unit=content.facts.unit or (rows[-1].unit if rows else ""),
         started_utc=str(content.provenance.get("started_utc", content.facts.started_utc)),
-        updated_utc=_updated_utc(folder),
+        updated_utc=datetime.fromtimestamp(folder.journal.stat().st_mtime, UTC).isoformat(timespec="seconds"),
         state=state,
         reason=reason,
         now_s=now_s,
@@ -158,12 +160,6 @@ def _station_and_plan(folder: RunFolder) -> tuple[Station | None, Plan | None]:
         return None, None
 
 
-def _intact_entries(journal: Path) -> Iterator[Entry]:
-    """Entries of a journal up to the first damaged one."""
-    with suppress(RunFolderError):
-        yield from read_journal(journal)
-
-
 def _left_s(plan: Plan, journal: Sequence[Entry]) -> float:
     """Planned time remaining; the whole duration if the journal does not match the plan."""
     try:
@@ -175,11 +171,6 @@ def _left_s(plan: Plan, journal: Sequence[Entry]) -> float:
         if resume_state.is_over(plan)
         else plan.duration_s - plan.steps[resume_state.resume_index(plan)].start_s
     )
-
-
-def _updated_utc(folder: RunFolder) -> str:
-    changed_s = folder.journal.stat().st_mtime
-    return datetime.fromtimestamp(changed_s, UTC).isoformat(timespec="seconds")
 
 
 def _last_readings(telemetry: Mapping[str, FloatArray], now_s: float) -> BenchReadings | None:

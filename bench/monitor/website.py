@@ -69,6 +69,7 @@ def run_fragment(
     several, address of the run. ``watermark``: SIMULATED, or empty.
     """
     dwell = snapshot.dwell
+    dwell_unit, dwell_rows = dwell_table(snapshot.dwells)
     unit_text = f"unit {snapshot.unit}" if snapshot.unit else ""
     if snapshot.units and not is_of_unit:
         unit_text = "units " + ", ".join(unit.number for unit in snapshot.units)
@@ -93,7 +94,8 @@ def run_fragment(
         biases=bias_charts(dwell) if dwell else [],
         temperatures=temperature_charts(snapshot.bins),
         bins=bin_tables(snapshot.bins),
-        dwells=dwell_table(snapshot.dwells),
+        dwells=dwell_rows,
+        dwell_unit=dwell_unit,
     )
 
 

@@ -138,9 +138,9 @@ def test_no_bins_where_no_dwell_counts():
 
 
 def test_dwells_come_with_the_newest_first():
-    table = dwell_table(measured_dwells(13))
-    assert [row.number for row in table.rows] == list(range(13, 0, -1))
-    newest, flagged = table.rows[0], table.rows[13 - 5]
+    _, rows = dwell_table(measured_dwells(13))
+    assert [row.number for row in rows] == list(range(13, 0, -1))
+    newest, flagged = rows[0], rows[13 - 5]
     assert (newest.position, newest.temperature) == ("Z-Up", "3.1")
     assert [cell.bias for cell in newest.cells] == ["3.0", "0.0", "1.5"]
     assert flagged.flags == "the INS left navigation in the turn"
