@@ -218,18 +218,18 @@ def test_a_reader_while_the_snapshot_is_written_sees_a_whole_one(tmp_path):
     with run_under_way(tmp_path / "mine") as run, served(run) as server:
 
         def write():
-            snapshot = made_up_snapshot()
-            for number in range(60):
-                write_snapshot(run, snapshot, unit=f"unit-{number}")
+            for number in range(1, 60):
+                write_snapshot(run, made_up_snapshot(), unit=f"unit-{number}")
             done.set()
 
+        write_snapshot(run, made_up_snapshot(), unit="unit-0")
         writer = threading.Thread(target=write)
         writer.start()
         while not done.is_set():
             seen.append(ask(server, "/fragment")[1].decode())
         writer.join()
         seen.append(ask(server, "/fragment")[1].decode())
-    assert all("unit unit-" in text and "</main>" in text for text in seen[1:])
+    assert all("unit unit-" in text and "</main>" in text for text in seen)
     assert "unit unit-59" in seen[-1]
 
 
