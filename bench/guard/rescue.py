@@ -150,30 +150,28 @@ class Rescue:
         return actions
 
     def _record(self, end: EngineEnd, actions: list[SafeAction]) -> None:
-        problems: list[str] = []
-
-        def record() -> None:
+        def record() -> str:
             try:
                 with Journal(self._folder.journal, self._clock) as journal:
                     safe_state = [asdict(action) for action in actions]
                     journal.record("guard_acted", reason=end.value, safe_state=safe_state)
             except GyrobenchError as error:
-                problems.append(str(error))
+                return str(error)
+            return ""
 
-        self._log.access.do(record)
-        for problem in problems:
+        if problem := self._log.access.do(record):
             self._log.add(f"not in the journal: {problem}")
 
     def _send_alarm(self, messenger: Messenger, end: EngineEnd, bench: str) -> None:
         """Send how the engine ended, and the state of the bench."""
-        entries: list[dict[str, Any]] = []
 
-        def read() -> None:
+        def read() -> list[dict[str, Any]]:
+            entries: list[dict[str, Any]] = []
             with contextlib.suppress(GyrobenchError):  # entries up to a damaged line
                 entries.extend(read_journal(self._folder.journal))
+            return entries
 
-        self._log.access.do(read)
-        facts = facts_of(list(entries))
+        facts = facts_of(self._log.access.do(read) or [])
         message = Message(
             event="guard_acted",
             why=f"{capitalised(end.value)}, so the guard acted. {bench}\n"

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from enum import Enum
 from pathlib import Path
+from typing import TypeVar
 
 from gyrobench.bench.foundations.clock import Clock
 
@@ -120,6 +121,9 @@ class EngineProcess:
                 signal.pidfd_send_signal(self._descriptor, signal.SIGKILL)
 
 
+_ResultT = TypeVar("_ResultT")
+
+
 class FolderAccess:
     """Accesses the run folder in a thread, in order.
 
@@ -134,13 +138,15 @@ class FolderAccess:
         self._hangs = False
         threading.Thread(target=self._work, daemon=True).start()
 
-    def do(self, task: Callable[[], object]) -> None:
-        """Do something in the run folder, and wait for it unless the disk hangs."""
+    def do(self, task: Callable[[], _ResultT]) -> _ResultT | None:
+        """Do something in the run folder; returns its result, None if it failed or the disk hangs."""
+        results: list[_ResultT] = []
         self._hangs = self._hangs and not self._last.is_set()
         self._last = threading.Event()
-        self._tasks.put((task, self._last))
+        self._tasks.put((lambda: results.append(task()), self._last))
         if not self._hangs:
             self._hangs = not self._last.wait(MAX_DISK_S)
+        return results[0] if results else None
 
     def _work(self) -> None:
         while True:

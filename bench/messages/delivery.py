@@ -335,10 +335,7 @@ def _post(address: str, secret: str, body: bytes, headers: dict[str, str]) -> st
 
 def _status(code: int) -> str:
     """Code and its standard phrase; the server's phrase may contain anything."""
-    try:
-        return f"{code} {http.HTTPStatus(code).phrase}"
-    except ValueError:
-        return str(code)
+    return f"{code} {http.client.responses.get(code, '')}".strip()
 
 
 def _reason(error: object, secret: str) -> str:
