@@ -216,11 +216,10 @@ def send_test(station: str, text: str) -> list[Attempt]:
     if not file.messages:
         raise document.error([DocumentProblem((), "no receivers: the section `messages` is missing")])
     message = Message("test", text, file.station, WallClock().utc())
-    return [_send_once(receiver, message) for receiver in file.messages]
-
-
-def _send_once(receiver: Receiver, message: Message) -> Attempt:
-    try:
-        return Attempt(receiver.name, True, deliver(receiver, message))
-    except UndeliveredError as error:
-        return Attempt(receiver.name, False, str(error))
+    attempts = []
+    for receiver in file.messages:
+        try:
+            attempts.append(Attempt(receiver.name, True, deliver(receiver, message)))
+        except UndeliveredError as error:
+            attempts.append(Attempt(receiver.name, False, str(error)))
+    return attempts

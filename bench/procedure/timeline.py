@@ -12,7 +12,6 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.foundations.text import hours_minutes
 from gyrobench.bench.procedure.plan import Plan, PlannedStep
 from gyrobench.bench.procedure.steps import Align, GoTo, Soak, span
 
@@ -31,16 +30,6 @@ class TimelineRow:
     steps_text: str  #: Each different step once, with its count per dwell.
     positions_text: str  #: Cycle, temperature and positions in order, with azimuths other than 0.
     dwells: int
-
-    @property
-    def start(self) -> str:
-        """Start as h:mm."""
-        return hours_minutes(self.start_s)
-
-    @property
-    def duration(self) -> str:
-        """Duration as h:mm."""
-        return hours_minutes(self.duration_s)
 
 
 def timeline_rows(plan: Plan) -> list[TimelineRow]:

@@ -147,9 +147,8 @@ def timeline_table(rows: Sequence[TimelineRow], total_s: float) -> Table:
     table.add_column("where", ratio=2)
     table.add_column("what", ratio=3)
     for row in rows:
-        table.add_row(
-            row.start, row.duration, str(row.dwells or ""), Text(row.positions_text), Text(row.steps_text)
-        )
+        times = hours_minutes(row.start_s), hours_minutes(row.duration_s)
+        table.add_row(*times, str(row.dwells or ""), Text(row.positions_text), Text(row.steps_text))
     return table
 
 

@@ -43,7 +43,7 @@ def test_a_stop_has_a_row_for_the_way_there_and_one_for_its_positions(planned):
         ("align 5 min; 2 x navigate 10 min; turn 180 deg; wait 60 s", "53 degC, z_up, x_down", 2),
         ("power off", "53 degC", 0),
     ]
-    assert [row.start for row in rows] == ["0:00", "0:01", "1:32", "2:26"]
+    assert [hours_minutes(row.start_s) for row in rows] == ["0:00", "0:01", "1:32", "2:26"]
 
 
 def test_rows_follow_one_another_and_cover_the_plan(planned):

@@ -16,6 +16,7 @@ from gyrobench.bench.bias.bins import BiasBin
 from gyrobench.bench.bias.plateaus import PlannedDwell
 from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits
 from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.foundations.text import hours_minutes
 from gyrobench.bench.procedure.plan import expand
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.procedure.timeline import timeline_rows
@@ -135,7 +136,7 @@ def test_timeline_shows_all_rows_and_the_total(name: str) -> None:
     rows = timeline_rows(plan)
     lines = printed_lines(timeline_table(rows, plan.duration_s))
     starts = [line.split()[0] for line in lines if line[:5].strip()]
-    assert [row.start for row in rows] == [start for start in starts if start[0].isdigit()]
+    assert [hours_minutes(row.start_s) for row in rows] == [start for start in starts if start[0].isdigit()]
     assert lines[-1].split()[0] == "all"
     assert lines[-1].split()[-1] == str(plan.dwell_count)
 
