@@ -407,7 +407,7 @@ def _window(samples: Samples, window_s: float, skip_s: float, before_s: float) -
         slopes_per_h=slopes,
         steps=smallest,
         spans=spans,
-        force=np.array([_mean(samples[name]) if name in samples else np.nan for name in FORCES]),
+        force=np.array([_trend(time_s, samples[name])[0] if name in samples else np.nan for name in FORCES]),
     )
 
 
@@ -432,8 +432,3 @@ def _smallest_step(values: FloatArray) -> float:
     steps = np.abs(np.diff(values))
     steps = steps[steps > _ROUNDING * np.abs(values).max(initial=0.0)]
     return float(steps.min(initial=np.inf))
-
-
-def _mean(values: FloatArray) -> float:
-    known = values[np.isfinite(values)]
-    return float(known.mean()) if known.size else np.nan
