@@ -172,6 +172,7 @@ def print_end(
     from gyrobench.bench.foundations.documents import read_document
     from gyrobench.bench.foundations.memory import free_memory
     from gyrobench.bench.report.run_findings import run_findings, signs_sentence
+    from gyrobench.bench.report.temperature_findings import recorded_sensors_sentence
     from gyrobench.bench.runs.tables.joint_table import read_joint_plateaus
 
     is_finished, resume = outcome.ended == "finished", _resume_text(folder, outcome)
@@ -200,9 +201,8 @@ def print_end(
     for number, rows in rows_by_unit.items():
         joint, unit = folder.unit(number).joint, outcomes[number]
         plateaus = read_joint_plateaus(joint) if joint.exists() else []
-        for finding in run_findings(
-            rows, station, unit.results.noise, plateaus, unit.reason or outcome.reason
-        ).items():
+        sources = rows, station, unit.results.noise, plateaus, unit.reason or outcome.reason
+        for finding in run_findings(*sources, recorded_sensors_sentence(folder.unit(number))).items():
             findings.setdefault(" ".join(finding), []).append(number)
     del rows_by_unit, rows
     outcome.release()

@@ -24,6 +24,7 @@ from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import hours_minutes, run_ending
 from gyrobench.bench.report.journal_sections import Entry, KindDuration, add_step_duration
 from gyrobench.bench.report.page import FINDINGS_FILE, Findings, read_findings_file
+from gyrobench.bench.report.temperature_findings import sensors_sentence
 from gyrobench.bench.runs.folder import DWELLS, JOURNAL, RunFolder
 from gyrobench.bench.runs.journal import RunFacts, facts_of, read_journal
 from gyrobench.bench.runs.marks import purpose_of
@@ -60,6 +61,7 @@ class RunContent:
     dwells: Sequence[DwellRow]
     bins: list[BiasBin]
     telemetry: Mapping[str, FloatArray]
+    sensors: str = ""  #: See :func:`gyrobench.bench.report.temperature_findings.sensors_sentence`.
     #: joint_sigmas, joint_plateaus: Joint solution; empty without one or before :func:`with_joint_solution`.
     joint_sigmas: Mapping[tuple[int, bool], JointSigmas] = field(default_factory=dict)
     joint_plateaus: list[JointPlateauRow] = field(default_factory=list)
@@ -200,6 +202,7 @@ def read_run(folder: RunFolder, are_tables_new: bool = False) -> RunContent:
     dwells: Sequence[DwellRow] = read(folder.dwells, read_packed_dwells, (), is_optional=is_optional)
     damage = _damage(folder, journal, files.errors, are_tables_new)
     bins: list[BiasBin] = read(folder.bias_bins, read_bins, [])
+    telemetry: dict[str, FloatArray] = read(folder.telemetry, read_telemetry, {})
     return RunContent(
         name=folder.path.resolve().name,
         run_name=folder.run_name,
@@ -213,7 +216,8 @@ def read_run(folder: RunFolder, are_tables_new: bool = False) -> RunContent:
         dwells=dwells,
         dwell_purposes=purposes,
         bins=_bins_with_power_cycles(bins, dwells, procedure, problems),
-        telemetry=read(folder.telemetry, read_telemetry, {}),
+        telemetry=telemetry,
+        sensors=sensors_sentence(telemetry),
         budget=read(folder.budget, _read_budget_summary, BudgetSummary(), is_optional=True),
         noise=read(folder.noise, read_noise, None, is_optional=True),
         calibration_check=calibration_check,

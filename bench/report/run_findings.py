@@ -16,10 +16,10 @@ from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.noise_estimate import NoiseComparison, NoiseEstimate, compare_noise
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.vertical_pairs import Finding
-from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.foundations.text import capitalised, counted, flag_text, listed, plural
+from gyrobench.bench.foundations.text import capitalised, counted, flag_text, listed
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.report.number_format import p_in_brackets
+from gyrobench.bench.report.temperature_findings import temperatures_sentence
 from gyrobench.bench.runs.journal import RunFacts
 from gyrobench.bench.runs.tables.joint_table import JointPlateauRow
 
@@ -27,14 +27,8 @@ from gyrobench.bench.runs.tables.joint_table import JointPlateauRow
 #: its bias is below this multiple of the smallest one.
 _DRIFT_KEY, _DEFAULT_DRIFT_UG_PER_H, _MAX_LEVEL_SIGMA_RATIO = "accelerometer_drift_ug_per_h", 20.0, 5.0
 _SLOPE_KEY = "accelerometer_slope_ug_per_c"
-#: Rate, K/h, below which the temperature of a gyro has settled; least number and temperature range of settled
-#: dwells; plausible change of a gyro temperature for each kelvin of the chamber (0.86 to 1.06 in simulated
-#: units).
-_SETTLED_C_PER_H, _MIN_SETTLED, _MIN_RANGE_K, _FOLLOWING_RANGE = 12.0, 4, 20.0, (0.7, 1.3)
-#: Key of the station file and its default. Optics that are warmer than their electronics by more than the
-#: next value, K, are implausible (in simulated units they are at least 5 K colder). Last: largest plausible
-#: excess over the declared self-heating, and largest plausible temperature below that of the air, K.
-_SELF_HEATING_KEY, _DEFAULT_HEATING_K, _ABOVE_BOARD_K, _OFFSET_K = "self_heating_c", 15.0, 2.0, 5.0
+#: Least number and temperature range, K, of dwells that show a slope over temperature.
+_MIN_DWELLS, _MIN_RANGE_K = 4, 20.0
 #: Noise is reported if it exceeds the declared value by the first factor, or is smaller by the second: data
 #: sheets state upper limits.
 _MAX_NOISE_RATIO, _MAX_DECLARED_RATIO = 1.3, 3.0
@@ -57,15 +51,17 @@ def run_findings(
     noise: NoiseEstimate | None,
     plateaus: Sequence[JointPlateauRow],
     reason: str = "",
+    sensors: str = "",
 ) -> dict[str, str]:
     """Reasons to doubt the results of a run, by title: the sentences of this module.
 
     ``station``: content of the station file. ``plateaus``: see :func:`joint_solution_sentences`.
-    ``reason``: why the run did not finish, which is stated elsewhere.
+    ``reason``: why the run did not finish, which is stated elsewhere. ``sensors``: see
+    :func:`gyrobench.bench.report.temperature_findings.sensors_sentence`.
     """
     sentences = {
         "Many dwells are flagged.": flags_sentence(rows, reason),
-        "Temperatures of the gyros.": temperatures_sentence(rows, station),
+        "Temperatures of the gyros.": " ".join(filter(None, (temperatures_sentence(rows, station), sensors))),
         "Drifting accelerometers.": accelerometers_sentence(rows, station),
         "Declared noise.": noise_sentence(noise, station),
         **joint_solution_sentences(plateaus),
@@ -92,73 +88,6 @@ def flags_sentence(rows: Sequence[DwellRow], reason: str = "") -> str:
     return (
         f"Flagged, and not in the results: {left_out}. The most frequent flag ({len(most_frequent)}): "
         f"{most_frequent[0]}"
-    )
-
-
-def temperatures_sentence(rows: Iterable[DwellRow], station: Mapping[str, Any]) -> str:
-    """Implausible gyro temperatures that a wrong scale, offset or signal map explains; else empty.
-
-    ``station``: content of the station file.
-    """
-    settled = [
-        (row.chamber_c, *row.gyro_c, *row.board_c)  # values, not rows: rows of long runs are read one by one
-        for row in rows
-        if math.isfinite(row.chamber_c) and np.abs(row.gyro_rate_c_per_h).max() < _SETTLED_C_PER_H
-    ]
-    if len(settled) < _MIN_SETTLED:
-        return ""
-    chamber_c, gyro_c, board_c = np.split(np.array(settled), [1, 4], axis=1)
-    declared_k = station.get("unit", {}).get("thermal", {}).get(_SELF_HEATING_KEY, _DEFAULT_HEATING_K)
-    return (
-        _scale_sentence(chamber_c, gyro_c)
-        or _exchanged_signals_sentence(gyro_c - board_c)
-        or _offset_sentence(gyro_c - chamber_c, declared_k)
-    )
-
-
-def _scale_sentence(chamber_c: FloatArray, gyro_c: FloatArray) -> str:
-    """Gyros that do not follow the chamber. Temperatures: ``chamber_c`` (n, 1), ``gyro_c`` (n, 3)."""
-    if np.ptp(chamber_c) < _MIN_RANGE_K:
-        return ""
-    min_slope, max_slope = _FOLLOWING_RANGE
-    slopes = np.polyfit(chamber_c[:, 0], gyro_c, 1)[0]
-    out_of_range = [
-        f"that of the {axis} gyro by {slope:.2f} K"
-        for axis, slope in zip(AXES, slopes, strict=True)
-        if not min_slope < slope < max_slope
-    ]
-    if not out_of_range:
-        return ""
-    return (
-        f"In settled dwells temperatures change for each kelvin of the chamber: {listed(out_of_range)}. "
-        "Check scale and unit of the temperature signals in the DBC file: bins and plateaus are at wrong "
-        "temperatures."
-    )
-
-
-def _exchanged_signals_sentence(above_board_k: FloatArray) -> str:
-    """Optics that are warmer than the electronics: differences (n, 3), NaN without a signal."""
-    least_k = above_board_k.min(axis=0)  # comparisons with NaN are False
-    exchanged = [axis for axis, above_k in zip(AXES, least_k, strict=True) if above_k > _ABOVE_BOARD_K]
-    if not exchanged:
-        return ""
-    return (
-        f"In all settled dwells the optics are warmer than the electronics, by {np.nanmax(least_k):.1f} "
-        f"K or more ({plural(len(exchanged), 'gyro', 'gyros')} {listed(exchanged)}). Unless the optics "
-        "are heated, the two signals are exchanged in signal map or DBC file, and bins are at the "
-        "temperatures of the electronics."
-    )
-
-
-def _offset_sentence(above_air_k: FloatArray, declared_k: float) -> str:
-    """Gyros whose temperatures above the air (n, 3) differ far from the declared self-heating."""
-    least_k, most_k = above_air_k.min(), above_air_k.max()
-    if not (least_k > declared_k + _OFFSET_K or most_k < -_OFFSET_K):
-        return ""
-    return (
-        f"In all settled dwells the gyros are {least_k:.1f} to {most_k:.1f} K above the chamber's air; "
-        f"unit.thermal.{_SELF_HEATING_KEY} of the station is {declared_k:g} K. Correct it if that is so; "
-        "else check the offset of the temperature signals in the DBC file and the chamber's sensor."
     )
 
 
@@ -209,7 +138,7 @@ def _significant_slope(rows: Iterable[DwellRow], index: int) -> tuple[float, flo
     # The bias of a vertical accelerometer is only the prior.
     is_level = values[:, 2] < _MAX_LEVEL_SIGMA_RATIO * values[:, 2].min(initial=np.inf)
     temperature_c, bias_ug, sigma_ug = values[is_level].T
-    if len(temperature_c) < _MIN_SETTLED or np.ptp(temperature_c) < _MIN_RANGE_K:
+    if len(temperature_c) < _MIN_DWELLS or np.ptp(temperature_c) < _MIN_RANGE_K:
         return None
     design = np.column_stack([np.ones_like(temperature_c), temperature_c]) / sigma_ug[:, np.newaxis]
     (_, slope), residual_chi2, *_ = np.linalg.lstsq(design, bias_ug / sigma_ug)

@@ -307,9 +307,8 @@ def doubt_boxes(content: RunContent) -> list[Box]:
     """One box for each doubt about results; none if the journal is damaged."""
     if JOURNAL in content.damage:
         return []
-    run_problems = run_findings(
-        content.dwells, content.station, content.noise, content.joint_plateaus, content.reason
-    )
+    sources = content.dwells, content.station, content.noise, content.joint_plateaus
+    run_problems = run_findings(*sources, content.reason, content.sensors)
     boxes = [Box("failed", title, text) for title, text in run_problems.items()]
     if text := signs_sentence(content.facts, content.station, Path("RUN", RunFolder.station)):
         boxes.append(Box(VERDICT_COLOURS["marginal"], "Signal map not tested.", text))

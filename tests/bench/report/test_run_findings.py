@@ -18,7 +18,6 @@ from gyrobench.bench.report.run_findings import (
     noise_sentence,
     run_findings,
     signs_sentence,
-    temperatures_sentence,
 )
 from gyrobench.bench.runs.journal import RunFacts
 from gyrobench.bench.runs.tables.joint_table import JointPlateauRow
@@ -37,55 +36,6 @@ def test_the_flag_that_keeps_half_of_the_dwells_out_is_stated(dwells: list[Dwell
     drifts = [replace(row, flags=(f"drifts by {number - 3:+.1f} ug/h",)) for number, row in enumerate(dwells)]
     drifts[0] = replace(drifts[0], flags=("no signal",))
     assert f"({len(drifts) - 1}): drifts by -2.0 ug/h" in flags_sentence(drifts)
-
-
-@pytest.mark.parametrize(
-    ("factor", "offset_c", "named"),
-    [
-        (1.0, 0.0, ""),
-        (0.5, 0.0, "temperature signals"),
-        (1.8, 32.0, "temperature signals"),
-        (
-            1.0,
-            15.0,
-            "23.0 to 23.0 K above the chamber's air; unit.thermal.self_heating_c of the station is 9 K",
-        ),
-        (1.0, -15.0, "-7.0 to -7.0 K above the chamber's air"),
-        (1.0, 5.0, ""),
-    ],
-)
-def test_temperatures_in_a_wrong_scale_or_with_an_offset_are_named(
-    dwells: list[DwellRow], factor: float, offset_c: float, named: str
-) -> None:
-    station = {"unit": {"thermal": {"self_heating_c": 9}}}
-    settled = [
-        replace(
-            row,
-            chamber_c=10.0 * number,
-            gyro_c=(factor * (10.0 * number + 8.0) + offset_c,) * 3,
-            gyro_rate_c_per_h=(1.0,) * 3,
-            board_c=(math.nan,) * 3,
-        )
-        for number, row in enumerate(dwells)
-    ]
-    assert named in temperatures_sentence(settled, station)
-    assert bool(named) == bool(temperatures_sentence(settled, station))
-    assert temperatures_sentence(settled[:3], station) == ""
-    moving = [replace(row, gyro_rate_c_per_h=(60.0,) * 3) for row in settled]
-    assert temperatures_sentence(moving, station) == ""
-
-
-def test_exchanged_temperatures_of_optics_and_electronics_are_named(dwells: list[DwellRow]) -> None:
-    def settled(board_c: tuple[float, float, float]) -> list[DwellRow]:
-        still = {"chamber_c": 25.0, "gyro_c": (35.0,) * 3, "gyro_rate_c_per_h": (1.0,) * 3}
-        return [replace(row, board_c=board_c, **still) for row in dwells]
-
-    assert temperatures_sentence(settled((42.0, math.nan, 36.0)), {}) == ""
-    found = temperatures_sentence(settled((28.0, math.nan, 36.0)), {})
-    assert "optics are warmer than the electronics, by 7.0 K or more (gyro x)" in found
-    assert "exchanged in signal map or DBC file" in found
-    one_warmer = [*settled((28.0,) * 3)[1:], settled((42.0,) * 3)[0]]
-    assert temperatures_sentence(one_warmer, {}) == ""
 
 
 @pytest.mark.parametrize(
