@@ -368,10 +368,16 @@ class CalibrationProblem:
                 f"{description} would reduce it: {chi2_text}; noise alone gives {fit.dof}. Something else is "
                 "wrong too"
             )
-        hint = "; gyrobench calibrate has --lever-arms, --delay, --quadratic, --g-sensitivity, --asymmetry"
+        hint = ""
+        if self.options.tries_explanations:
+            hint = (
+                "; gyrobench calibrate has --lever-arms, --delay, --quadratic, --g-sensitivity, --asymmetry"
+            )
+        elif not all(section.epochs.has_vertical for section in self.sections):
+            hint = ", and whether the INS aligned again or corrected its output in between"
         return (
             "Check latitude, gravity, signs and times, and whether the unit drifts, changes its temperature, "
-            f"moves at rest or has biases that follow attitude{hint * self.options.tries_explanations}"
+            f"moves at rest or has biases that follow attitude{hint}"
         )
 
     def _at_converged_latitude(self, estimates: Estimates) -> tuple[CalibrationProblem, Estimates] | None:

@@ -30,6 +30,10 @@ from gyrobench.bench.navigation.positions import AXES
 #: Scale factors of three sensors are common if their mean exceeds this, ppm, and they differ by less than
 #: this share of it.
 _MIN_COMMON_PPM, _MAX_SPREAD = 100.0, 0.3
+_COMMON_SCALE_CAUSES = {
+    "accelerometer": "gravity, a height (3.2 m a ppm), a clock of increments or a scale of the signals",
+    "gyro": "a clock of rates or a scale of the signals",
+}
 
 
 @dataclass(frozen=True)
@@ -121,13 +125,20 @@ def strongest_correlations(
     return sorted(pairs, key=lambda pair: -abs(pair[2]))
 
 
-def common_scale_ppm(calibration: Calibration, sensor: str) -> float | None:
-    """Common scale factor of three sensors, as caused by a wrong time or gravity; None if they differ."""
-    is_scale = [each.name == f"{sensor}_scale_factor" for each in calibration.coefficients]
-    values = 1e6 * calibration.values[is_scale]
-    mean = float(values.mean())
-    is_common = abs(mean) > _MIN_COMMON_PPM and np.ptp(values) < _MAX_SPREAD * abs(mean)
-    return mean if is_common and calibration.is_observed[is_scale].all() else None
+def common_scale_notes(estimate: CoefficientEstimate) -> list[str]:
+    """Notes on scale factors that three sensors have in common, as one wrong input causes; empty for none."""
+    notes = []
+    for sensor, causes in _COMMON_SCALE_CAUSES.items():
+        is_scale = [each.name == f"{sensor}_scale_factor" for each in estimate.coefficients]
+        values = 1e6 * estimate.values[is_scale]
+        mean = float(values.mean())
+        is_common = abs(mean) > _MIN_COMMON_PPM and np.ptp(values) < _MAX_SPREAD * abs(mean)
+        if is_common and estimate.is_observed[is_scale].all():
+            notes.append(
+                f"all {sensor} scale factors are about {mean:+.0f} ppm: {causes} that is wrong by the same "
+                "amount has this effect"
+            )
+    return notes
 
 
 def calibration_record(

@@ -26,7 +26,7 @@ from gyrobench.bench.calibration.coefficients import (
     SensorCoefficient,
 )
 from gyrobench.bench.calibration.joint_coefficients import joint_coefficients
-from gyrobench.bench.calibration.results import coefficient_rows
+from gyrobench.bench.calibration.results import coefficient_rows, common_scale_notes
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.dwells.run_rotations import GYRO_TEMPERATURE_FIELDS, PlateauRotations, combined_range
 from gyrobench.bench.foundations.arrays import FloatArray, Triple, triple
@@ -258,6 +258,7 @@ def _calibrate_plateau(
     if len(estimates) > 1 and (p_value := _agreement_p_value(*estimates)) < _MIN_P_VALUE:
         findings.append(f"dwells and rotations contradict each other (p = {p_value:.1g})")
     estimate = _combine(estimates) if estimates else None
+    notes = [*(rotations.notes if rotations else ()), *(common_scale_notes(estimate) if estimate else ())]
     variances = {name: np.diag(part).copy() for name, part in estimate.parts.items()} if estimate else {}
     chamber_set_c = math.nan if set_c is None else set_c
     inputs = {"latitude": setup.prior.latitude, "table_return": setup.table_repeatability} | {
@@ -265,7 +266,7 @@ def _calibrate_plateau(
     }
     return PlateauCalibration(
         number, cycle, chamber_set_c, gyro_c, case_c, _without_parts(estimate), variances,
-        "; ".join(findings), "; ".join(rotations.notes if rotations else ()), _without_parts(with_force),
+        "; ".join(findings), "; ".join(notes), _without_parts(with_force),
         rotations, combined_range(ranges), inputs,
     )  # fmt: skip
 

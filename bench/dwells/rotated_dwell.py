@@ -31,8 +31,9 @@ _BLOCK = 4096
 #: Largest deviation of the time between two epochs from the median, as a share of it.
 _MAX_STEP_ERROR = 0.5
 #: Smallest sum of increments, rad or m/s, that is compared with attitude and velocity; largest deviation as a
-#: share of the sum, which allows for gaps; and largest rotation between two epochs, rad.
-_MIN_SUM, _MAX_DEVIATION, _MAX_ROTATION = 0.5, 0.5, 2.0
+#: share of the sum, with and without missing samples; and largest rotation between two epochs, rad. Sensors
+#: of an INS have errors far below a hundredth before their calibration, and wrong units are larger.
+_MIN_SUM, _MAX_DEVIATION_IN_GAPS, _MAX_DEVIATION, _MAX_ROTATION = 0.5, 0.5, 0.015, 2.0
 #: Shortest time between the epochs of that comparison, s.
 _CHECK_INTERVAL_S = 0.2
 
@@ -124,16 +125,23 @@ def _check_axes(sent: Increments, navigated: Increments, marks: DwellMarks) -> N
     turns = [(before[1], after[0]) for before, after in itertools.pairwise(rests)]
     for name, spans in (("velocity", rests), ("angle", turns)):
         for span in spans:
+            parts = [slice(*np.searchsorted(each.row, span)) for each in (sent, navigated)]
             sent_sum, navigated_sum = (
-                getattr(each, name)[slice(*np.searchsorted(each.row, span))].sum(axis=0)
-                for each in (sent, navigated)
+                getattr(each, name)[part].sum(axis=0)
+                for each, part in zip((sent, navigated), parts, strict=True)
             )
+            if name == "velocity":  # constant at rest, so that missing samples and the ends do not matter
+                sent_s, navigated_s = (
+                    (part.stop - part.start) * each.interval_s
+                    for each, part in zip((sent, navigated), parts, strict=True)
+                )
+                navigated_sum *= sent_s / max(navigated_s, navigated.interval_s)
+            is_complete = name == "velocity" or sent.is_consecutive[parts[0]].all()
+            limit = _MAX_DEVIATION if is_complete else _MAX_DEVIATION_IN_GAPS
             if name == "angle" and _max_rate(sent, span) * navigated.interval_s > _MAX_ROTATION:
                 continue  # attitudes do not determine so large a rotation between two epochs
-            deviation = np.linalg.norm(sent_sum - navigated_sum)
-            if np.linalg.norm(navigated_sum) > _MIN_SUM and deviation > _MAX_DEVIATION * np.linalg.norm(
-                navigated_sum
-            ):
+            size = np.linalg.norm(navigated_sum)
+            if size > _MIN_SUM and np.linalg.norm(sent_sum - navigated_sum) > limit * size:
                 raise MeasurementError(
                     f"the {name} increments add up to {_triple_text(sent_sum)}, by attitude and velocity "
                     f"{_triple_text(navigated_sum)}. Check axes, signs and units of ins.signals.increments"

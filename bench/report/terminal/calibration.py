@@ -17,7 +17,7 @@ from gyrobench.bench.calibration.results import (
     CoefficientRow,
     RestRate,
     coefficient_rows,
-    common_scale_ppm,
+    common_scale_notes,
     expected_rows,
     rest_rates,
     strongest_correlations,
@@ -131,7 +131,7 @@ def _topics(
             for a, b, value in correlations
         ]
         yield "Correlated", "; ".join(texts)
-    yield from _scale_topics(calibration)
+    yield from (("Check", note) for note in common_scale_notes(calibration))
     if text := _asymmetry_text(calibration, site):
         yield "Asymmetry", text
     if text := _vibration_text(calibration):
@@ -219,20 +219,6 @@ def _rest_topics(rests: Sequence[RestRate], site: Site) -> Iterator[tuple[str, s
             f"vertical {rest.up_rate_dph:.3f} ± {rest.up_sigma_dph:.3f} deg/h (Earth {up_dph:.3f}), "
             "biases included",
         )
-
-
-def _scale_topics(calibration: Calibration) -> Iterator[tuple[str, str]]:
-    """Scale factors with a common error, as a wrong clock causes."""
-    for sensor, cause in (
-        ("accelerometer", "gravity, a height (3.2 m a ppm) or a clock of increments"),
-        ("gyro", "a clock of rates"),
-    ):
-        if (common := common_scale_ppm(calibration, sensor)) is not None:
-            yield (
-                "Check",
-                f"all {sensor} scale factors are about {common:+.0f} ppm: {cause} that is wrong by the same "
-                "amount has this effect",
-            )
 
 
 def _asymmetry_text(calibration: Calibration, site: Site) -> str:

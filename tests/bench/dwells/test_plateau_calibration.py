@@ -186,6 +186,33 @@ def test_exchanged_axes_of_increments_give_no_coefficients(with_increments, axes
     assert "Check axes, signs and units of ins.signals.increments" in found.finding
 
 
+@pytest.mark.parametrize("name", ["angle", "velocity"])
+def test_a_scale_of_the_increments_that_attitude_and_velocity_contradict_is_refused_or_noted(
+    with_increments, name
+):
+    folder, _, _ = with_increments
+    setup = measurement_setup(Station(folder.station))
+    dwells = list(rotated_dwells(folder))
+
+    def scaled(factor):
+        def decode(frames):
+            sent = setup.decode_increments(frames)
+            return replace(sent, **{name: factor * getattr(sent, name)})
+
+        return replace(setup, decode_increments=decode)
+
+    def noted(factor):
+        rotations = calibrated(dwells, scaled(factor))
+        [plateau] = calibrate_plateaus([], [], rotations, setup)
+        return plateau.note
+
+    [found] = calibrated(dwells[:1], scaled(1.024))
+    assert "Check axes, signs and units of ins.signals.increments" in found.finding
+    sensor = {"angle": "gyro", "velocity": "accelerometer"}[name]
+    assert f"all {sensor} scale factors are about +2" in noted(1.002)
+    assert "scale factors" not in noted(1.0)
+
+
 @pytest.mark.parametrize("period_s", [0.009, 0.01, 0.02])
 def test_rotations_give_no_coefficients_with_a_wrong_period_of_the_increments(with_increments, period_s):
     folder, _, _ = with_increments
