@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow, write_dwells
+from gyrobench.bench.exchange.earth_check import sensed_earth_warning
 from gyrobench.bench.exchange.import_map import LogMap, load_log_map
 from gyrobench.bench.exchange.log_windows import SampleReader, Window, cut_windows
 from gyrobench.bench.exchange.window_checks import (
@@ -166,7 +167,11 @@ def _map_warnings(log_map: LogMap, rows: Sequence[DwellRow]) -> list[str]:
                 "Give 'earth_rate' in the import map"
             )
     else:
-        warnings += _earth_warnings(rows, log_map.earth_rate.latitude_deg)
+        earth_warnings = [*_earth_warnings(rows, log_map.earth_rate.latitude_deg)]
+        is_by_force = log_map.averages.position.accelerometers is not None
+        warnings += earth_warnings or filter(
+            None, [sensed_earth_warning(rows, log_map.earth_rate, is_by_force)]
+        )
         if log_map.earth_rate.azimuth_deg is None:
             _, north, _ = earth_rate_enu(math.radians(log_map.earth_rate.latitude_deg))
             horizontal_dph = north * RADPS_TO_DPH

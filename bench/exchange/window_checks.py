@@ -59,8 +59,8 @@ _MAX_STUCK_SHARE = 0.5
 _FINE_RESOLUTION_C, _STUCK_WINDOWS, _STUCK_S = 0.05, 3, 300.0
 #: Coarser steps of a temperature cause a warning; a swing of fewer steps is rejected.
 _COARSE_RESOLUTION_C, _MIN_STEPS = 0.25, 8
-#: Temperatures above this, degC, are more likely in kelvin.
-_MIN_KELVIN = 200.0
+#: Temperatures above this, degC, are more likely in kelvin; if any is above the next, in degF.
+_MIN_KELVIN, _MAX_CELSIUS = 200.0, 110.0
 
 _GYRO_TEMPERATURES = tuple(f"gyro_{axis}_c" for axis in AXES)
 
@@ -108,6 +108,11 @@ def temperature_warnings(rows: Sequence[DwellRow], windows: Sequence[Window], lo
         warnings.append(
             f"the gyros are at {gyro_c.min():.1f} to {gyro_c.max():.1f} degC. If they are in kelvin, give "
             "'temperatures: {offset_c: -273.15}' in the import map"
+        )
+    elif gyro_c.max() > _MAX_CELSIUS:
+        warnings.append(
+            f"the gyros are at {gyro_c.min():.1f} to {gyro_c.max():.1f} degC. If they are in degF, give "
+            "'temperatures: {scale: 0.55556, offset_c: -17.778}' in the import map"
         )
     for index, (axis, name) in enumerate(zip(AXES, _GYRO_TEMPERATURES, strict=True)):
         temperatures = np.array([row.gyro_c[index] for row in rows])

@@ -11,6 +11,7 @@ import pytest
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.exchange.log_import import cycle_numbers, import_logs, write_import
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
+from gyrobench.bench.navigation.positions import POSITIONS
 from tests.bench.exchange.sample_log import NOISE_DPH, RATE_HZ, bias_dph
 
 NO_TEMPERATURE = "no temperature from -273.15 to 1000 degC"
@@ -213,6 +214,13 @@ def test_temperatures_in_kelvin_are_shown(log):
     assert not any("kelvin" in each for each in in_celsius.warnings)
 
 
+def test_temperatures_in_degrees_fahrenheit_are_shown_where_no_gyro_is_so_hot(log):
+    log.columns["temp"] = 1.8 * (log.columns["temp"] + 10.0) + 32.0
+    (warning,) = (each for each in imported(log).warnings if "offset_c" in each)
+    assert "to 120" in warning
+    assert "If they are in degF" in warning
+
+
 def test_too_few_steps_of_temperature_are_refused(log):
     log.columns["temp"] = 5.0 * np.round(log.columns["temp"] / 5.0)
     with pytest.raises(
@@ -339,6 +347,26 @@ def test_rates_in_too_large_a_unit_lack_the_earths_rotation(log, unit, is_warned
         log, position="z_up", gyro=f"{{unit: {unit}, x: gx, y: gy, z: gz}}", earth_rate="{latitude_deg: 48}"
     )
     assert any("seems to lack the Earth's rotation" in each for each in found.warnings) == is_warned
+
+
+@pytest.mark.parametrize("azimuth_deg", [0, 180])
+def test_rates_in_which_the_earths_rotation_fits_another_azimuth_are_shown(log, azimuth_deg):
+    """Every minute in the next of six positions, at azimuth 0 and latitude 48 deg."""
+    names = np.array(list(POSITIONS))[(log.time_s // 60.0).astype(int) % 6]
+    latitude = np.radians(48.0)
+    earth_dph = 15.041067 * np.array([0.0, np.cos(latitude), np.sin(latitude)])
+    C_nb = np.array([POSITIONS[name].C_nb() for name in names])
+    random = np.random.default_rng(5)
+    rates = np.einsum("nij,i->nj", C_nb, earth_dph) + random.standard_normal((len(names), 3))
+    log.columns |= dict(zip(("gx", "gy", "gz"), rates.T / 3600.0, strict=True))
+    log.columns |= dict(zip(("ax", "ay", "az"), 9.8 * C_nb[:, 2].T, strict=True))
+    found = imported(
+        log,
+        position="{accelerometers: {x: ax, y: ay, z: az}}",
+        earth_rate=f"{{latitude_deg: 48, azimuth_deg: {azimuth_deg}}}",
+    )
+    warned = any("fits an azimuth_deg of" in each for each in found.warnings)
+    assert warned == (azimuth_deg == 180), found.warnings
 
 
 def test_without_azimuth_the_vertical_gyro_alone_is_freed_and_that_is_reported(log):

@@ -1,0 +1,163 @@
+"""Compares the Earth's rotation in the rates of a log with the one that was subtracted from them.
+
+What remains of it in the biases follows the attitude like the Earth's rotation, by the same vector in all
+gyros. The vector shows a wrong azimuth, latitude or scale. Exchanged or reversed axes leave no common vector;
+each possible assignment of axes is tried. Biases that follow gravity differ from gyro to gyro and fit none.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.exchange.import_map import EarthRate
+from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, BoolArray, FloatArray
+from gyrobench.bench.navigation.earth import EARTH_RATE, earth_rate_enu
+from gyrobench.bench.navigation.positions import AXES, POSITIONS
+
+#: Fewest rows, fewest gyros that were up and down, and powers of the temperature in a bias.
+_MIN_ROWS, _MIN_GYROS, _POWERS = 12, 2, 3
+#: Largest share of the scatter of the biases that a mistake leaves: in general, and of one that is vertical
+#: to within the next share, which biases that follow gravity resemble if three gyros have the same.
+_MAX_LEFT, _MAX_LEFT_VERTICAL, _MAX_LEVEL = 0.25, 0.05, 0.2
+#: Smallest remaining rate, and smallest scatter by exchanged axes, as shares of the Earth's rotation.
+_MIN_RATE, _MIN_SCATTER = 0.001, 0.05
+#: A scale is wrong if it is off by more than this; latitude or azimuth is wrong if the error is at least this
+#: share of the other one.
+_MIN_SCALE_ERROR, _MIN_SHARE = 0.02, 0.1
+_EARTH_DPH = EARTH_RATE * RADPS_TO_DPH
+
+
+def sensed_earth_warning(rows: Sequence[DwellRow], rule: EarthRate, is_by_force: bool) -> str:
+    """Warning if the biases contain a part of the Earth's rotation that a mistake in the map explains.
+
+    ``is_by_force``: whether accelerometers gave the positions, so that their axes may be wrong as well.
+    """
+    if len(rows) < _MIN_ROWS:
+        return ""
+    has_azimuth = rule.azimuth_deg is not None
+    azimuth = math.radians(rule.azimuth_deg or 0.0)
+    C_nb = {name: position.C_nb(azimuth) for name, position in POSITIONS.items()}
+    earth = earth_rate_enu(math.radians(rule.latitude_deg)) * RADPS_TO_DPH
+    bias = np.array([row.bias_dph for row in rows]).T
+    used = np.ones_like(bias, dtype=bool)
+    axes_enu = np.array([C_nb[row.position] for row in rows]).transpose(2, 0, 1)  # gyro, row, ENU
+    if not has_azimuth:  # the level gyros sense an unknown part of the rate North
+        used = np.abs(axes_enu[:, :, 2]) > 0.5
+    bases = [_temperature_basis(rows, gyro, used[gyro]) for gyro in range(3)]
+
+    def freed(values: FloatArray) -> FloatArray:
+        """Values (3, n, ...) of gyros and rows, without what follows the temperature, in one column."""
+        parts = [values[gyro, used[gyro]] for gyro in range(3)]
+        return np.concatenate(
+            [part - basis @ (basis.T @ part) for part, basis in zip(parts, bases, strict=True)]
+        )
+
+    def size(values: FloatArray) -> float:
+        return float(np.sqrt(np.mean(values**2)))
+
+    turned = [
+        np.ptp(each[chosen, 2]) > 1.0 for each, chosen in zip(axes_enu, used, strict=True) if chosen.any()
+    ]
+    if sum(turned) < _MIN_GYROS or used.sum(axis=1)[used.any(axis=1)].min() < _MIN_ROWS // 2:
+        return ""
+    data = freed(bias)
+    scatter = size(data)
+    design = freed(axes_enu)[:, 0 if has_azimuth else 2 :]
+    solution, *_ = np.linalg.lstsq(design, data, rcond=1e-6)
+    rest = np.zeros(3)
+    rest[0 if has_azimuth else 2 :] = solution
+    is_vertical = math.hypot(rest[0], rest[1]) < _MAX_LEVEL * abs(rest[2])
+    limit = _MAX_LEFT_VERTICAL if is_vertical else _MAX_LEFT
+    if size(data - design @ solution) < limit * scatter:
+        is_small = float(np.linalg.norm(rest)) < _MIN_RATE * _EARTH_DPH
+        return "" if is_small else _rate_text(earth + rest, rule)
+    if not has_azimuth or scatter < _MIN_SCATTER * _EARTH_DPH:
+        return ""
+    names = [row.position for row in rows]
+    for text, expected in _other_axes(C_nb, earth, is_by_force):
+        if size(data - freed(np.array([expected[name] for name in names]).T)) < _MAX_LEFT * scatter:
+            return text
+    scales = [freed(np.where(np.arange(3)[:, None] == k, axes_enu @ earth, 0.0)) for k in range(3)]
+    errors, *_ = np.linalg.lstsq(np.array(scales).T, data, rcond=1e-6)
+    if size(data - errors @ scales) > _MAX_LEFT * scatter:
+        return ""
+    worst = int(np.argmax(np.abs(errors)))
+    return (
+        f"the {AXES[worst]} gyro senses {1.0 + errors[worst]:.3g} times the Earth's rotation. Check unit and "
+        "scale of its column"
+    )
+
+
+def _temperature_basis(rows: Sequence[DwellRow], gyro: int, used: BoolArray) -> FloatArray:
+    """Orthonormal powers (m, k) of the temperature of a gyro in its used rows (n,)."""
+    temperature_c = np.array([row.gyro_c[gyro] for row in rows])[used]
+    if not len(temperature_c):
+        return np.empty((0, 0))
+    scaled = (temperature_c - temperature_c.mean()) / max(float(np.ptp(temperature_c)), 1e-9)
+    return np.linalg.qr(scaled[:, np.newaxis] ** np.arange(_POWERS))[0]
+
+
+def _rate_text(sensed: FloatArray, rule: EarthRate) -> str:
+    """Warning about the rate (3,), ENU, deg/h, that the gyros sense in place of the Earth's."""
+    if rule.azimuth_deg is None:
+        vertical = _EARTH_DPH * math.sin(math.radians(rule.latitude_deg))
+        text = f"the gyros sense {sensed[2] / vertical:.3g} times the vertical part of the Earth's rotation"
+        advice = "Check unit and scale of the gyros, and 'latitude_deg'"
+        if abs(sensed[2]) < _EARTH_DPH:
+            advice += f": at {math.degrees(math.asin(sensed[2] / _EARTH_DPH)):.1f} deg that is right"
+        return f"{text}. {advice}"
+    scale = float(np.linalg.norm(sensed)) / _EARTH_DPH
+    if abs(scale - 1.0) > _MIN_SCALE_ERROR:
+        return (
+            f"the gyros sense {scale:.3g} times the Earth's rotation. Check unit and scale of their columns, "
+            "and whether they are rates, not increments"
+        )
+    latitude_deg = math.degrees(math.atan2(sensed[2], math.hypot(sensed[0], sensed[1])))
+    turned_deg = math.degrees(math.atan2(sensed[0], sensed[1]))
+    away_deg = latitude_deg - rule.latitude_deg
+    found = []
+    if abs(away_deg) > _MIN_SHARE * abs(turned_deg):
+        found.append(f"a latitude_deg of {latitude_deg:.1f}")
+    if abs(turned_deg) > _MIN_SHARE * abs(away_deg):
+        found.append(f"an azimuth_deg of {round(rule.azimuth_deg + turned_deg, 1) % 360.0:.1f}")
+    return f"the Earth's rotation in the rates fits {' and '.join(found)}. Correct 'earth_rate' in the map"
+
+
+def _other_axes(
+    C_nb: dict[str, FloatArray], earth: FloatArray, is_by_force: bool
+) -> Iterator[tuple[str, dict[str, FloatArray]]]:
+    """Wrong assignments of axes: a warning, and the rates (3,) that they leave in each position.
+
+    ``C_nb``: by name of the position. ``earth``: rate (3,), ENU. ``is_by_force``: see above.
+    """
+    for order, signs in itertools.product(
+        itertools.permutations(range(3)), itertools.product((1, -1), repeat=3)
+    ):
+        declared = np.zeros((3, 3))  # of true body axes
+        declared[np.arange(3), order] = signs
+        if (declared == np.eye(3)).all():
+            continue
+        held = ", ".join(
+            f"{'-' if sign < 0 else ''}{AXES[true]}" for true, sign in zip(order, signs, strict=True)
+        )
+        text = (
+            f"the Earth's rotation in the rates fits if the columns x, y, z of {{}} hold {held}. Correct them"
+        )
+        yield (
+            text.format("the gyros"),
+            {name: declared @ each.T @ earth - each.T @ earth for name, each in C_nb.items()},
+        )
+        if is_by_force:
+            ups = {name: declared.T @ each[2] for name, each in C_nb.items()}
+            true = {
+                name: next(each for each in C_nb.values() if each[2] @ up > 0.5) for name, up in ups.items()
+            }
+            yield (
+                text.format("gyros and accelerometers"),
+                {name: declared @ true[name].T @ earth - each.T @ earth for name, each in C_nb.items()},
+            )
