@@ -104,6 +104,7 @@ ROWS = (
         _unit(velocity_scale=(1.05,) * 3, gyro_bias_dph=(0.1, -0.05, 0.07)),
         "a wrong scale",
     ),
+    Row("velocities turned by 10 deg about Up", _unit(velocity_turned_deg=10.0), "turned"),
     Row("latitude with the wrong sign", _opposite_latitude, "latitude_deg has the wrong sign"),
     Row("latitude 1 arcmin off", _latitude(1.0), "latitude"),
     Row("latitude -1 arcmin off", _latitude(-1.0), "latitude"),
@@ -119,6 +120,7 @@ ROWS = (
     Row("unit turned by 90 deg on the table", _mounted("north", "west", "up"), "mounting"),
     Row("unit turned by 180 deg on the table", _mounted("west", "south", "up"), "mounting"),
     Row("unit upside down on the table", _mounted("east", "south", "down"), "mounting"),
+    Row("unit 0.3 m off the intersection of the table's axes", _unit(lever_arm_m=(0.3, 0.1, 0.05))),
     Row("deflection of the vertical by 8 arcsec", _latitude(8.0 / 60.0)),
     Row("deflection of the vertical by 20 arcsec", _latitude(20.0 / 60.0)),
     Row(
@@ -143,6 +145,11 @@ ROWS = (
     ),
     Row("velocity damped with 600 s", _unit(velocity_damping_s=600.0), "damp"),
     Row("alignment again after the turn, unreported", _unit(aligns_again=True), "aligned again"),
+    Row(
+        "alignment again after the turn, unreported, with velocity noise of 3 mm/s, undeclared",
+        _unit(aligns_again=True, velocity_output_mps=0.003),
+        "aligned again",
+    ),
     Row("heading held by an aid with 3 s", _unit(heading_aid_s=3.0), "holds its heading"),
     Row("heading held by an aid with 60 s", _unit(heading_aid_s=60.0), "holds its heading"),
     Row("heading held by an aid with 200 s", _unit(heading_aid_s=200.0), "holds its heading"),
