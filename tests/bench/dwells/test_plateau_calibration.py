@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
+from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, CoefficientEstimate, SensorErrors
@@ -211,6 +212,54 @@ def test_a_scale_of_the_increments_that_attitude_and_velocity_contradict_is_refu
     sensor = {"angle": "gyro", "velocity": "accelerometer"}[name]
     assert f"all {sensor} scale factors are about +2" in noted(1.002)
     assert "scale factors" not in noted(1.0)
+
+
+def _late(values, samples):
+    return np.vstack([np.repeat(values[:1], samples, axis=0), values[:-samples]])
+
+
+def _filtered(values, interval_s, time_constant_s=0.1):
+    keep = np.exp(-interval_s / time_constant_s)
+    return lfilter([1.0 - keep], [1.0, -keep], values - values[0], axis=0) + values[0]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("sent", "table", "text"),
+    [
+        (lambda each: {"velocity": _late(each.velocity, 1)}, None, "times the noise"),
+        (
+            lambda each: {k: _filtered(getattr(each, k), each.interval_s) for k in ("angle", "velocity")},
+            None,
+            "times the noise",
+        ),
+        (lambda each: {k: _late(getattr(each, k), 10) for k in ("angle", "velocity")}, None, ""),
+        (None, lambda outer, inner: (1.001 * outer, 1.001 * inner), "whole turns contradict the rotations"),
+        (None, lambda outer, inner: (inner, outer), ""),
+    ],
+    ids=["velocity late", "increments filtered", "increments late", "encoders' scale", "axes exchanged"],
+)
+def test_wrong_rotations_are_stated_or_leave_the_coefficients_right(with_increments, sent, table, text):
+    folder, _, _ = with_increments
+    setup = measurement_setup(Station(folder.station))
+    right, [plateau] = list(rotated_dwells(folder)), calibrated(rotated_dwells(folder), setup)
+
+    def decode(frames):
+        found = setup.decode_increments(frames)
+        return replace(found, **sent(found)) if sent else found
+
+    def read(mark):
+        outer, inner = table(mark.outer_deg, mark.inner_deg) if table else (mark.outer_deg, mark.inner_deg)
+        return replace(mark, outer_deg=outer, inner_deg=inner)
+
+    wrong = [(replace(marks, windows=tuple(map(read, marks.windows))), frames) for marks, frames in right]
+    [found] = calibrated(wrong, replace(setup, decode_increments=decode))
+    findings = " ".join(found.findings)
+    assert text in findings
+    assert bool(text) == bool(findings)
+    if found.calibration is not None:
+        away = (found.calibration.values - plateau.calibration.values) / found.calibration.sigmas
+        assert np.abs(away).max() < 3.0
 
 
 @pytest.mark.parametrize("period_s", [0.009, 0.01, 0.02])
