@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -26,8 +27,8 @@ from gyrobench.bench.navigation.positions import POSITIONS
 _MAX_MISSING = 0.1
 #: Largest share of a standard uncertainty that counts as common to the dwells of an attitude.
 _MAX_COMMON = 0.99
-#: Headings that differ by less than this are the same.
-_SAME_HEADING_DEG = 5.0
+#: Headings that differ by less than this are the same. Number of an unknown one.
+_SAME_HEADING_DEG, _UNKNOWN_HEADING = 5.0, -1
 
 
 @dataclass(frozen=True)
@@ -205,11 +206,8 @@ class Campaign:
     @property
     def has_one_heading(self) -> bool | None:
         """Whether all known headings are parallel or opposite; None if none is known."""
-        headings_deg = np.zeros(0) if self.azimuth_deg is None else self.azimuth_deg
-        headings_deg = headings_deg[np.isfinite(headings_deg)]
-        # Differences modulo half a turn.
-        difference_deg = (headings_deg - headings_deg[:1] + 90.0) % 180.0 - 90.0
-        return bool(np.all(np.abs(difference_deg) < _SAME_HEADING_DEG)) if len(difference_deg) else None
+        headings = set() if self.azimuth_deg is None else set(heading_numbers(self.azimuth_deg, 180.0))
+        return len(headings - {_UNKNOWN_HEADING}) == 1 if headings - {_UNKNOWN_HEADING} else None
 
     def slow_time(self, degree: int) -> FloatArray:
         """Chebyshev polynomials (n, degree) of the dwells' time, without the constant."""
@@ -281,15 +279,32 @@ class Campaign:
         return network_c
 
 
+def heading_numbers(azimuth_deg: Iterable[float], period_deg: float = 360.0) -> list[int]:
+    """Number of the heading of each dwell, the same for azimuths that hardly differ; -1 if unknown.
+
+    ``period_deg``: azimuths that differ by this are the same.
+    """
+    first_deg: list[float] = []
+    numbers = []
+    for each_deg in azimuth_deg:
+        offsets_deg = [
+            (each_deg - first + 0.5 * period_deg) % period_deg - 0.5 * period_deg for first in first_deg
+        ]
+        same = (number for number, each in enumerate(offsets_deg) if abs(each) < _SAME_HEADING_DEG)
+        numbers.append(next(same, len(first_deg)) if math.isfinite(each_deg) else _UNKNOWN_HEADING)
+        first_deg += [each_deg] if numbers[-1] == len(first_deg) else []
+    return numbers
+
+
 def common_errors(
     position: Sequence[str], azimuth_deg: Sequence[float], common_sigma_dph: FloatArray
 ) -> FloatArray:
     """Errors (3, n, c) for one standard uncertainty of each of c errors that n dwells have in common.
 
-    A gyro has one such error in each attitude (position and azimuth) where it is level, and one for all where
+    A gyro has one such error in each attitude (position and heading) where it is level, and one for all where
     it is vertical, which follows Up as those of latitude and scale factor do. No dwell has two.
     """
-    attitudes = list(zip(position, [f"{each:.0f}" for each in azimuth_deg], strict=True))
+    attitudes = list(zip(position, heading_numbers(azimuth_deg), strict=True))
     in_attitude = np.array([[each == other for other in dict.fromkeys(attitudes)] for each in attitudes])
     up = np.array([np.rint(POSITIONS[name].C_nb()[2]) for name in position])
     level_dph = np.where(up == 0.0, common_sigma_dph, 0.0).T

@@ -10,6 +10,7 @@ from types import MappingProxyType
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
+from gyrobench.bench.closure.campaign import heading_numbers
 from gyrobench.bench.closure.files import holds_search
 from gyrobench.bench.closure.loadable_model import (
     LoadableModel,
@@ -61,7 +62,6 @@ from gyrobench.bench.verification.compensation_verification import (
 from gyrobench.drivers.ins.command_map import CoefficientCommand
 from gyrobench.drivers.ins.compensation import Compensation
 
-_AZIMUTH_TOLERANCE_DEG = 1.0
 #: Steps that measure all coefficients.
 _ROTATIONS = ("rotate", "spin")
 
@@ -353,12 +353,7 @@ def _with_limit_note(model: LoadableModel, load: CoefficientCommand | None) -> L
 
 def _new_attitudes(fitted: Sequence[DwellRow], measured: Sequence[DwellRow]) -> int:
     """Number of measured dwells that began in an attitude in which no fitted dwell began."""
-
-    def is_fitted(row: DwellRow) -> bool:
-        return any(
-            other.position == row.position
-            and abs((other.azimuth_deg - row.azimuth_deg + 180.0) % 360.0 - 180.0) < _AZIMUTH_TOLERANCE_DEG
-            for other in fitted
-        )
-
-    return sum(not is_fitted(row) for row in measured)
+    rows = [*fitted, *measured]
+    headings = heading_numbers([row.azimuth_deg for row in rows])
+    attitudes = [(row.position, heading) for row, heading in zip(rows, headings, strict=True)]
+    return sum(each not in attitudes[: len(fitted)] for each in attitudes[len(fitted) :])

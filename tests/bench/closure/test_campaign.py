@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.campaign import campaign_of, common_errors, heading_numbers
 from gyrobench.bench.closure.temperature_record import TemperatureRecord
 from gyrobench.bench.foundations.errors import MeasurementError
 from tests.bench.closure.thermal_bench import UP, measure
@@ -27,6 +27,14 @@ def test_dwells_are_gathered_in_the_order_of_time(rows):
 def test_up_points_along_the_axis_that_the_position_names(rows):
     campaign = campaign_of(rows)
     np.testing.assert_allclose(campaign.up_body, [UP[row.position] for row in rows], atol=1e-15)
+
+
+def test_headings_that_hardly_differ_are_one_also_across_north():
+    assert heading_numbers([0.4, 0.6, 359.8, -0.3, 90.0, 88.0, 180.0, np.nan]) == [0, 0, 0, 0, 1, 1, 2, -1]
+    assert heading_numbers([359.0, 181.0, 90.0, 272.0], 180.0) == [0, 0, 1, 1]
+    common = np.full((4, 3), 0.001)
+    errors = [common_errors(["z_up"] * 4, each, common) for each in ([0.4, 0.6, -0.4, 359.7], [0.0] * 4)]
+    np.testing.assert_array_equal(*errors)
 
 
 def test_dwells_with_flags_are_left_out(rows):
