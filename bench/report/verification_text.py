@@ -121,7 +121,7 @@ def outcome(result: VerificationResult) -> str:
         return INCONCLUSIVE
     if result.coefficients:
         first, *_, last = result.coefficients
-        if not last.is_better_than(first) or is_worse(result.results[-1].total, result.results[0].total):
+        if not last.is_better_than(first) or is_worse(result.results[-1], result.results[0]):
             return NOT_CONFIRMED
         return CONFIRMED if last.noise_p_value >= LACK_OF_FIT_P else IMPROVED
     before, after = _best_reference(result), result.results[-1]
@@ -207,7 +207,7 @@ def degradation_sentences(result: VerificationResult) -> list[str]:
         f"({size_text(each.total.varying_rms_dph)} against {size_text(uncompensated.total.varying_rms_dph)} "
         f"deg/h): {_DO_NOT_LOAD[each.compensation]}."
         for each in result.results
-        if uncompensated is not None and is_worse(each.total, uncompensated.total)
+        if uncompensated is not None and each is not uncompensated and is_worse(each, uncompensated)
     ]
 
 
@@ -224,7 +224,7 @@ def loading_problem_sentences(result: VerificationResult) -> list[str]:
                 "the INS applies the compensation once, and axes, signs and units of "
                 "ins.commands.load_compensation."
             )
-        if reference.compensation == NONE and has_worse_constant(each.total, reference.total):
+        if reference.compensation == NONE and has_worse_constant(each, reference):
             sentences.append(
                 f"Including the constant the bias is {size_text(each.total.bias_rms_dph)} deg/h "
                 f"{with_compensation(each)} and {size_text(reference.total.bias_rms_dph)} deg/h "

@@ -9,16 +9,16 @@ import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, field, fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.stats import chi2, norm
 
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.closure.campaign import campaign_of, common_errors, noise_and_common
+from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.loadable_model import LoadableModel
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.uncertainty import Draws
-from gyrobench.bench.closure.validation import LACK_OF_FIT_P
 from gyrobench.bench.dwells.measure_dwell import CheckDwell
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms
 from gyrobench.bench.foundations.csv_tables import format_csv, write_text
@@ -26,7 +26,16 @@ from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import format_cell
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.verification.coefficient_verification import CoefficientResult
-from gyrobench.bench.verification.measured_change import MeasuredChange, measured_change, without_cycle_means
+from gyrobench.bench.verification.measured_change import (
+    SIGNIFICANT_P,
+    BiasGrowth,
+    MeasuredChange,
+    bias_growth,
+    error_parts,
+    measured_change,
+    sum_of_squares_metric,
+    without_cycle_means,
+)
 from gyrobench.bench.verification.paired_plateaus import comparable_dwells, pair_dwells
 from gyrobench.bench.verification.run_residuals import AnyDwell, ResidualCheck, bias_rows, check_plateau
 from gyrobench.drivers.ins.compensation import Compensation
@@ -39,6 +48,8 @@ IN_WORDS = {NONE: "without compensation", DECLARED: "with the declared model", E
 _FITTED_WITHIN_K = 2.5
 #: Number of the row for all plateaus.
 _ALL_PLATEAUS = 0
+#: A growth of the biases beyond this many standard deviations is significant.
+_SIGNIFICANT_SIGMAS = float(norm.isf(SIGNIFICANT_P))
 #: The constant is stated as wrong if the bias including it exceeds that without compensation by this factor.
 _WORSE_CONSTANT = 1.5
 
@@ -97,6 +108,8 @@ class CompensationResult:
     #: Change of the biases from each earlier run to this one, by the compensation of the earlier run; only if
     #: it can be evaluated.
     changes: Mapping[str, MeasuredChange] = field(default_factory=dict)
+    #: Growth of the biases from each earlier run to this one, by the compensation of the earlier run.
+    growths: Mapping[str, BiasGrowth] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,16 +236,16 @@ def compare_runs(
         replace(
             each,
             total=_with_largest(each.total, each.rows, rows),
-            changes=_changes_from(runs[:index], runs[index], in_all_runs),
+            **_compared_with(runs[:index], runs[index], in_all_runs),
         )
         for index, each in enumerate(measured)
     )
 
 
-def _changes_from(
+def _compared_with(
     before: Sequence[MeasuredRun], after: MeasuredRun, compared: Collection[int]
-) -> dict[str, MeasuredChange]:
-    """Change from each earlier run to a later one, over the dwells that all runs have."""
+) -> dict[str, Any]:
+    """Changes and growths from each earlier run to a later one, over the dwells that all runs have."""
 
     def rows(run: MeasuredRun) -> list[DwellRow]:
         usable = (row for row in run.dwells if not row.flags and row.dwell in compared)
@@ -244,7 +257,10 @@ def _changes_from(
         )
         for run in before
     }
-    return {name: each for name, each in changes.items() if each is not None}
+    return {
+        "changes": {name: each for name, each in changes.items() if each is not None},
+        "growths": {run.compensation: bias_growth(rows(run), rows(after)) for run in before},
+    }
 
 
 def _measured_rows(
@@ -261,28 +277,18 @@ def _measured_rows(
         of_plateau = varying[is_included], deviations[:, is_included]
         rows.append(_plateau_row(run.compensation, number, check, *of_plateau, fitted_c))
     total_rows = [row for row, is_counted in zip(usable, counts, strict=True) if is_counted]
-    common = _common_deviations(usable, counts)
-    total = _total_row(
-        run.compensation, total_rows, varying[counts], deviations[:, counts], common[:, counts]
-    )
+    total = _total_row(run.compensation, total_rows, varying[counts], deviations[:, counts])
     return CompensationResult(run.compensation, tuple(checks.values()), tuple(rows), total)
 
 
-def is_worse(after: VerificationRow, before: VerificationRow) -> bool:
-    """Whether the varying bias over all plateaus is larger than in another run, by more than the noise.
-
-    In units of the noise, each sum of squares has a noncentral chi2 distribution.
-    """
-    value_count = 3 * after.dwells
-    chi2_sums = np.array(
-        [value_count * (each.varying_rms_dph / each.bias_noise_dph) ** 2 for each in (after, before)]
-    )
-    sigma = math.sqrt(np.sum(2.0 * value_count + 4.0 * np.maximum(chi2_sums - value_count, 0.0)))
-    return bool(sigma > 0.0 and norm.sf((chi2_sums[0] - chi2_sums[1]) / sigma) < LACK_OF_FIT_P)
+def is_worse(after: CompensationResult, before: CompensationResult) -> bool:
+    """Whether the varying bias over all plateaus is larger than in an earlier run, by more than the noise."""
+    is_larger = after.total.varying_rms_dph > before.total.varying_rms_dph
+    return is_larger and after.growths[before.compensation].varying > _SIGNIFICANT_SIGMAS
 
 
 def is_better(after: CompensationResult, before: CompensationResult) -> bool:
-    """Whether the varying bias is smaller than in another run by more than the noise.
+    """Whether the varying bias is smaller than in an earlier run by more than the noise.
 
     Either the sums of squares show it, or the change agrees with the loaded one and makes the biases smaller.
     """
@@ -292,15 +298,13 @@ def is_better(after: CompensationResult, before: CompensationResult) -> bool:
     is_change = (
         change is not None and change.is_applied and change.is_smaller and not change.contradicts.any()
     )
-    return is_change or is_worse(before.total, after.total)
+    return is_change or after.growths[before.compensation].varying < -_SIGNIFICANT_SIGMAS
 
 
-def has_worse_constant(after: VerificationRow, before: VerificationRow) -> bool:
-    """Whether the bias with its constant is more than 1.5 times that in another run, beyond the noise."""
-    if not after.bias_rms_dph > _WORSE_CONSTANT * before.bias_rms_dph:
-        return False
-    rows = [replace(each, varying_rms_dph=each.bias_rms_dph) for each in (after, before)]
-    return is_worse(*rows)
+def has_worse_constant(after: CompensationResult, before: CompensationResult) -> bool:
+    """Whether the bias with its constant is more than 1.5 times that in an earlier run, beyond the noise."""
+    is_larger = after.total.bias_rms_dph > _WORSE_CONSTANT * before.total.bias_rms_dph
+    return is_larger and after.growths[before.compensation].whole > _SIGNIFICANT_SIGMAS
 
 
 #: Columns of the table; the number of the plateau is in ``stop``.
@@ -351,17 +355,6 @@ def _compensation_deviations(rows: Sequence[DwellRow], run: MeasuredRun, counts:
     return np.asarray((varying - varying.mean(axis=0)) / math.sqrt(len(varying)))
 
 
-def _common_deviations(rows: Sequence[DwellRow], counts: BoolArray) -> FloatArray:
-    """Varying biases (c, n, 3) for one standard uncertainty of each error that dwells have in common."""
-    _, common_sigma_dph = noise_and_common(rows)
-    if not common_sigma_dph.any():
-        return np.zeros((0, len(rows), 3))
-    positions, azimuths_deg = [row.position for row in rows], [row.azimuth_deg for row in rows]
-    errors = common_errors(positions, azimuths_deg, common_sigma_dph)
-    of_each_gyro = np.einsum("gnc,gh->gcnh", errors, np.eye(3)).reshape(-1, len(rows), 3)
-    return _varying_bias(rows, of_each_gyro, counts)
-
-
 def _sigma_dph(deviations: FloatArray) -> float:
     return rms(np.sqrt(np.sum(deviations**2, axis=0))) if len(deviations) else math.nan
 
@@ -396,16 +389,10 @@ def _plateau_row(
 
 
 def _total_row(
-    compensation: str,
-    compared: Sequence[DwellRow],
-    varying: FloatArray,
-    deviations: FloatArray,
-    common: FloatArray,
+    compensation: str, compared: Sequence[DwellRow], varying: FloatArray, deviations: FloatArray
 ) -> VerificationRow:
     """Row for all plateaus together, without the maxima over them."""
     sigma = np.array([row.sigma_dph for row in compared]).reshape(-1, 3)
-    noise, _ = noise_and_common(compared)
-    dof = varying.size - varying.shape[1] * len({row.run for row in compared})
     return VerificationRow(
         compensation=compensation,
         plateau=_ALL_PLATEAUS,
@@ -417,21 +404,23 @@ def _total_row(
         bias_rms_dph=rms(np.array([row.bias_dph for row in compared])),
         bias_noise_dph=rms(sigma),
         varying_rms_dph=rms(varying),
-        varying_p_value=_agreement_p_value(varying / noise, common / noise, dof),
+        varying_p_value=_agreement_p_value(compared, deviations[:0]),
         compensation_sigma_dph=_sigma_dph(deviations),
-        agreement_p_value=_agreement_p_value(varying / noise, np.vstack([deviations, common]) / noise, dof)
-        if len(deviations)
-        else math.nan,
+        agreement_p_value=_agreement_p_value(compared, deviations) if len(deviations) else math.nan,
     )
 
 
-def _agreement_p_value(varying: FloatArray, deviations: FloatArray, dof: int) -> float:
-    """p-value of a bias (n, 3), given noise and other deviations (N, n, 3), in standard deviations."""
+def _agreement_p_value(rows: Sequence[DwellRow], deviations: FloatArray) -> float:
+    """p-value of varying biases, given noise, errors in common, and other deviations (N, n, 3), deg/h."""
+    runs = [row.run for row in rows]
+    dof = 3 * (len(rows) - len(set(runs)))
     if dof < 1:
         return math.nan
-    columns = deviations.reshape(len(deviations), varying.size)
-    covariance = np.eye(varying.size) + columns.T @ columns
-    return float(chi2.sf(varying.ravel() @ np.linalg.solve(covariance, varying.ravel()), dof))
+    noise, common = error_parts(rows)
+    cycles = np.array([runs.index(each) for each in runs])
+    metric = sum_of_squares_metric(noise**2, np.concatenate([deviations, common]), cycles)
+    biases_dph = np.array([row.bias_dph for row in rows]).ravel()
+    return float(chi2.sf(biases_dph @ metric @ biases_dph, dof))
 
 
 def _with_largest(

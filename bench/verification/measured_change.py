@@ -2,6 +2,10 @@
 
 If the INS does not apply the compensation, or applies it with the wrong sign, twice or to another gyro, the
 measured change differs from the loaded one, for any residual.
+
+Errors of latitude, gyro misalignments and scale factors belong to the site and the unit: they are the same
+in the same dwells of all runs. They cancel in the change, but neither in the sum of two runs nor in a sum of
+squares.
 """
 
 from __future__ import annotations
@@ -16,8 +20,9 @@ import numpy as np
 from scipy.stats import f, norm
 
 from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.closure.campaign import common_errors, noise_and_common
 from gyrobench.bench.closure.temperature_record import followed_with_play
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.drivers.ins.compensation import Compensation
 
@@ -132,29 +137,33 @@ def measured_change(
                 changes[index] = np.where(is_known, changes[index], np.nan)
     expected = changes[1] - changes[0]
     first, second = (np.array([row.bias_dph for row in rows]).reshape(-1, 3) for rows in (before, after))
-    sigmas = [np.array([row.sigma_dph for row in rows]).reshape(-1, 3) for rows in (before, after)]
     is_comparable = np.isfinite(first + second + expected).all(axis=1)
     if is_comparable.sum() < 2 or not np.any(expected[is_comparable]):
         return None
-    cycle_pairs = [(row.run, other_row.run) for row, other_row in zip(before, after, strict=True)]
-    cycles = np.array([cycle_pairs.index(name) for name in cycle_pairs])[is_comparable]
-    weights = (sigmas[0] ** 2 + sigmas[1] ** 2)[is_comparable] ** -1.0
-    expected, change, total = (
+    noise, common = error_parts([*before, *after])
+    cycles = _cycle_pairs(before, after)[is_comparable]
+    variance = (noise[: len(before)] ** 2 + noise[len(before) :] ** 2)[is_comparable]
+    common_of_total = (common[:, : len(before)] + common[:, len(before) :])[:, is_comparable]
+    weights = 1.0 / variance
+    total = (first + second)[is_comparable]
+    expected, change = (
         without_cycle_means(each[is_comparable], weights, cycles, np.ones(len(cycles), dtype=bool))
-        for each in (expected, first - second, first + second)
+        for each in (expected, first - second)
     )
     information = np.sum(weights * expected**2, axis=0)
     fits = [_fit(expected, change[:, gyro], weights[:, gyro], gyro) for gyro in range(3)]
+    # Scatter beyond the noise increases all uncertainties.
     scatter = np.array([fit.scatter for fit in fits])
     with np.errstate(divide="ignore", invalid="ignore"):
         factors = np.sum(weights * expected * change, axis=0) / information
         errors = scatter * information**-0.5
     is_determined = errors < _MAX_SIGMA
-    # Scatter beyond the noise increases both uncertainties.
-    sigma_sum = scatter.max() * math.sqrt(float(information.sum()))
+    of_change = weights / scatter.max() ** 2 * expected
+    metric = sum_of_squares_metric(scatter.max() ** 2 * variance, common_of_total, cycles)
+    of_total = (metric @ expected.ravel()).reshape(-1, 3)
     is_applied, is_smaller = (
-        bool(norm.sf(float(np.sum(weights * expected * each)) / sigma_sum) < SIGNIFICANT_P)
-        for each in (change, total)
+        bool(norm.sf(np.sum(each * values) / math.sqrt(np.sum(each * expected))) < SIGNIFICANT_P)
+        for each, values in ((of_change, change), (of_total, total))
     )
     return MeasuredChange(
         factors=np.where(is_determined, factors, np.nan),
@@ -185,6 +194,87 @@ def _fit(expected: FloatArray, change: FloatArray, weights: FloatArray, gyro: in
     own_square = float(np.sum(columns[:, gyro] ** 2))
     is_unlikely = f.sf(excess / max(int(rank), 1) / variance, max(int(rank), 1), dof) < _CONTRADICTION_P
     return _Fit(math.sqrt(variance), bool(is_unlikely and excess > _EVALUATION_ERROR**2 * own_square))
+
+
+def error_parts(rows: Sequence[DwellRow]) -> tuple[FloatArray, FloatArray]:
+    """Noise (n, 3) of biases, and biases (c, n, 3) for one standard uncertainty of each error in common."""
+    noise, common_sigma_dph = noise_and_common(rows)
+    errors = common_errors(
+        [row.position for row in rows], [row.azimuth_deg for row in rows], common_sigma_dph
+    )
+    return noise, np.einsum("gnc,gh->gcnh", errors, np.eye(3)).reshape(-1, len(rows), 3)
+
+
+def sum_of_squares_metric(
+    noise_variance: FloatArray, deviations: FloatArray, cycles: IntArray | None
+) -> FloatArray:
+    """Matrix ``A`` (3n, 3n) of the sum of squares ``b' A b`` of biases, in units of their uncertainty.
+
+    It is the inverse of the covariance. The mean of each gyro in each power cycle does not count: under noise
+    alone, the sum has a chi2 distribution with 3n degrees of freedom minus three for each power cycle.
+
+    Parameters
+    ----------
+    noise_variance : ndarray, shape (n, 3)
+        Variance of the errors that are independent from dwell to dwell.
+    deviations : ndarray, shape (N, n, 3)
+        Other errors: biases for one standard uncertainty of each.
+    cycles : ndarray, shape (n,), optional
+        Power cycle of each dwell. If not given, the means count too.
+    """
+    columns = deviations.reshape(len(deviations), noise_variance.size)
+    inverse = np.linalg.inv(np.diag(noise_variance.ravel()) + columns.T @ columns)
+    if cycles is None:
+        return np.asarray(inverse)
+    in_cycle = np.array([cycles == each for each in np.unique(cycles)], dtype=np.float64)
+    constants = np.kron(in_cycle.T, np.eye(3))
+    weighted = inverse @ constants
+    return np.asarray(inverse - weighted @ np.linalg.solve(constants.T @ weighted, weighted.T))
+
+
+@dataclass(frozen=True)
+class BiasGrowth:
+    """Increase of the sum of squared biases from one run to another, in its standard deviations."""
+
+    varying: float = 0.0  #: Of the varying biases.
+    whole: float = 0.0  #: Of the biases with the constants of the power cycles.
+
+
+def bias_growth(before: Sequence[DwellRow], after: Sequence[DwellRow]) -> BiasGrowth:
+    """Compare the sums of squared biases of the same dwells of two runs, weighted by their uncertainty.
+
+    Notes
+    -----
+    With the biases ``b`` of both runs, their covariance ``C``, and ``K`` the metric of the sum of squares,
+    with a minus sign for the first run, noise adds ``tr K C`` to the difference ``b' K b``. About true biases
+    ``m``, the difference has the variance ``2 tr K C K C + 4 m' K C K m``.
+    """
+    if not before:
+        return BiasGrowth()
+    noise, common = error_parts([*before, *after])
+    count, biases = 3 * len(before), np.array([row.bias_dph for row in (*before, *after)]).ravel()
+    columns = common.reshape(len(common), -1).T
+    covariance = np.diag(noise.ravel() ** 2) + columns @ columns.T
+    variance = 0.5 * (noise[: len(before)] ** 2 + noise[len(before) :] ** 2)
+    deviations = np.concatenate([common[:, : len(before)], common[:, len(before) :]]) / math.sqrt(2.0)
+
+    def growth(cycles: IntArray | None) -> float:
+        metric = sum_of_squares_metric(variance, deviations, cycles)
+        difference = np.zeros_like(covariance)
+        difference[:count, :count], difference[count:, count:] = -metric, metric
+        weighted = difference @ covariance
+        of_noise = 2.0 * float(np.sum(weighted * weighted.T))
+        of_biases = 4.0 * float(biases @ weighted @ (difference @ biases)) - 2.0 * of_noise
+        increase = float(biases @ difference @ biases) - float(np.trace(weighted))
+        return increase / math.sqrt(of_noise + max(of_biases, 0.0)) if of_noise > 0.0 else 0.0
+
+    return BiasGrowth(growth(_cycle_pairs(before, after)), growth(None))
+
+
+def _cycle_pairs(before: Sequence[DwellRow], after: Sequence[DwellRow]) -> IntArray:
+    """Number of the pair of power cycles of each dwell, (n,)."""
+    pairs = [(row.run, other.run) for row, other in zip(before, after, strict=True)]
+    return np.array([pairs.index(each) for each in pairs])
 
 
 def without_cycle_means(

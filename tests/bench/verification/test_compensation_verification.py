@@ -16,6 +16,8 @@ from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.verification.compensation_verification import (
     MeasuredRun,
     compare_runs,
+    is_better,
+    is_worse,
     write_verification_table,
 )
 from gyrobench.drivers.ins.compensation import Compensation
@@ -79,6 +81,44 @@ def test_an_error_that_dwells_have_in_common_counts_once_and_hides_no_other_bias
         for row in with_common_error(rows_of(0.0), 10.0 * SIGMA_DPH)
     ]
     assert p_value(varying) < 1e-9
+
+
+def compared(before_dph, after_dph, seed, common_dph=0.0):
+    """Two runs with biases (n, 3) beside their noise and one error along Up, the same in both."""
+    error_dph = common_dph * np.random.default_rng(1000 + seed).standard_normal(3)
+    up = np.array([POSITIONS[row.position].C_nb()[2] for row in rows_of(0.0)])
+    runs = [
+        [
+            replace(row, bias_dph=tuple(row.bias_dph + each))
+            for row, each in zip(
+                with_common_error(rows_of(0.0, seed=run), common_dph), bias_dph + error_dph * up, strict=True
+            )
+        ]
+        for run, bias_dph in ((2 * seed, before_dph), (2 * seed + 1, after_dph))
+    ]
+    return compare_runs(
+        [MeasuredRun(name, rows, []) for name, rows in zip(("none", "effect"), runs, strict=True)],
+        SITE,
+        FITTED_C,
+    )
+
+
+ALONG_UP = np.array([POSITIONS[row.position].C_nb()[2] for row in rows_of(0.0)])
+WITH_TEMPERATURE = np.array([np.sign(np.array(row.gyro_c) - 30.0) for row in rows_of(0.0)])
+
+
+@pytest.mark.parametrize("common", [0.0, 3.0])
+def test_errors_in_common_make_no_run_better_or_worse_and_hide_no_change_beside_them(common):
+    seeds, common_dph = range(5), common * SIGMA_DPH
+    reversed_signs = [
+        compared(*(sign * 3.0 * SIGMA_DPH * ALONG_UP for sign in (1.0, -1.0)), seed, common_dph)
+        for seed in seeds
+    ]
+    changed = [
+        compared(0.0 * ALONG_UP, 2.5 * SIGMA_DPH * WITH_TEMPERATURE, seed, common_dph) for seed in seeds
+    ]
+    assert not any(is_worse(after, before) or is_better(after, before) for before, after in reversed_signs)
+    assert all(is_worse(after, before) for before, after in changed)
 
 
 def test_the_stated_noise_is_that_of_noise_alone():

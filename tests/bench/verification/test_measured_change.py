@@ -56,6 +56,27 @@ def test_a_compensation_that_is_not_applied_or_with_the_wrong_sign_or_twice_cont
     assert not (found.is_applied and found.is_smaller)
 
 
+def test_a_compensation_of_the_error_that_dwells_have_in_common_makes_no_bias_smaller():
+    """What the campaign took for a bias, both runs measure again."""
+
+    def found_beside(common_dph):
+        runs = [
+            [
+                replace(row, sigma_dph=tuple(np.hypot(0.003, common)), common_sigma_dph=tuple(common))
+                for row in rows_with(subtracted, seed)
+                for common in [common_dph * np.abs(POSITIONS[row.position].C_nb()[2])]
+            ]
+            for seed, subtracted in ((1, np.zeros((3, 3))), (2, 0.02 * np.eye(3)))
+        ]
+        return measured_change(*runs, (None, ALONG_UP))
+
+    alone, beside = map(found_beside, (0.0, 0.02))
+    assert (alone.is_applied, alone.is_smaller) == (True, True)
+    assert (beside.is_applied, beside.is_smaller) == (True, False)
+    # In the change, the error cancels.
+    assert beside.sigmas == pytest.approx(alone.sigmas)
+
+
 def test_a_compensation_of_other_gyros_contradicts_it_for_these():
     exchanged = 0.02 * np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     assert change(exchanged).contradicts.tolist() == [True, True, False]
