@@ -75,6 +75,9 @@ class StateSpaceEstimate(BiasEstimate):
     #: not measured and keeps its prior uncertainty.
     accelerometer_bias: FloatArray
     accelerometer_sigma: FloatArray
+    #: Shape (3,). Part of it due to the errors that are the same in all dwells of the attitude, m/s^2; NaN
+    #: for an incomplete dwell.
+    accelerometer_common_sigma: FloatArray
     fit: Chi2Test  #: Goodness of fit of the model.
     #: Probability that the biases of the windows differ at least as much, if each gyro has one bias.
     steady_p_value: float
@@ -92,14 +95,19 @@ class StateSpaceEstimate(BiasEstimate):
     @property
     def common_sigma_dph(self) -> FloatArray:
         """Standard uncertainties (3,) due to the errors that are the same in all dwells of the attitude."""
-        columns = [part.columns for name, part in self.parts.items() if SOURCES[name].is_of_attitude]
-        return np.asarray(RADPS_TO_DPH * np.linalg.norm(np.hstack([np.zeros((3, 1)), *columns]), axis=1))
+        return RADPS_TO_DPH * _sigma_of_attitude(self.parts)
 
     @property
     def probable_step(self) -> BiasStep | None:
         """The bias step if it is significant, and more so than all other tests; otherwise None."""
         other_p_values = self.fit.p_value, self.steady_p_value, self.damping.p_value
         return self.step if self.step and self.step.p_value < min(MIN_STEP_P_VALUE, *other_p_values) else None
+
+
+def _sigma_of_attitude(parts: Mapping[str, ErrorPart]) -> FloatArray:
+    """Standard uncertainties (3,) due to the errors that are the same in all dwells of an attitude."""
+    columns = [part.columns for name, part in parts.items() if SOURCES[name].is_of_attitude]
+    return np.asarray(np.linalg.norm(np.hstack([np.zeros((3, 1)), *columns]), axis=1))
 
 
 class BiasFilter:
@@ -207,6 +215,11 @@ class BiasFilter:
             covariance=at_mean @ covariance @ at_mean.T,
             accelerometer_bias=acceleration @ values,
             accelerometer_sigma=np.sqrt(np.diag(acceleration @ covariance @ acceleration.T)),
+            accelerometer_common_sigma=_sigma_of_attitude(
+                self._prior_parts(information, parameter_mask, acceleration, covariance)
+            )
+            if complete
+            else np.full(3, np.nan),
             fit=self._goodness_of_fit(expansions, full_parameters, covariance),
             steady_p_value=self._steady_p_value(information),
             step=find_bias_step(self._windows, self._changes, expansions, full_parameters, covariance)
@@ -226,11 +239,22 @@ class BiasFilter:
         expansions: list[FloatArray],
         covariance: FloatArray,
     ) -> ErrorParts:
-        at_mean, gain = information.bias_at_mean, covariance @ information.bias_at_mean.T
-        at_gain = gain.T @ information.rows.T @ information.rows
-        by_prior = at_mean @ self._prior_root - at_gain @ self._prior_root
+        gain = covariance @ information.bias_at_mean.T
         noise = noise_parts(self._windows, self._changes, expansions, gain, self._site, self._noise)
-        return ErrorParts(noise | prior_parts(by_prior, self._prior, parameter_mask, len(self._windows)))
+        by_prior = self._prior_parts(information, parameter_mask, information.bias_at_mean, covariance)
+        return ErrorParts(noise | by_prior)
+
+    def _prior_parts(
+        self,
+        information: DwellInformation,
+        parameter_mask: FloatArray,
+        at_mean: FloatArray,
+        covariance: FloatArray,
+    ) -> dict[str, ErrorPart]:
+        """Errors of linear functions ``at_mean`` (3, p) of the parameters due to prior knowledge."""
+        at_gain = at_mean @ covariance @ information.rows.T @ information.rows
+        response = (at_mean - at_gain) @ self._prior_root
+        return prior_parts(response, self._prior, parameter_mask, len(self._windows))
 
     def goodness_of_fit(self) -> Chi2Test:
         """Test whether the model explains the epochs added so far, even of a single window."""

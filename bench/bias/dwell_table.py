@@ -9,7 +9,9 @@ from dataclasses import MISSING, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, overload
 
-from gyrobench.bench.foundations.arrays import Triple
+import numpy as np
+
+from gyrobench.bench.foundations.arrays import FloatArray, Triple
 from gyrobench.bench.foundations.csv_tables import CsvTable, format_csv, read_text, write_text
 from gyrobench.bench.foundations.text import flag_text, format_number
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
@@ -27,6 +29,7 @@ _TRIPLES = {
     "paper_sigma_dph": "paper_sigma_{}_dph",
     "accelerometer_ug": "accelerometer_{}_ug",
     "accelerometer_sigma_ug": "accelerometer_sigma_{}_ug",
+    "accelerometer_common_sigma_ug": "accelerometer_common_sigma_{}_ug",
 }
 _FIT = ("fit_ratio", "fit_p_value")
 #: Readers of values with further checks; all others are read as plain numbers.
@@ -55,6 +58,8 @@ COLUMNS = (*columns_of(_FIELD_NAMES), "flags")
 NEIGHBOURS_ON = "neighbours_on"
 #: Values of three gyros without a measurement.
 NOT_MEASURED: Triple = (math.nan, math.nan, math.nan)
+#: Largest share of a standard uncertainty that counts as common to the dwells of an attitude.
+_MAX_COMMON = 0.99
 #: Unit of an INS that does not report its serial number.
 UNKNOWN_UNIT = "unknown"
 
@@ -97,6 +102,8 @@ class DwellRow:
     #: uncertainties, ug; NaN if not known. The vertical one is not measured and keeps its prior uncertainty.
     accelerometer_ug: Triple = NOT_MEASURED
     accelerometer_sigma_ug: Triple = NOT_MEASURED
+    #: Part of these that is the same error in all dwells of one attitude; NaN if it is not known.
+    accelerometer_common_sigma_ug: Triple = NOT_MEASURED
     #: fit_ratio, fit_p_value: See :class:`gyrobench.bench.bias.statistics.Chi2Test`; NaN if not known.
     fit_ratio: float = math.nan
     fit_p_value: float = math.nan
@@ -105,6 +112,22 @@ class DwellRow:
     #: Faults of the dwell; empty if there are none. A dwell with flags may have no result: NaN for its
     #: biases, their uncertainties and the gyros' temperatures.
     flags: tuple[str, ...] = ()
+
+
+def noise_and_common(
+    rows: Sequence[DwellRow], sigma: str = "sigma_dph", common_sigma: str = "common_sigma_dph"
+) -> tuple[FloatArray, FloatArray]:
+    """Parts (n, 3) of the uncertainties: independent from dwell to dwell, and common to those of an attitude.
+
+    Together they are the stated uncertainties. Part of these is always independent, so that no dwell counts
+    as if it had no noise. ``sigma``, ``common_sigma``: fields of the uncertainties and of their common part.
+    """
+    sigmas, common = (
+        np.array([getattr(row, name) for row in rows], dtype=np.float64).reshape(-1, 3)
+        for name in (sigma, common_sigma)
+    )
+    common = np.fmin(np.nan_to_num(common), _MAX_COMMON * sigmas)
+    return np.sqrt(sigmas**2 - common**2), common
 
 
 #: Fields whose columns may be missing or have empty cells.

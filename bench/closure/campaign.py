@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from gyrobench.bench.bias.dwell_table import UNKNOWN_UNIT, DwellRow
+from gyrobench.bench.bias.dwell_table import UNKNOWN_UNIT, DwellRow, noise_and_common
 from gyrobench.bench.closure.plausibility import implausible
 from gyrobench.bench.closure.quantity import GYRO_BIAS, Quantity
 from gyrobench.bench.closure.temperature_record import TemperatureRecord, record_of_dwells, set_point_path
@@ -25,8 +25,6 @@ from gyrobench.bench.navigation.positions import POSITIONS
 
 #: Largest share of dwells without a reading of a sensor, other than a gyro's, that is interpolated.
 _MAX_MISSING = 0.1
-#: Largest share of a standard uncertainty that counts as common to the dwells of an attitude.
-_MAX_COMMON = 0.99
 #: Headings that differ by less than this are the same. Number of an unknown one.
 _SAME_HEADING_DEG, _UNKNOWN_HEADING = 5.0, -1
 
@@ -303,26 +301,18 @@ def common_errors(
 
     A gyro has one such error in each attitude (position and heading) where it is level, and one for all where
     it is vertical, which follows Up as those of latitude and scale factor do. No dwell has two.
+
+    Level errors in attitudes with the same vertical axis have the same causes. They may be equal or opposite,
+    by the turn and the axes of the table. They are therefore independent, with a variance times the number of
+    these attitudes: any course over them, such as along Up, is as uncertain as the error of one.
     """
     attitudes = list(zip(position, heading_numbers(azimuth_deg), strict=True))
     in_attitude = np.array([[each == other for other in dict.fromkeys(attitudes)] for each in attitudes])
+    axes = [POSITIONS[name].up_axis for name, _ in dict.fromkeys(attitudes)]
+    in_attitude = in_attitude * np.sqrt([axes.count(each) for each in axes])
     up = np.array([np.rint(POSITIONS[name].C_nb()[2]) for name in position])
     level_dph = np.where(up == 0.0, common_sigma_dph, 0.0).T
     return np.dstack([level_dph[..., np.newaxis] * in_attitude, (common_sigma_dph * up).T])
-
-
-def noise_and_common(rows: Sequence[DwellRow]) -> tuple[FloatArray, FloatArray]:
-    """Parts (n, 3) of the uncertainties: independent from dwell to dwell, and common to those of an attitude.
-
-    Together they are the stated uncertainties. Part of these is always independent, so that no dwell counts
-    as if it had no noise.
-    """
-    sigma_dph, common_sigma_dph = (
-        np.array([getattr(row, name) for row in rows], dtype=np.float64).reshape(-1, 3)
-        for name in ("sigma_dph", "common_sigma_dph")
-    )
-    common_sigma_dph = np.fmin(np.nan_to_num(common_sigma_dph), _MAX_COMMON * sigma_dph)
-    return np.sqrt(sigma_dph**2 - common_sigma_dph**2), common_sigma_dph
 
 
 def campaign_of(

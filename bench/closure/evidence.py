@@ -99,15 +99,16 @@ class Evidences:
 
     def __init__(self, problem: Problem, effects: Sequence[Effect]) -> None:
         campaign = problem.campaign
-        fitted = [each for each in effects if not each.missing_input(campaign)]
-        self._effect_count = len(fitted)
+        possible = [each for each in effects if not each.missing_input(campaign)]
+        self._effect_count = len(possible)
         self._form_counts = {
-            each.name: sum(not form.missing_input(campaign) for form in each.forms) for each in fitted
+            each.name: sum(not form.missing_input(campaign) for form in each.forms) for each in possible
         }
         self._problem, self._effects = problem, effects
         self._log_weights: dict[object, tuple[float, FloatArray]] = {}
         self._step_columns: dict[Form, tuple[FloatArray, FloatArray]] = {}
-        self._dof = np.array([basis.shape[0] - basis.shape[1] for basis in problem.bases], dtype=np.float64)
+        fitted = np.array([basis.shape[1] for basis in problem.bases])
+        self._dof = campaign.is_measured[problem.searched].sum(axis=0) - fitted.astype(np.float64)
         self._remainder = remainder_of(problem)
         shares = np.array([_ALL_PROCESSES_SHARE if name == ALL_PROCESSES else 1.0 for name in self.processes])
         self._log_process_prior = np.log(REMAINDER_PRIOR * shares / shares.sum())

@@ -117,8 +117,14 @@ def _rows_of(
             f"has no columns {columns[0][0]}, {columns[0][1]}, ... Search a table with the coefficients of "
             "each dwell"
         )
-    pairs = zip(rows, values, strict=True)
-    return [_with_values(row, value_pairs, quantity.sensors) for row, value_pairs in pairs], quantity
+    is_measured_here = quantity.name == "accelerometer_bias" and columns[0][0] not in dict(rows[0].other)
+    return [
+        replace(
+            _with_values(row, value_pairs, quantity.sensors),
+            common_sigma_dph=row.accelerometer_common_sigma_ug if is_measured_here else NOT_MEASURED,
+        )
+        for row, value_pairs in zip(rows, values, strict=True)
+    ], quantity
 
 
 def _plateau_rows(

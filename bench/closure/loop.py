@@ -83,7 +83,9 @@ def _search_and_test(campaign: Campaign, searched: BoolArray, candidates: Sequen
     )
     noise_dph = campaign.noise_dph(problem.noise_scale)[~searched]
     of_held_out = replace(problem, searched=~searched)
-    errors_white = [of_held_out.whitened(each.T[..., None])[..., 0].T for each in (before_dph, after_dph)]
+    errors_white = [
+        of_held_out.whitened(np.nan_to_num(each).T[..., None])[..., 0].T for each in (before_dph, after_dph)
+    ]
     held_out_part = campaign.part(~searched)
     circular = tuple(
         each.effect.name for each in accepted.candidates if _is_circular(each.effect, held_out_part)

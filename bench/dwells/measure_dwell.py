@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -92,9 +93,14 @@ class MeasuredDwell:
             covariance = covariance + (each**2 - 1.0) * columns @ columns.T
             parts[name] = replace(parts[name], columns=each * columns, sigma=each * parts[name].sigma)
         estimate = replace(self.estimate, covariance=covariance, parts=ErrorParts(parts))
-        row = replace(
-            self.row, sigma_dph=triple(estimate.sigma_dph), common_sigma_dph=triple(estimate.common_sigma_dph)
+        common = estimate.accelerometer_common_sigma
+        added = math.sqrt(max(factor**2 - 1.0, 0.0)) * common
+        estimate = replace(
+            estimate,
+            accelerometer_sigma=np.hypot(estimate.accelerometer_sigma, added),
+            accelerometer_common_sigma=np.hypot(common, added),
         )
+        row = replace(self.row, **_uncertainties(estimate))
         return replace(self, estimate=estimate, row=row)
 
     def with_flag(self, flag: str) -> MeasuredDwell:
@@ -271,6 +277,16 @@ def lack_of_fit_text(fit: Chi2Test) -> str:
     )
 
 
+def _uncertainties(estimate: StateSpaceEstimate) -> dict[str, Any]:
+    """Standard uncertainties of an estimate, by their fields of a row."""
+    return {
+        "sigma_dph": triple(estimate.sigma_dph),
+        "common_sigma_dph": triple(estimate.common_sigma_dph),
+        "accelerometer_sigma_ug": triple(estimate.accelerometer_sigma / UG_TO_MPS2),
+        "accelerometer_common_sigma_ug": triple(estimate.accelerometer_common_sigma / UG_TO_MPS2),
+    }
+
+
 def _row(
     marks: DwellMarks,
     temperatures: DwellTemperatures,
@@ -295,14 +311,10 @@ def _row(
         gyro_rate_c_per_h=temperatures.gyro_rate_c_per_h,
         board_c=temperatures.board_c,
         bias_dph=triple(estimate.bias_dph) if estimate else NOT_MEASURED,
-        sigma_dph=triple(estimate.sigma_dph) if estimate else NOT_MEASURED,
-        common_sigma_dph=triple(estimate.common_sigma_dph) if estimate else NOT_MEASURED,
+        **(_uncertainties(estimate) if estimate else {"sigma_dph": NOT_MEASURED}),
         paper_bias_dph=triple(paper.bias_dph) if paper else NOT_MEASURED,
         paper_sigma_dph=triple(paper.sigma_dph) if paper else NOT_MEASURED,
         accelerometer_ug=triple(estimate.accelerometer_bias / UG_TO_MPS2) if estimate else NOT_MEASURED,
-        accelerometer_sigma_ug=triple(estimate.accelerometer_sigma / UG_TO_MPS2)
-        if estimate
-        else NOT_MEASURED,
         fit_ratio=estimate.fit.ratio if estimate else math.nan,
         fit_p_value=estimate.fit.p_value if estimate else math.nan,
         other=() if marks.neighbours_on is None else ((NEIGHBOURS_ON, marks.neighbours_on),),

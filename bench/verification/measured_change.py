@@ -19,8 +19,8 @@ from operator import itemgetter
 import numpy as np
 from scipy.stats import f, norm
 
-from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.closure.campaign import common_errors, noise_and_common
+from gyrobench.bench.bias.dwell_table import DwellRow, noise_and_common
+from gyrobench.bench.closure.campaign import common_errors
 from gyrobench.bench.closure.temperature_record import followed_with_play
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 from gyrobench.bench.navigation.positions import POSITIONS

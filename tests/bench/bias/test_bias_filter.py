@@ -80,6 +80,19 @@ def test_finds_the_level_accelerometers_and_leaves_the_vertical_one_to_the_prior
     assert found.accelerometer_sigma[1] == pytest.approx(DEFAULT.accelerometer_bias, rel=1e-4)
 
 
+def test_the_accelerometer_error_of_a_misaligned_gyro_is_common_to_the_dwells_of_an_attitude():
+    arcsec = np.pi / 180.0 / 3600.0
+    x_to_z = 2.0 * arcsec * np.outer([1.0, 0.0, 0.0], [0.0, 0.0, 1.0])
+    errors_ug = [
+        estimate(emulate(position, sensors(gyro_matrix=x_to_z))).accelerometer_bias[0] / UG
+        for position in ("z_up", "z_down")
+    ]
+    found = estimate(emulate("z_up", sensors()))
+    assert errors_ug == pytest.approx([-9.7, 9.7], abs=0.1)
+    assert found.accelerometer_common_sigma[:2] / UG == pytest.approx([9.7, 9.7], rel=0.02)
+    assert (found.accelerometer_common_sigma < found.accelerometer_sigma).all()
+
+
 @pytest.mark.parametrize("position", ["z_down", "y_up", "x_down"])
 def test_a_bias_that_turns_the_heading_by_degrees_leaves_the_others_alone(position):
     """0.5 deg/h East turns a gyrocompass by 2 deg, and takes 0.01 deg/h from the Earth's rate in its axes."""

@@ -71,6 +71,7 @@ dwell_rows = st.builds(
     paper_sigma_dph=triples(st.floats(1e-9, 1.0) | st.just(math.nan)),
     accelerometer_ug=triples(maybe),
     accelerometer_sigma_ug=triples(st.floats(1e-9, 1e3) | st.just(math.nan)),
+    accelerometer_common_sigma_ug=triples(maybe),
     fit_ratio=maybe,
     fit_p_value=maybe,
     flags=st.lists(texts.filter(bool), max_size=2).map(tuple),
@@ -252,7 +253,7 @@ def test_refuses_a_dwell_number_given_twice():
         ),
         ("unit,run\n", "x:1: the header lacks the columns dwell, cycle"),
         (",".join((*COLUMNS, "unit")) + "\n", "x:1: the header gives unit more than once"),
-        (",".join(COLUMNS) + "\n1,2\n", "x:2: 2 cells where the header has 45"),
+        (",".join(COLUMNS) + "\n1,2\n", "x:2: 2 cells where the header has 48"),
         (",".join(COLUMNS) + '\n"open', "x:2: not valid CSV"),
     ],
 )

@@ -37,6 +37,16 @@ def test_headings_that_hardly_differ_are_one_also_across_north():
     np.testing.assert_array_equal(*errors)
 
 
+def test_no_course_over_attitudes_is_more_certain_than_a_level_error_in_one():
+    positions = ["y_up", "y_down"] * 4 + ["z_up"]
+    headings_deg = [*np.repeat([0.0, 90.0, 180.0, 270.0], 2), 0.0]
+    errors = common_errors(positions, headings_deg, np.full((9, 3), 0.001))[0]
+    covariance = errors @ errors.T
+    for course in (np.ones(8), np.tile([1.0, -1.0], 4), np.repeat([1.0, -1.0, 1.0, -1.0], 2)):
+        assert course @ np.linalg.solve(covariance[:8, :8], course) == pytest.approx(1.0 / 0.001**2)
+    assert covariance[8, 8] == pytest.approx(0.001**2)
+
+
 def test_dwells_with_flags_are_left_out(rows):
     flagged = [replace(row, flags=("vibration",)) if row.dwell in (3, 4) else row for row in rows]
     assert {3, 4}.isdisjoint(campaign_of(flagged).dwell)

@@ -111,6 +111,39 @@ def test_accelerometer_biases_of_dwells_leave_the_vertical_ones_out(tmp_path, ca
     assert closure.error_after_dph < 1.3 * closure.noise_dph
 
 
+def accelerometers_with_common_errors(effects=None, **options):
+    """Campaign of accelerometers whose gyros are misaligned: 10 ug along Up, the same in all dwells."""
+    misalignments_ug = 10.0 * np.random.default_rng(7002).standard_normal((3, 3))
+    rows = []
+    for row in measure(effects, seed=1, sigma_dph=3.0, **options).rows:
+        position = POSITIONS[row.position]
+        error_ug = misalignments_ug[:, position.up_axis] * position.up_sign
+        rows.append(
+            replace(
+                row,
+                bias_dph=(0.0, 0.0, 0.0),
+                accelerometer_ug=tuple(row.bias_dph + error_ug),
+                accelerometer_sigma_ug=(np.hypot(3.0, 10.0),) * 3,
+                accelerometer_common_sigma_ug=(10.0,) * 3,
+            )
+        )
+    return rows
+
+
+@pytest.mark.parametrize("headings_deg", [(0.0,), (0.0, 90.0, 180.0, 270.0)])
+def test_accelerometer_errors_that_dwells_share_are_no_effect_and_hide_none(tmp_path, headings_deg):
+    verdicts = []
+    for name, effects in (("clean", None), ("rate", {"temperature_rate": 3.0})):
+        write_dwells(
+            tmp_path / f"{name}.csv",
+            accelerometers_with_common_errors(effects, cycles=3, headings_deg=headings_deg),
+        )
+        campaign = read_campaign(tmp_path / f"{name}.csv", quantity=quantity("accelerometer_bias"))
+        closure = close_loop(campaign, effects=[G_SENSITIVITY, TEMPERATURE_RATE])
+        verdicts.append((closure.verdict, closure.names))
+    assert verdicts == [("clean", ()), ("explained", ("temperature_rate",))]
+
+
 def test_a_bias_that_follows_the_square_of_gravity_is_not_taken_for_a_misalignment(tmp_path):
     path, _ = table_of(tmp_path, "accelerometer_bias", sigma_dph=4.0)
     rows = []
