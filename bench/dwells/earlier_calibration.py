@@ -9,10 +9,17 @@ from pathlib import Path
 
 import numpy as np
 
-from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
+from gyrobench.bench.bias.dwell_table import DwellRow, noise_and_common, read_dwells
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.bias.statistics import weighted_mean
-from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, STANDARD_GRAVITY, UG_TO_MPS2, FloatArray, Triple
+from gyrobench.bench.foundations.arrays import (
+    RADPS_TO_DPH,
+    STANDARD_GRAVITY,
+    UG_TO_MPS2,
+    FloatArray,
+    Triple,
+    rms,
+)
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 from gyrobench.bench.runs.folder import RunFolder
@@ -48,12 +55,26 @@ class EarlierCalibration:
 
     def gyro_dph(self, position: str, axis: int, temperature_c: float) -> tuple[float, float] | None:
         """Bias of a gyro and its standard uncertainty, deg/h; None if not measured near this temperature."""
+        fields = ("bias_dph", "sigma_dph", "common_sigma_dph")
+        return self._mean_in_position(
+            position, axis, temperature_c, fields, self._prior.bias_slope * RADPS_TO_DPH
+        )
+
+    def _mean_in_position(
+        self, position: str, axis: int, temperature_c: float, fields: tuple[str, str, str], slope: float
+    ) -> tuple[float, float] | None:
+        """Mean over dwells and its standard uncertainty, of which the common part does not average out.
+
+        ``fields``: of the values, their standard uncertainties and the common part of these.
+        """
+        rows = [row for row in self._rows if row.position == position]
+        noise, common = (each[:, axis] for each in noise_and_common(rows, *fields[1:]))
         points = [
-            (row.gyro_c[axis], row.bias_dph[axis], row.sigma_dph[axis])
-            for row in self._rows
-            if row.position == position
+            (row.gyro_c[axis], getattr(row, fields[0])[axis], float(each))
+            for row, each in zip(rows, noise, strict=True)
         ]
-        return InterpolatedCurve(points, self._prior.bias_slope * RADPS_TO_DPH).at(temperature_c)
+        mean = InterpolatedCurve(points, slope).at(temperature_c)
+        return (mean[0], math.hypot(mean[1], rms(common[~np.isnan(noise)]))) if mean else None
 
     def accelerometers(self, position: str, gyro_c: Triple) -> AccelerometerBiases:
         """Accelerometer biases in a position; by prior knowledge if not measured near these temperatures.
@@ -90,13 +111,9 @@ class EarlierCalibration:
         """Measured bias of one accelerometer; None for the vertical one."""
         if POSITIONS[position].up_axis == axis:
             return None
-        points = [
-            (row.gyro_c[axis], row.accelerometer_ug[axis], row.accelerometer_sigma_ug[axis])
-            for row in self._rows
-            if row.position == position
-        ]
         slope_ug = max(_ACCELEROMETER_SLOPE_UG, self._prior.accelerometer_slope / UG_TO_MPS2)
-        return InterpolatedCurve(points, slope_ug).at(temperature_c)
+        fields = ("accelerometer_ug", "accelerometer_sigma_ug", "accelerometer_common_sigma_ug")
+        return self._mean_in_position(position, axis, temperature_c, fields, slope_ug)
 
 
 #: Range beyond the outermost temperatures measured in which a curve has values, K.

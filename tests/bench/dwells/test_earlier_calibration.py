@@ -62,6 +62,22 @@ def known_ug(rows, position="z_up", gyro_c=20.0):
     return known.bias / UG, known.sigma / UG
 
 
+def test_errors_that_dwells_of_an_attitude_share_do_not_average_out():
+    dwells = [
+        replace(
+            row("z_up", 20.0, accelerometer_ug=(5.0, 5.0, 5.0), accelerometer_sigma_ug=(5.0, 5.0, 5.0)),
+            sigma_dph=(0.005,) * 3,
+            common_sigma_dph=(0.004,) * 3,
+            accelerometer_common_sigma_ug=(4.0,) * 3,
+        )
+        for _ in range(9)
+    ]
+    assert EarlierCalibration(dwells, PRIOR).gyro_dph("z_up", 0, 20.0)[1] == pytest.approx(
+        np.hypot(0.001, 0.004)
+    )
+    assert known_ug(dwells)[1][0] == pytest.approx(np.hypot(1.0, 4.0))
+
+
 def test_a_gyro_has_its_own_bias_in_each_position_and_temperature():
     rows = [
         row("z_up", 20.0, bias_dph=(0.001, 0.002, 0.003)),
