@@ -202,7 +202,9 @@ def error_parts(rows: Sequence[DwellRow]) -> tuple[FloatArray, FloatArray]:
     errors = common_errors(
         [row.position for row in rows], [row.azimuth_deg for row in rows], common_sigma_dph
     )
-    return noise, np.einsum("gnc,gh->gcnh", errors, np.eye(3)).reshape(-1, len(rows), 3)
+    of_each_gyro = np.einsum("gnc,gh->gcnh", errors, np.eye(3)).reshape(-1, len(rows), 3)
+    # Along Up, the latitude gives all gyros one error, and scale factors give each its own.
+    return noise, np.concatenate([of_each_gyro, errors[:, :, -1].T[np.newaxis]])
 
 
 def sum_of_squares_metric(
