@@ -175,7 +175,9 @@ def _position_steps(plan: Plan, index: int) -> list[PlannedStep]:
 def _schedule(steps: list[PlannedStep], target: PlannedStep, chamber_c: float) -> Iterator[PlannedStep]:
     """Steps with durations and time limits computed from the present temperature."""
     thermal = target.before.thermal
-    bench = replace(target.before, chamber_c=chamber_c, gyro_c=chamber_c, set_point_c=None, powered=False)
+    bench = replace(
+        target.before, chamber_c=chamber_c, gyro_c=chamber_c, set_point_c=None, powered=False, angles_deg=None
+    )
     if not any(isinstance(each.step, PowerOn | PowerOff) for each in steps):
         bench = replace(bench, powered=target.before.powered, gyro_c=chamber_c + thermal.self_heating_c)
     for planned in steps:

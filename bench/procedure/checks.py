@@ -369,7 +369,7 @@ def _reach_problems(plan: Plan, planned: PlannedStep, limits: StationLimits) -> 
     if not isinstance(step, GoTo):
         return
     turn_steps = turn_steps_after(plan, planned)
-    turns = [(turn, each) for turn in turn_steps for each in turns_of(turn)]
+    turns = [(turn, each) for turn in turn_steps for each in turns_of(turn.step)]
     turns_deg = tuple(each for _, each in turns)
     if limits.unreachable_reason(step.position, step.azimuth_deg, turns_deg) is None:
         return

@@ -51,7 +51,8 @@ class PlannedStep:
     @property
     def after(self) -> BenchEstimate:
         """Expected state of the bench when the step ends."""
-        return self.step.after(self.before, self.duration_s)
+        after = self.step.after(self.before, self.duration_s)
+        return replace(after, angles_deg=self.step.angles_after(self.before))
 
     @property
     def label(self) -> str:
@@ -114,8 +115,12 @@ def _schedule(steps: Sequence[ResolvedStep], bench: BenchEstimate) -> Iterator[P
     start_s = 0.0
     for number, resolved in enumerate(steps, start=1):
         step = resolved.step
+        if isinstance(step, GoTo):
+            following = itertools.takewhile(lambda each: not isinstance(each.step, GoTo), steps[number:])
+            turns_deg = tuple(turn for each in following for turn in turns_of(each.step))
+            bench = replace(bench, next_turns_deg=turns_deg)
         duration_s = step.expected_s(bench)
-        after = step.after(bench, duration_s)
+        after = replace(step.after(bench, duration_s), angles_deg=step.angles_after(bench))
         yield PlannedStep(
             number=number,
             location=resolved.location,
@@ -176,12 +181,12 @@ def _purpose_of(steps: Sequence[Step]) -> DwellPurpose:
 
 def turns_after(plan: Plan, position: PlannedStep) -> tuple[TurnOrMove, ...]:
     """Turns and moves, in deg, between ``position`` and the next step that goes to a position."""
-    return tuple(itertools.chain.from_iterable(map(turns_of, turn_steps_after(plan, position))))
+    return tuple(turn for each in turn_steps_after(plan, position) for turn in turns_of(each.step))
 
 
-def turns_of(planned: PlannedStep) -> list[TurnOrMove]:
+def turns_of(step: Step) -> list[TurnOrMove]:
     """Turns of a step about Up, and its moves of the axes, in order, deg."""
-    match planned.step:
+    match step:
         case Turn(angle_deg=angle_deg):
             return [angle_deg]
         case RotatingStep() as rotating:
@@ -192,4 +197,4 @@ def turns_of(planned: PlannedStep) -> list[TurnOrMove]:
 def turn_steps_after(plan: Plan, position: PlannedStep) -> list[PlannedStep]:
     """Steps that turn the table between ``position`` and the next step that goes to a position."""
     steps = itertools.takewhile(lambda each: not isinstance(each.step, GoTo), plan.steps_after(position))
-    return [each for each in steps if turns_of(each)]
+    return [each for each in steps if turns_of(each.step)]

@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
 
+import numpy as np
 from pydantic import Field
 from typing_extensions import override
 
 from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.text import counted
+from gyrobench.bench.navigation.table_axes import Angles
 from gyrobench.bench.procedure.estimate import BenchEstimate
 from gyrobench.bench.procedure.steps import Duration, DurationOrZero, Step, TableRate, TurnAngle, span
 
@@ -44,8 +46,19 @@ class RotatingStep(Step):
     @override
     def expected_s(self, bench: BenchEstimate) -> float:
         moves = self.moves()
+        rest_s = (len(moves) + 1) * bench.wait_s(self.rest_s)
+        if bench.table:
+            turning_s = sum(bench.table.motion_s(*move) for move in moves)
+            return turning_s + len(moves) * bench.wait_s(self.settle_s) + rest_s
         turning_s = sum(max(map(abs, move)) / rate_dps for move, rate_dps in moves)
-        return turning_s + len(moves) * (_MOTION_S + self.settle_s) + (len(moves) + 1) * self.rest_s
+        return turning_s + len(moves) * (_MOTION_S + self.settle_s) + rest_s
+
+    @override
+    def angles_after(self, bench: BenchEstimate) -> Angles | None:
+        if bench.angles_deg is None:
+            return None
+        outer_deg, inner_deg = np.sum([bench.angles_deg, *(move for move, _ in self.moves())], axis=0)
+        return float(outer_deg), float(inner_deg)
 
     @override
     def after(self, bench: BenchEstimate, elapsed_s: float) -> BenchEstimate:

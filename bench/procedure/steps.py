@@ -14,6 +14,7 @@ from gyrobench.bench.bias.dwell import MIN_DURATION
 from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.text import did_you_mean
 from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.navigation.table_axes import Angles
 from gyrobench.bench.procedure.estimate import BenchEstimate
 
 #: A step of more than a week counts as a mistake.
@@ -69,6 +70,10 @@ class Step(StrictModel):
     def after(self, bench: BenchEstimate, elapsed_s: float) -> BenchEstimate:
         """Expected state of the bench ``elapsed_s`` after the step began in the state ``bench``."""
         return bench.passed(elapsed_s)
+
+    def angles_after(self, bench: BenchEstimate) -> Angles | None:
+        """Expected angles of the table after the step; None if they are not known."""
+        return bench.angles_deg
 
     def time_limit_s(self, expected_s: float) -> float:
         """Time after which the step has failed, s, given its expected duration."""
@@ -337,7 +342,12 @@ class Turn(Step):
 
     @override
     def expected_s(self, bench: BenchEstimate) -> float:
-        return abs(self.angle_deg) / self.rate_dps + self.settle_s
+        moving_s = bench.motion_s(self.angles_after(bench), self.rate_dps, abs(self.angle_deg))
+        return moving_s + bench.wait_s(self.settle_s)
+
+    @override
+    def angles_after(self, bench: BenchEstimate) -> Angles | None:
+        return bench.angles_turned(self.angle_deg)
 
     @override
     def after(self, bench: BenchEstimate, elapsed_s: float) -> BenchEstimate:
@@ -402,7 +412,12 @@ class GoTo(Step):
 
     @override
     def expected_s(self, bench: BenchEstimate) -> float:
-        return _USUAL_TRAVEL_DEG / self.rate_dps + self.settle_s
+        moving_s = bench.motion_s(self.angles_after(bench), self.rate_dps, _USUAL_TRAVEL_DEG)
+        return moving_s + bench.wait_s(self.settle_s)
+
+    @override
+    def angles_after(self, bench: BenchEstimate) -> Angles | None:
+        return bench.angles_at(self.position, self.azimuth_deg)
 
     @override
     def after(self, bench: BenchEstimate, elapsed_s: float) -> BenchEstimate:

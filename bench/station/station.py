@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
@@ -22,7 +23,7 @@ from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import POSITIONS, PositionName
 from gyrobench.bench.navigation.table_axes import Angles, SingleAxisTable, TurnOrMove, TwoAxisTable
 from gyrobench.bench.procedure.checks import StationLimits, check_plan
-from gyrobench.bench.procedure.estimate import BenchEstimate, ThermalEstimate
+from gyrobench.bench.procedure.estimate import BenchEstimate, TableEstimate, ThermalEstimate
 from gyrobench.bench.procedure.plan import Plan, expand
 from gyrobench.bench.procedure.procedure_file import Procedure, checked_procedure
 from gyrobench.bench.procedure.steps import GoTo, Step
@@ -240,14 +241,16 @@ class Station:
 
     def bench_at_rest(self) -> BenchEstimate:
         """State of the bench before a run, for estimates of duration."""
-        thermal = self.file.unit.thermal
-        return BenchEstimate.at_rest(
+        thermal, limits = self.file.unit.thermal, self.file.rate_table.limits
+        bench = BenchEstimate.at_rest(
             ThermalEstimate(
                 time_constant_s=thermal.time_constant_s,
                 self_heating_c=thermal.self_heating_c,
                 room_c=thermal.room_c,
             )
         )
+        table = TableEstimate(self.table, limits.acceleration_dps2, limits.jerk_dps3, self.file.tick_s)
+        return replace(bench, table=table, angles_deg=(0.0, 0.0))
 
     def limits(self) -> StationLimits:
         """Limits that a plan must keep."""

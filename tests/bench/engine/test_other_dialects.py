@@ -11,6 +11,7 @@ from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.monitor.terminal_view import LinesView
+from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
 
 PROCEDURE = """procedure: two_temperatures
@@ -67,9 +68,13 @@ def run_on(tmp_path):
     "bench", [{"chamber": "thermotron_8800"}, {"chamber": "watlow_f4t"}, {"single_axis": True}]
 )
 def test_a_procedure_runs_as_on_any_other_bench(run_on, bench):
-    _, outcome = run_on(**bench)
+    folder, outcome = run_on(**bench)
     assert outcome.ended == "finished", outcome.reason
     assert [dwell.row.flags for dwell in outcome.dwells] == [(), ()]
+    finished = [entry for entry in read_journal(folder.journal) if entry["event"] == "step_finished"]
+    motions = [entry for entry in finished if entry["kind"] in ("go_to", "turn")]
+    # A tick of this station is 2 s, and an exchange may end just after one.
+    assert [each for each in motions if abs(each["took_s"] - each["planned_s"]) > 2.5] == []
     np.testing.assert_allclose([dwell.row.chamber_c for dwell in outcome.dwells], [30.0, 20.0], atol=1.0)
 
 

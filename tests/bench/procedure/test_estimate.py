@@ -4,8 +4,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gyrobench.bench.procedure.estimate import BenchEstimate, ThermalEstimate, lagged
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.procedure.estimate import (
+    SETTLING_S,
+    BenchEstimate,
+    TableEstimate,
+    ThermalEstimate,
+    lagged,
+)
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.emulators.world.table_axis import AxisState, MotionLimits, move
 
+TABLE = Station(find_document("stations", "emulated")).table
 THERMAL = ThermalEstimate(time_constant_s=2000.0, self_heating_c=10.0, air_lag_s=100.0, room_c=20.0)
 
 
@@ -62,3 +72,21 @@ def test_lag_solves_its_differential_equation():
         middle = goal + slope * (index + 0.5) * step_s
         by_steps += (middle - by_steps) * (1.0 - math.exp(-step_s / tau_s))
     assert lagged(value, goal, slope, tau_s, 100.0) == pytest.approx(by_steps, rel=1e-6)
+
+
+@given(st.floats(0.01, 720.0), st.floats(0.1, 100.0), st.floats(0.5, 500.0), st.floats(0.5, 5000.0))
+def test_a_motion_takes_the_time_that_acceleration_and_jerk_allow(
+    distance_deg: float, rate_dps: float, acceleration_dps2: float, jerk_dps3: float
+) -> None:
+    limits = MotionLimits(rate_dps, acceleration_dps2, jerk_dps3, -math.inf, math.inf)
+    pieces = [piece for part in move(AxisState(0.0), -distance_deg, limits) for piece in part]
+    table = TableEstimate(TABLE, acceleration_dps2, jerk_dps3, tick_s=0.001)
+    motion_s = table.motion_s((-distance_deg, 0.5 * distance_deg), rate_dps)
+    moving_s = sum(piece.duration_s for piece in pieces)
+    assert motion_s - SETTLING_S == pytest.approx(moving_s, rel=1e-6, abs=0.0011)
+
+
+def test_motions_and_waits_after_them_end_at_ticks() -> None:
+    table = TableEstimate(TABLE, 30.0, 120.0, tick_s=2.0)
+    assert [table.motion_s((0.0, angle_deg), 10.0) for angle_deg in (0.0, 90.0, 180.0)] == [2.0, 12.0, 20.0]
+    assert [table.wait_s(duration_s) for duration_s in (0.0, 1.0, 5.0)] == [0.0, 2.0, 6.0]
