@@ -96,6 +96,7 @@ _EVENTS = {
     "tripped": "interlock",
     "run_resumed": "interruption",
     "data_given_up": "loss of data",
+    "repeat_commanded": "repeat on command",
 }
 
 

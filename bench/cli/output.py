@@ -195,6 +195,8 @@ def print_end(
     shortcoming, skipped = outcome.shortcoming(fail_on), outcome.skipped_text
     outcomes = outcome.units or {"": outcome}
     rows_by_unit = {number: [each.row for each in unit.results.dwells] for number, unit in outcomes.items()}
+    is_flagged = any(row.flags for rows in rows_by_unit.values() for row in rows)
+    repeatable = [name for name, exists in (("flagged", is_flagged), ("skipped", skipped)) if exists]
     station = read_document(folder.station).data if any(rows_by_unit.values()) else {}
     # By text, as several units often have the same.
     findings: dict[str, list[str]] = {}
@@ -248,6 +250,9 @@ def print_end(
         console.print(safe_state, soft_wrap=True)
     figures = "" if outcome.units else f"Figures  {folder.figures}\n"
     console.print(f"Report   {report}\n{figures}Folder   {folder.path}", soft_wrap=True)
+    if is_finished and repeatable:
+        again = f"gyrobench resume {folder.path} --repeat {','.join(repeatable)} --look"
+        console.print(f"Repeat   {again}", soft_wrap=True)
     if as_json:
         print_json(record)
     if not is_finished:

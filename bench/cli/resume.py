@@ -25,6 +25,14 @@ def resume(
             "--give-up-damaged", help="Set damaged files aside and repeat the dwells that they held."
         ),
     ] = False,
+    repeat: Annotated[
+        str,
+        typer.Option(
+            metavar="DWELLS",
+            help="Measure dwells again: flagged, skipped, plateaus (all dwells of plateaus with a flagged or "
+            "skipped one), numbers, or several with commas, as flagged,3,7.",
+        ),
+    ] = "",
     other_instruments: Annotated[
         bool,
         typer.Option(
@@ -41,6 +49,11 @@ def resume(
     Completed dwells are kept. The interrupted dwell is repeated, after its temperature and soak are
     re-established. If the run ended before its report was written, results and report are written.
 
+    With --repeat, also in a finished run, the dwells are measured again at their temperatures and positions,
+    in the order of the procedure, before the steps that remain and those after the last dwell. Until its
+    repeat has finished, the earlier measurement counts. With --look: the plan of the repeat, and how long it
+    takes.
+
     Procedure, station and DBC file are the copies in the run folder. If a copy is corrected, all dwells,
     including the completed ones, are evaluated with it; a sealed run first needs gyrobench seal RUN
     --accept-changes.
@@ -56,14 +69,20 @@ def resume(
     """
     from gyrobench.bench.engine.resume import give_up_damage, prepare_resumption
     from gyrobench.bench.engine.run import resume_run
-    from gyrobench.bench.foundations.errors import RunFinishedError
+    from gyrobench.bench.foundations.errors import DocumentError, RunFinishedError
     from gyrobench.bench.monitor.terminal_view import observe_in_terminal
+    from gyrobench.bench.procedure.timeline import timeline_rows
+    from gyrobench.bench.report.terminal.tables import timeline_table
     from gyrobench.bench.runs.locks import require_no_holder
 
     terminal = console(as_json, of_run=True)
     require_no_holder(run_folder)
+    dwells = repeat.replace(",", " ").split()
+    words = ("flagged", "skipped", "plateaus")
+    if unknown := [each for each in dwells if each not in words and not each.isdecimal()]:
+        raise DocumentError(f"--repeat {unknown[0]}: give {', '.join(words)}, or numbers of dwells")
     try:
-        resumption = prepare_resumption(run_folder, anyway)
+        resumption = prepare_resumption(run_folder, anyway, dwells)
     except RunFinishedError as error:
         terminal.print(str(error), soft_wrap=True)
         if as_json:
@@ -74,10 +93,13 @@ def resume(
     if look:
         if bench := resumption.describe_bench():
             terminal.print(bench, soft_wrap=True)
+        remaining = resumption.state.remaining_plan(resumption.job.plan)
+        if remaining.steps:
+            terminal.print(timeline_table(timeline_rows(remaining), remaining.duration_s))
         raise typer.Exit(EXIT_NOT_FINISHED if resumption.damage else 0)
     if resumption.damage and give_up_damaged:
         give_up_damage(resumption)
-        resumption = prepare_resumption(run_folder, anyway)
+        resumption = prepare_resumption(run_folder, anyway, dwells)
         terminal.print(resumption.describe(), soft_wrap=True)
     job = resumption.job
     gc.freeze()  # loaded objects are permanent: no collection needs to search them

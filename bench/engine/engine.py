@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
 from gyrobench.bench.engine.actions import StepContext, perform
 from gyrobench.bench.engine.holding import Holding, Ticker
@@ -23,7 +23,14 @@ from gyrobench.bench.foundations.errors import (
     StepTimeoutError,
 )
 from gyrobench.bench.foundations.operator_name import describe_source
-from gyrobench.bench.procedure.approach import RetainedState, approach, index_after_dwell, restart_index
+from gyrobench.bench.procedure.approach import (
+    RetainedState,
+    approach,
+    index_after_dwell,
+    remaining_steps,
+    restart_index,
+    retained_between,
+)
 from gyrobench.bench.procedure.plan import PlannedStep, turns_after
 from gyrobench.bench.procedure.steps import Align, GoTo, PowerOn
 from gyrobench.bench.station.interlocks import PassingRule
@@ -103,7 +110,7 @@ class Engine:
                     retained = None
                 planned = self._plan.steps[index]
                 self._handle_pending_events(planned)
-                self._perform(planned)
+                self._perform(planned, self._left_s(index))
                 index += 1
                 is_last = index == len(self._plan.steps) or self._plan.steps[index].dwell != planned.dwell
                 if planned.dwell and is_last:
@@ -164,15 +171,28 @@ class Engine:
         if steps:
             description = "; ".join(each.step.describe() for each in steps)
             self._run.note(f"returning to step {self._plan.steps[index].number}: {description}")
+        left_s = self._left_s(index) + sum(planned.duration_s for planned in steps)
         for planned in steps:
-            self._perform(planned, is_approach=True)
+            self._perform(planned, left_s, is_approach=True)
+            left_s -= planned.duration_s
 
-    def _perform(self, planned: PlannedStep, is_approach: bool = False) -> None:
+    def _left_s(self, index: int) -> float:
+        """Expected time from the start of a step to the end of the run."""
+        plan, state = self._plan, self._run.state
+        if not state.lost:
+            return plan.duration_s - plan.steps[index].start_s
+        remaining = remaining_steps(plan, state.next_index, state.lost, None)
+        begun_s = plan.steps[index].start_s - plan.steps[restart_index(plan, index)].start_s
+        return remaining[-1].end_s - begun_s
+
+    def _perform(self, planned: PlannedStep, left_s: float, is_approach: bool = False) -> None:
+        """Perform a step; ``left_s``: expected time from its start to the end of the run."""
         begin_s = self._bench.clock.now()
         self._start_step(planned, "approach" if is_approach else "step")
-        self._tick_through(planned, begin_s)
+        self._tick_through(planned, begin_s + left_s)
         elapsed_s = self._bench.clock.now() - begin_s
         self._finish_step(planned, elapsed_s, is_approach)
+        self._run.observers.ticked(self._bench, left_s - planned.duration_s)
 
     def _start_step(self, planned: PlannedStep, event: str) -> None:
         run, step = self._run, planned.step
@@ -189,9 +209,8 @@ class Engine:
         if isinstance(step, GoTo):
             self._step_context.next_turns_deg = turns_after(self._plan, planned)
 
-    def _tick_through(self, planned: PlannedStep, begin_s: float) -> None:
+    def _tick_through(self, planned: PlannedStep, plan_end_s: float) -> None:
         clock, observers = self._bench.clock, self._run.observers
-        plan_end_s = begin_s + self._plan.duration_s - planned.start_s
         timeout_s = clock.now() + planned.timeout_s
         for _ in perform(planned.step, self._step_context):
             self._tick()
@@ -224,7 +243,6 @@ class Engine:
             planned_s=round(planned.duration_s, 3),
             took_s=round(elapsed_s, 3),
         )
-        run.observers.ticked(self._bench, self._plan.duration_s - planned.end_s)
 
     def _tick(self) -> None:
         """Wait for the next tick.
@@ -291,8 +309,9 @@ class Engine:
         if dwell not in state.lost:
             return index_after_dwell(self._plan, dwell), retained
         state.lost.discard(dwell)
-        retained_state = retained or self._retained_state(is_ins_on=True, is_at_temperature=False)
-        return state.resume_index(self._plan), replace(retained_state, is_at_temperature=False)
+        begin, end = index_after_dwell(self._plan, dwell), state.resume_index(self._plan)
+        retained = retained or self._retained_state(is_ins_on=True, is_at_temperature=True)
+        return end, retained_between(self._plan, begin, end, retained)
 
     def _recover(self, index: int, trips: Sequence[Trip]) -> RetainedState:
         """Make the bench safe and hold until the run may continue."""

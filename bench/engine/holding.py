@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 
 from gyrobench.bench.engine.interlocks.watch import Trip, TrippedError, text_of_trips
 from gyrobench.bench.engine.operator import ReceivedCommand, RunCommand, take_sender
-from gyrobench.bench.engine.resume import ITSELF
+from gyrobench.bench.engine.resume_state import ITSELF
 from gyrobench.bench.engine.run_context import RunContext
 from gyrobench.bench.engine.units import Units
 from gyrobench.bench.foundations.errors import InstrumentError, RunStoppedError

@@ -72,17 +72,20 @@ class MeasuredUnit:
             flags=flags,
             epochs=asdict(measured.counts),
             **({"signs_tested": measured.are_signs_tested} if has_result else {}),
+            **self._replacement(marks.dwell),
         )
-        state.finished.add(marks.dwell)
+        state.finish(marks.dwell)
         if isinstance(measured, MeasuredDwell):
             dwells = outcome.dwells
+            dwells[:] = [each for each in dwells if each.row.dwell != marks.dwell]
             add_dwell(dwells, measured)
             self.run.write_dwells()
             self._context.observers.dwell_measured(dwells[-1].row)
             if dwells[-1].setup_fault and not measured.setup_fault:  # by all dwells together
                 raise SignalMapError(dwells[-1].setup_fault)
         else:
-            outcome.check_dwells.append(measured)
+            earlier = [each for each in outcome.check_dwells if each.marks.dwell != marks.dwell]
+            outcome.check_dwells[:] = [*earlier, measured]
             text = flags or "measured for the calibration check"
             self._notify(f"{self._dwell_label(marks)} at {marks.azimuth_deg:g} deg: {text}")
         if is_map_wrong:
@@ -94,8 +97,9 @@ class MeasuredUnit:
         if flags and self.may_repeat(marks.dwell):
             self.repeat_dwell(marks.dwell, flags)
             return False
-        self.journal.record("dwell_finished", marks=marks.to_json(), flags=flags)
-        self.run.state.finished.add(marks.dwell)
+        replacement = self._replacement(marks.dwell)
+        self.journal.record("dwell_finished", marks=marks.to_json(), flags=flags, **replacement)
+        self.run.state.finish(marks.dwell)
         is_rotated = marks.purpose is DwellPurpose.ROTATIONS
         if is_rotated and not marks.disturbances:
             for finding in self.run.outcome.rotations.add(marks, frames, self.run.setup):
@@ -104,6 +108,10 @@ class MeasuredUnit:
         content = counted_moves(steps) if is_rotated else "noise"
         self._notify(f"{self._dwell_label(marks)}: {content} {f'flagged: {flags}' if flags else 'recorded'}")
         return True
+
+    def _replacement(self, dwell: int) -> dict[str, bool]:
+        """Key of the journal for a dwell that replaces an earlier measurement."""
+        return {"replaces_earlier": True} if dwell in self.run.state.replaced else {}
 
     def _dwell_label(self, marks: DwellMarks) -> str:
         """Number and position of a dwell, for messages."""

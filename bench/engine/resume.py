@@ -1,27 +1,31 @@
-"""Resuming an interrupted run: the finished steps according to its journal, and the remaining ones."""
+"""Resuming an interrupted run: what its folder holds, and what remains to be done."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
 
+from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.engine.damage import Damage, find_damage
 from gyrobench.bench.engine.job import Job, read_job
+from gyrobench.bench.engine.resume_state import REPEAT, ResumeState, resume_state_of
 from gyrobench.bench.foundations.clock import RESUME_STEP_S, Clock, VirtualClock, WallClock
 from gyrobench.bench.foundations.errors import (
+    DocumentError,
     GyrobenchError,
     InstrumentError,
     RunFinishedError,
     RunFolderError,
 )
-from gyrobench.bench.foundations.text import hours_minutes, listed, run_ending
+from gyrobench.bench.foundations.operator_name import operator_name
+from gyrobench.bench.foundations.text import flag_text, hours_minutes, listed, run_ending
 from gyrobench.bench.procedure.approach import index_after_dwell
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.runs.folder import UNITS_FOLDER, RunFolder, open_run_folder
-from gyrobench.bench.runs.journal import MAX_RUN_S
+from gyrobench.bench.runs.journal import Journal, read_journal
 from gyrobench.bench.runs.locks import RunLock
 from gyrobench.bench.runs.provenance import identities_in, start_from_journal, started_utc
 from gyrobench.bench.runs.seal import require_sealed_inputs
@@ -33,159 +37,8 @@ from gyrobench.drivers.chamber import running_profile
 
 #: After this number of successive resumes without a finished step, the cause has to be found first.
 MAX_RESUMES_WITHOUT_PROGRESS = 5
-#: Source of a continuation without an operator, in the journal.
-ITSELF = "itself"
 #: Description of the end of a run whose journal has no end.
 NO_END_RECORDED = "stopped without recording its end, as after a power cut or a kill"
-#: Unsafe outputs of a run whose engine and guard both ended without making the bench safe.
-_NO_SAFE_STATE = {"safe state": "neither the run nor its guard recorded one"}
-#: Stands for the checksum of a compensation in the INS; older journals have "a compensation".
-UNKNOWN_CHECKSUM = "checksum unknown"
-
-#: Larger than in any run; a higher number means a damaged journal.
-_MAX_POWER_ONS = 1_000_000
-
-
-@dataclass
-class ResumeState:
-    """Progress of a run: empty for a new run, read from the journal for a resumed one; kept up to date."""
-
-    next_index: int = 0  #: first step of the plan that is not finished
-    finished: set[int] = field(default_factory=set)  #: dwells that are over
-    #: Dwells before ``next_index`` whose data were lost; they are measured again first.
-    lost: set[int] = field(default_factory=set)
-    skipped: set[int] = field(default_factory=set)  #: dwells that the operator skipped
-    repeats: Counter[int] = field(default_factory=Counter)  #: repeats of each dwell because of invalid data
-    #: Continuations without an operator after a trip, by interlock.
-    resumes: Counter[str] = field(default_factory=Counter)
-    power_ons: int = 0  #: how often the INS was switched on
-    unit: str = ""  #: serial number of the INS; empty before it is known
-    last_s: float = 0.0  #: time of the last entry, on the run's clock
-    ended: str = ""  #: how the run ended; empty if the journal has no end
-    reason: str = ""  #: why it did not finish
-    #: Safe actions that failed at the end of the run, and why; empty if the bench was made safe.
-    unsafe: dict[str, str] = field(default_factory=dict)
-    in_progress: str = ""  #: the step in progress at the last entry; empty if there was none
-    resumes_without_progress: int = 0  #: resumes since a step was finished
-    dropped: dict[str, str] = field(default_factory=dict)  #: dropped units, and why
-    #: The operator's decision on each compensation found in the INS.
-    stored_compensation_answers: dict[str, str] = field(default_factory=dict)
-
-    def is_over(self, plan: Plan) -> bool:
-        """Whether every step of the plan is finished."""
-        return self.resume_index(plan) >= len(plan.steps)
-
-    def resume_index(self, plan: Plan) -> int:
-        """Index of the step to resume with: the start of a lost dwell, or the first step not finished."""
-        if not self.lost:
-            return self.next_index
-        return next(i for i, planned in enumerate(plan.steps) if planned.dwell in self.lost)
-
-    def mark_lost(self, dwells: Collection[int]) -> None:
-        """Mark finished dwells as lost."""
-        self.finished.difference_update(dwells)
-        self.lost.update(dwells)
-
-    def _add(self, entry: Mapping[str, Any], plan: Plan) -> None:
-        self.last_s = max(self.last_s, _time_s(entry))
-        match entry.get("event"):
-            case "step_started" | "approach_started":
-                self.in_progress = (
-                    f"{entry['label']}: {entry['what']}" if entry["label"] else str(entry["what"])
-                )
-            case "step_finished":
-                self.in_progress = ""
-                step = _number(entry["step"], len(plan.steps))
-                if plan.steps[step - 1].dwell is None:
-                    self.finish_up_to(step)
-            case "dwell_finished":
-                dwell = _number(entry["marks"]["dwell"], plan.dwell_count)
-                self.finished.add(dwell)
-                self.lost.discard(dwell)
-                self.unit = self.unit or str(entry["marks"].get("unit", ""))
-                self.finish_up_to(index_after_dwell(plan, dwell))
-            case "dwell_skipped":
-                dwell = _number(entry["dwell"], plan.dwell_count)
-                self.skipped.add(dwell)
-                self.lost.discard(dwell)
-                self.finish_up_to(index_after_dwell(plan, dwell))
-            case "dwell_given_up" if entry["counts"]:
-                self.repeats[_number(entry["dwell"], plan.dwell_count)] += 1
-            case "continued" if entry.get("by") == ITSELF:
-                self.resumes.update(map(str, entry["after"]))
-            case "data_given_up":
-                self.mark_lost([_number(dwell, plan.dwell_count) for dwell in entry["dwells"]])
-                # A lost line may have held a power-on, whose number must not come twice.
-                self.power_ons += _number(entry["lines"] + 1, _MAX_POWER_ONS) - 1
-            case "compensation_decided":
-                checksum = str(entry["which"]).replace("a compensation", UNKNOWN_CHECKSUM)
-                self.stored_compensation_answers[checksum] = str(entry["answer"])
-            case "dwell_over":  # in all journals of a run with several units
-                self.finish_up_to(index_after_dwell(plan, _number(entry["dwell"], plan.dwell_count)))
-            case "unit_dropped":
-                self.dropped[str(entry["unit"])] = str(entry["why"])
-            case "powered_on":
-                self.power_ons = max(self.power_ons, _number(entry["run"], _MAX_POWER_ONS))
-            case "ins_identified":
-                self.unit = str(entry["unit"])
-            case "run_started":
-                self.unsafe = dict(_NO_SAFE_STATE)
-                if "power_ons" in entry:  # those of the runs that it continues
-                    self.unit = str(entry["unit"])
-                    self.power_ons = _number(entry["power_ons"], _MAX_POWER_ONS)
-            case "guard_acted":
-                self._update_unsafe(entry)
-            case "run_resumed":
-                self.unsafe = dict(_NO_SAFE_STATE)
-                self.ended = self.reason = ""
-                self.resumes_without_progress += 1
-            case "run_ended":
-                self.ended, self.reason = str(entry["ended"]), str(entry["reason"])
-                self._update_unsafe(entry)
-
-    def _update_unsafe(self, entry: Mapping[str, Any]) -> None:
-        problems = {str(action["what"]): str(action["problem"]) for action in entry.get("safe_state", ())}
-        earlier_problems = {} if self.unsafe == _NO_SAFE_STATE else self.unsafe
-        self.unsafe = {what: problem for what, problem in {**earlier_problems, **problems}.items() if problem}
-
-    def finish_up_to(self, next_index: int) -> None:
-        """Record that the steps before ``next_index`` are finished."""
-        if next_index > self.next_index:
-            self.next_index = next_index
-            self.resumes_without_progress = 0
-
-
-def resume_state_of(entries: Iterable[Mapping[str, Any]], plan: Plan) -> ResumeState:
-    """Read the progress of a run from its journal.
-
-    A dwell without an end although later steps are finished is lost. Raises RunFolderError if the journal
-    does not belong to this plan.
-    """
-    state = ResumeState()
-    for entry in entries:
-        try:
-            state._add(entry, plan)  # noqa: SLF001 - its own module
-        except (KeyError, TypeError, ValueError, OverflowError) as error:
-            raise RunFolderError(
-                f"the entry {entry.get('event')!r} at {entry.get('time_s')!r} s does not belong to "
-                f"this procedure: {error}"
-            ) from error
-    passed_dwells = {planned.dwell for planned in plan.steps[: state.next_index] if planned.dwell}
-    state.lost |= passed_dwells - state.finished - state.skipped
-    return state
-
-
-def _time_s(entry: Mapping[str, Any]) -> float:
-    time_s = float(entry["time_s"])
-    if not 0.0 <= time_s <= MAX_RUN_S:
-        raise ValueError(f"{time_s} s is not a time of a run")
-    return time_s
-
-
-def _number(value: Any, max_value: int) -> int:
-    if not isinstance(value, int) or not 1 <= value <= max_value:
-        raise ValueError(f"{value!r} is not an integer from 1 to {max_value}")
-    return value
 
 
 @dataclass(frozen=True)
@@ -208,6 +61,9 @@ class Resumption:
     #: Each unit in the order of the station file, including dropped ones; ``run`` for a single unit.
     units: tuple[InterruptedRun, ...]
     is_measured: bool = False  #: whether only results and report remain to be written
+    #: Dwells that the operator commands to measure again, with the reason, by the number of the unit;
+    #: recorded in the journals when the run resumes.
+    repeats: Mapping[str, Mapping[int, str]] = field(default_factory=dict)
 
     @property
     def folder(self) -> RunFolder:
@@ -241,7 +97,7 @@ class Resumption:
 
         Another process may have resumed the run before this one locked it.
         """
-        current = _read(self.folder, self.job, {part.number: part.damage for part in self.parts})
+        current = _read(self.folder, self.job, self._damages, self.repeats)
         if any(
             replace(new.state, last_s=old.state.last_s) != old.state
             for new, old in zip((current.run, *current.units), (self.run, *self.units), strict=True)
@@ -249,6 +105,30 @@ class Resumption:
             raise RunFolderError(
                 f"{self.folder.path}: another process has resumed this run in the meantime. Resume it again"
             )
+
+    @property
+    def _damages(self) -> dict[str, Damage]:
+        return {part.number: part.damage for part in self.parts}
+
+    def with_repeats(self, selection: Sequence[str]) -> Resumption:
+        """The resumption that also measures dwells again.
+
+        ``selection``: numbers of dwells, "flagged", "skipped", or "plateaus" for all dwells of the plateaus
+        with a flagged or skipped one. Raises DocumentError if a dwell was neither measured nor skipped.
+        """
+        parts = [part for part in self.units if part.number not in self.state.dropped]
+        repeats = {part.number: _selected_dwells(part, selection) for part in parts}
+        repeats[""] = {dwell: reason for each in repeats.values() for dwell, reason in each.items()}
+        return _read(self.folder, self.job, self._damages, repeats)
+
+    def record_repeats(self, clock: Clock) -> None:
+        """Record the dwells to measure again in the journals."""
+        for part in self.parts:
+            if dwells := self.repeats.get(part.number):
+                with Journal(part.folder.journal, clock) as journal:
+                    journal.record(
+                        REPEAT, dwells=list(dwells), why=list(dwells.values()), operator=operator_name()
+                    )
 
     def describe_bench(self) -> str:
         """Describe a bench that was not made safe, and what it reads now; empty if it was made safe."""
@@ -303,14 +183,20 @@ class Resumption:
             if planned.dwell
             else planned.step.describe()
         )
-        remaining_h = hours_minutes(plan.duration_s - planned.start_s)
+        remaining_h = hours_minutes(state.remaining_plan(plan).duration_s)
         lines.append(
             f"It resumes with step {planned.number} of {len(plan.steps)}, {start}; about {remaining_h} h "
             "remain."
         )
         if state.lost:
-            numbers = listed([str(dwell) for dwell in sorted(state.lost)])
-            lines.append(f"Measured again, before step {state.next_index + 1}: dwell {numbers}.")
+            reasons = self.repeats.get("", {})
+            numbers = [
+                f"{dwell} ({reason})" if (reason := reasons.get(dwell)) else str(dwell)
+                for dwell in sorted(state.lost)
+            ]
+            next_step = f", before step {state.next_index + 1}" if state.next_index < len(plan.steps) else ""
+            until = " Until then the earlier measurements count." if state.replaced else ""
+            lines.append(f"Measured again{next_step}: dwell {listed(numbers)}.{until}")
         if state.next_index:
             lines.append(
                 "Before that the INS is switched off and on, and temperature and position are approached "
@@ -340,11 +226,14 @@ def _chamber_now(station: Station, outputs: Outputs) -> str:  # noqa: ARG001 - a
     return f"chamber: air {reading.temperature_c:.1f} degC, set point {set_c}{state}{runs}"
 
 
-def prepare_resumption(path: Path, anyway: bool = False) -> Resumption:
+def prepare_resumption(path: Path, anyway: bool = False, repeat: Sequence[str] = ()) -> Resumption:
     """Read the folder of an interrupted run; ``anyway``: also after many resumes without progress.
 
+    ``repeat``: dwells to measure again, as in :meth:`Resumption.with_repeats`, also in a finished run.
+
     Raises RunFinishedError if it is finished. Raises RunFolderError if there is no run, or it was resumed too
-    often without progress. Raises DocumentError if its procedure, station or DBC file is wrong.
+    often without progress. Raises DocumentError if its procedure, station or DBC file is wrong, or ``repeat``
+    is.
     """
     folder = open_run_folder(path, may_have_units=True)
     if folder.path.absolute().parent.name == UNITS_FOLDER:
@@ -355,12 +244,15 @@ def prepare_resumption(path: Path, anyway: bool = False) -> Resumption:
     job = read_job(folder, start_from_journal(folder, entries)[1] if damage.is_provenance_lost else None)
     require_sealed_inputs(folder)
     resumption = _read(folder, job)
+    if repeat:
+        resumption = resumption.with_repeats(repeat)
     state = resumption.state
     if all(unit.number in state.dropped for unit in resumption.units):
         raise RunFolderError(f"{path}: every unit of this run was dropped: nothing to resume.")
     is_measured = state.ended == "finished" and state.is_over(job.plan)
     if is_measured and not resumption.damage and all(_is_evaluated(unit.folder) for unit in resumption.units):
-        raise RunFinishedError(f"{path}: this run is finished and has its report: nothing to resume.")
+        nothing = f"no dwell is {' or '.join(repeat)}" if repeat else "nothing to resume"
+        raise RunFinishedError(f"{path}: this run is finished and has its report: {nothing}.")
     if state.resumes_without_progress >= MAX_RESUMES_WITHOUT_PROGRESS and not anyway:
         raise RunFolderError(
             f"{path}: was resumed {state.resumes_without_progress} times without finishing a step. "
@@ -369,28 +261,43 @@ def prepare_resumption(path: Path, anyway: bool = False) -> Resumption:
     return replace(resumption, is_measured=is_measured)
 
 
-def _read(folder: RunFolder, job: Job, damaged: Mapping[str, Damage] | None = None) -> Resumption:
+def _read(
+    folder: RunFolder,
+    job: Job,
+    damaged: Mapping[str, Damage] | None = None,
+    repeats: Mapping[str, Mapping[int, str]] = MappingProxyType({}),
+) -> Resumption:
     """Read the progress of a run and of its units.
 
-    ``damaged``: damage by the number of the unit, if it is already known.
+    ``damaged``: damage by the number of the unit, if it is already known. ``repeats``: as in
+    :class:`Resumption`.
     """
     stations = job.station.units
-    run = _read_one(folder, job.plan, "", damaged, has_dwells=len(stations) == 1)
+
+    def read_one(folder: RunFolder, plan: Plan, number: str, has_dwells: bool = True) -> InterruptedRun:
+        return _read_one(folder, plan, number, damaged, list(repeats.get(number, ())), has_dwells)
+
+    run = read_one(folder, job.plan, "", has_dwells=len(stations) == 1)
     if len(stations) == 1:
-        return Resumption(job, run, (run,))
-    units = tuple(
-        _read_one(folder.unit(unit.number), job.plan_of(unit), unit.number, damaged) for unit in stations
-    )
+        return Resumption(job, run, (run,), repeats=repeats)
+    units = tuple(read_one(folder.unit(unit.number), job.plan_of(unit), unit.number) for unit in stations)
     _join(run, [unit.state for unit in units if unit.number not in run.state.dropped])
-    return Resumption(job, run, units)
+    return Resumption(job, run, units, repeats=repeats)
 
 
 def _read_one(
-    folder: RunFolder, plan: Plan, number: str, damaged: Mapping[str, Damage] | None, has_dwells: bool = True
+    folder: RunFolder,
+    plan: Plan,
+    number: str,
+    damaged: Mapping[str, Damage] | None,
+    repeat: Sequence[int],
+    has_dwells: bool,
 ) -> InterruptedRun:
     if number and not folder.journal.is_file():  # of a process that was killed before anything moved
         return InterruptedRun(folder, plan, ResumeState(), number)
     damage, entries = find_damage(folder, is_log_read=damaged is None)
+    if repeat:
+        entries.append({"time_s": 0.0, "event": REPEAT, "dwells": repeat})
     try:
         state = resume_state_of(entries, plan)
     except RunFolderError as error:
@@ -398,8 +305,8 @@ def _read_one(
     if not has_dwells:
         state.lost.clear()
     if damaged is None:
-        given_up = (entry["dwells"] for entry in entries if entry.get("event") == "data_given_up")
-        lost = state.lost.difference(*given_up)
+        recorded = (entry["dwells"] for entry in entries if entry.get("event") in ("data_given_up", REPEAT))
+        lost = state.lost.difference(*recorded)
         damage = replace(damage, dwells=(*damage.dwells, *sorted(lost)))
     else:
         damage = damaged[number]
@@ -415,7 +322,38 @@ def _join(run: InterruptedRun, units: Sequence[ResumeState]) -> None:
         state.finish_up_to(index_after_dwell(run.plan, dwell))
     passed_dwells = {planned.dwell for planned in run.plan.steps[: state.next_index] if planned.dwell}
     state.lost = passed_dwells - state.finished - state.skipped
+    measured = set.intersection(*(unit.finished | unit.replaced for unit in units)) if units else set()
+    state.replaced = state.lost & measured
     state.power_ons = max([state.power_ons, *(unit.power_ons for unit in units)])
+
+
+def _selected_dwells(part: InterruptedRun, selection: Sequence[str]) -> dict[int, str]:
+    """Dwells of a run or a unit to measure again, with the reason; without one if it has no flags."""
+    entries = read_journal(part.folder.journal)
+    finished = [entry for entry in entries if entry.get("event") == "dwell_finished"]
+    flagged = {int(entry["marks"]["dwell"]): str(entry.get("flags", "")) for entry in finished}
+    rows = read_dwells(part.folder.dwells) if part.folder.dwells.is_file() else []
+    flagged |= {row.dwell: flag_text(row.flags) for row in rows}
+    skipped = part.state.skipped - part.state.finished
+    reasons = {dwell: f"flagged: {flags}" for dwell, flags in flagged.items() if flags}
+    reasons |= dict.fromkeys(skipped, "skipped")
+    known, selected = {*flagged, *skipped}, set()
+    for each in selection:
+        if each in ("flagged", "skipped"):
+            selected |= {dwell for dwell, reason in reasons.items() if reason.startswith(each)}
+        elif each == "plateaus":
+            planned = [step for step in part.plan.steps if step.dwell]
+            for _, steps in itertools.groupby(planned, key=lambda step: step.plateau):
+                plateau = {step.dwell or 0 for step in steps}
+                selected |= set() if plateau.isdisjoint(reasons) else plateau & known
+        elif int(each) in known:
+            selected.add(int(each))
+        else:
+            raise DocumentError(
+                f"{part.folder.path}: dwell {each} was neither measured nor skipped. Choose from dwell "
+                f"{listed([str(dwell) for dwell in sorted(known)])}"
+            )
+    return {dwell: reasons.get(dwell, "") for dwell in sorted(selected)}
 
 
 def give_up_damage(resumption: Resumption) -> None:

@@ -20,7 +20,8 @@ from gyrobench.bench.engine.job import Job
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.observers import ObservedOperator, ObserverGroup, RunObserver
 from gyrobench.bench.engine.operator import CommandQueue, Operator
-from gyrobench.bench.engine.resume import ResumeState, Resumption, prepare_resumption
+from gyrobench.bench.engine.resume import Resumption, prepare_resumption
+from gyrobench.bench.engine.resume_state import ResumeState
 from gyrobench.bench.engine.run_context import RunContext, UnitRun
 from gyrobench.bench.engine.run_notifier import RunNotifier
 from gyrobench.bench.engine.run_outcome import RunOutcome
@@ -112,6 +113,7 @@ def resume_run(
 
     def prepare(folder: RunFolder, identities: Mapping[str, str]) -> tuple[UnitRun, ...]:  # noqa: ARG001
         resumption.check_unchanged()
+        resumption.record_repeats(clock)
         for unit in units:  # the journal may have more dwells
             unit.write_dwells()
         return units

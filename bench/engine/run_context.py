@@ -11,7 +11,7 @@ from gyrobench.bench.engine.job import Job
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.observers import RunObserver
 from gyrobench.bench.engine.operator import CommandQueue, Operator
-from gyrobench.bench.engine.resume import ResumeState
+from gyrobench.bench.engine.resume_state import ResumeState
 from gyrobench.bench.engine.run_outcome import RunOutcome
 from gyrobench.bench.foundations.errors import InstrumentError
 from gyrobench.bench.guard.process import Guard

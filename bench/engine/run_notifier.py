@@ -11,7 +11,7 @@ from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.observers import RunObserver
 from gyrobench.bench.engine.operator import RunCommand
-from gyrobench.bench.engine.resume import ResumeState
+from gyrobench.bench.engine.resume_state import ResumeState
 from gyrobench.bench.engine.run_outcome import RunOutcome
 from gyrobench.bench.foundations.text import flag_text
 from gyrobench.bench.messages.delivery import Event, Message, Remaining

@@ -11,7 +11,7 @@ from typing import Any
 
 from gyrobench.bench.engine.measured_unit import MeasuredUnit
 from gyrobench.bench.engine.operator import ask_operator
-from gyrobench.bench.engine.resume import UNKNOWN_CHECKSUM
+from gyrobench.bench.engine.resume_state import UNKNOWN_CHECKSUM
 from gyrobench.bench.engine.run_context import RunContext
 from gyrobench.bench.foundations.errors import RefusedError, RunStoppedError
 from gyrobench.bench.foundations.operator_name import operator_name

@@ -217,7 +217,7 @@ class Units:
                 unit.recorder.disturb(reason)
                 unit.finish_dwell()
         if is_over:
-            run.state.finished.add(dwell)
+            run.state.finish(dwell)
             if len(run.units) > 1:
                 run.journal.record("dwell_over", dwell=dwell)
         return is_over
@@ -261,7 +261,7 @@ class Units:
         self.end_captures()
         self._run.journal.record("dwell_skipped", dwell=dwell)
         for state in (self._run.state, *(unit.run.state for unit in self.running)):
-            state.skipped.add(dwell)
+            state.skip(dwell)
         self._run.observers.noted(f"dwell {dwell} is skipped")
 
     def repeat_or_flag(self, unit: MeasuredUnit, reason: str) -> None:

@@ -15,7 +15,8 @@ from typing import Any, Generic, TypeVar
 from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
 from gyrobench.bench.bias.verdicts import read_acceptance
-from gyrobench.bench.engine.resume import NO_END_RECORDED, resume_state_of
+from gyrobench.bench.engine.resume import NO_END_RECORDED
+from gyrobench.bench.engine.resume_state import resume_state_of
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
 from gyrobench.bench.monitor.snapshot import (
@@ -166,11 +167,7 @@ def _left_s(plan: Plan, journal: Sequence[Entry]) -> float:
         resume_state = resume_state_of(journal, plan)
     except RunFolderError:
         return plan.duration_s
-    return (
-        0.0
-        if resume_state.is_over(plan)
-        else plan.duration_s - plan.steps[resume_state.resume_index(plan)].start_s
-    )
+    return 0.0 if resume_state.is_over(plan) else resume_state.remaining_plan(plan).duration_s
 
 
 def _last_readings(telemetry: Mapping[str, FloatArray], now_s: float) -> BenchReadings | None:
@@ -235,6 +232,8 @@ def _message_of(entry: Mapping[str, Any]) -> str:
             return f"dwell {entry.get('dwell')} is repeated: {entry.get('why')}"
         case "dwell_skipped":
             return f"dwell {entry.get('dwell')} is skipped"
+        case "repeat_commanded":
+            return f"measured again on command: dwell {', '.join(map(str, entry.get('dwells', ())))}"
     return ""
 
 

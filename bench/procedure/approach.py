@@ -6,7 +6,8 @@ other side of it, the table anywhere. The re-approach consists of steps of the p
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import itertools
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 
 from gyrobench.bench.procedure.plan import Plan, PlannedStep
@@ -60,6 +61,44 @@ def approach(plan: Plan, index: int, retained: RetainedState) -> list[PlannedSte
     if target.before.position is not None and _needs_position(plan, index):
         steps += _position_steps(plan, index)
     return list(_schedule(steps, target, retained.chamber_c))
+
+
+def retained_between(plan: Plan, begin: int, end: int, retained: RetainedState) -> RetainedState:
+    """State that remains valid where the run continues with the step ``end`` instead of ``begin``."""
+    steps = [planned.step for planned in plan.steps[begin:end]]
+    has_power = any(isinstance(step, PowerOn | PowerOff) for step in steps)
+    has_temperature = any(isinstance(step, SetChamber | ChamberOff | Soak) for step in steps)
+    return replace(
+        retained,
+        is_ins_on=retained.is_ins_on and not has_power,
+        is_at_temperature=retained.is_at_temperature and not has_temperature,
+    )
+
+
+def remaining_steps(
+    plan: Plan, index: int, lost: Collection[int], retained: RetainedState | None
+) -> list[PlannedStep]:
+    """Steps of a run from the one at ``index`` on, with the re-approaches to them; times start at zero.
+
+    The dwells ``lost`` are measured before the steps at ``index``. ``retained``: at the start; None if
+    nothing has to be approached.
+    """
+    ends = sorted(index_after_dwell(plan, dwell) for dwell in lost)
+    spans = [(restart_index(plan, end - 1), end) for end in ends]
+    steps: list[PlannedStep] = []
+    for (begin, end), (next_begin, _) in itertools.pairwise([*spans, (index, len(plan.steps)), (0, 0)]):
+        if begin >= end:
+            break
+        if retained is not None:
+            steps += approach(plan, begin, retained)
+        steps += plan.steps[begin:end]
+        present = RetainedState(plan.steps[end - 1].after.powered, True, steps[-1].after.chamber_c)
+        retained = retained_between(plan, end, next_begin, present)
+    ends_s = itertools.accumulate(planned.duration_s for planned in steps)
+    return [
+        replace(planned, start_s=end_s - planned.duration_s)
+        for planned, end_s in zip(steps, ends_s, strict=True)
+    ]
 
 
 def _is_on_ramp(plan: Plan, index: int) -> bool:

@@ -233,6 +233,7 @@ class _EventCollector:
                 "retry", entry.get("instrument"), "answers again"
             ),
             "dwell_given_up": self._given_up,
+            "repeat_commanded": self._repeat_commanded,
             "dwell_finished": self._finished,
             "dwell_skipped": lambda entry: self._add(entry, "dwell skipped", f"dwell {entry.get('dwell')}"),
             "ordered": lambda entry: self._add(
@@ -304,10 +305,22 @@ class _EventCollector:
         index = self._add(entry, "dwell repeated", f"dwell {dwell}: {entry.get('why')}", "not measured again")
         self._expect_outcome("dwell", dwell, index)
 
+    def _repeat_commanded(self, entry: Entry) -> None:
+        dwells, reasons = entry.get("dwells"), entry.get("why")
+        if not (isinstance(dwells, list) and isinstance(reasons, list)):
+            return
+        for dwell, reason in zip(dwells, reasons, strict=False):
+            named = f"dwell {dwell} ({reason})" if reason else f"dwell {dwell}"
+            description = f"{named}, commanded {_by_operator(entry)}".strip()
+            index = self._add(entry, "dwell repeated", description, "not measured again")
+            self._expect_outcome("dwell", dwell, index)
+
     def _finished(self, entry: Entry) -> None:
         marks, flags = entry.get("marks"), entry.get("flags")
         dwell = marks.get("dwell") if isinstance(marks, Mapping) else None
-        self._set_outcome("dwell", dwell, "measured again, flagged" if flags else "measured again, good")
+        result = "measured again, flagged" if flags else "measured again, good"
+        replaced = "; replaces the earlier measurement" if entry.get("replaces_earlier") else ""
+        self._set_outcome("dwell", dwell, result + replaced)
         if flags:
             self._add(entry, "dwell flagged", f"dwell {dwell}: {flags}", "excluded from the bins")
 

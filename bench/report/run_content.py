@@ -149,6 +149,12 @@ class RunContent:
         finished |= {row.dwell for row in self.dwells}
         return tuple(sorted(each for each in skipped - finished if isinstance(each, int)))
 
+    @property
+    def replaced(self) -> tuple[int, ...]:
+        """Numbers of the dwells whose measurement replaces an earlier one, on command."""
+        entries = (entry for entry in self.entries("dwell_finished") if entry.get("replaces_earlier"))
+        return tuple(sorted({entry["marks"]["dwell"] for entry in entries}))
+
     def last(self, event: str) -> Entry:
         """Last journal entry of one kind of event; empty without one."""
         return next(iter(reversed(self.entries(event))), {})
@@ -313,6 +319,8 @@ class _JournalContent:
                 self.entries.append({**entry, "marks": {"dwell": dwell}})
         else:
             self._repeated_dwells |= {str(entry.get("dwell"))} if event == "dwell_given_up" else set()
+            if event == "repeat_commanded" and isinstance(dwells := entry.get("dwells"), list):
+                self._repeated_dwells |= set(map(str, dwells))
             self.entries.append(entry)
         return entry
 

@@ -397,6 +397,8 @@ def _dwell_counts(content: RunContent) -> str:
         if count := content.dwell_purposes[purpose]:
             texts.append(f"{counted(count, 'dwell')} {text}")
     texts += [f"{len(content.skipped)} skipped"] if content.skipped else []
+    if content.replaced:
+        texts.append(f"measured again in place of earlier ones: {listed([*map(str, content.replaced)])}")
     return "; ".join(texts) or "none"
 
 

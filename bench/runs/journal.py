@@ -286,7 +286,7 @@ def _with_entry(facts: RunFacts, entry: Mapping[str, Any]) -> RunFacts:
             tested = entry.get("signs_tested")
             if isinstance(tested, bool):
                 facts = replace(facts, are_signs_tested=bool(facts.are_signs_tested) or tested)
-            return replace(facts, dwells=facts.dwells + 1)
+            return facts if entry.get("replaces_earlier") else replace(facts, dwells=facts.dwells + 1)
         case "run_ended":
             recorded = entry.get("safe_state")
             actions = recorded if isinstance(recorded, list) else []

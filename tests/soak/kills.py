@@ -26,7 +26,8 @@ from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.dwells.measurement_setup import measurement_setup
 from gyrobench.bench.dwells.run_dwells import measure_recorded
 from gyrobench.bench.engine.job import Job, prepare_job
-from gyrobench.bench.engine.resume import prepare_resumption, resume_state_of
+from gyrobench.bench.engine.resume import prepare_resumption
+from gyrobench.bench.engine.resume_state import resume_state_of
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.procedure.procedure_file import STEP_KINDS
 from gyrobench.bench.runs.can_log import read_can_log

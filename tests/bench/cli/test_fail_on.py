@@ -47,3 +47,5 @@ def test_a_run_with_a_flagged_dwell_ends_with_1_where_it_must_not_have_one(tmp_p
     done = gyrobench(*arguments, "--fail-on", "flagged", cwd=tmp_path)
     assert done.returncode == 1
     assert "1 of 1 dwells are flagged" in done.stdout
+    repeat = "Repeat   gyrobench resume runs/ten_minute_check-001 --repeat flagged --look"
+    assert repeat in done.stdout

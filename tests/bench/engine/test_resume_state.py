@@ -5,7 +5,7 @@ import math
 import pytest
 
 from gyrobench.bench.engine.job import prepare_job
-from gyrobench.bench.engine.resume import UNKNOWN_CHECKSUM, resume_state_of
+from gyrobench.bench.engine.resume_state import UNKNOWN_CHECKSUM, resume_state_of
 from gyrobench.bench.foundations.errors import RunFolderError
 
 
@@ -54,6 +54,19 @@ def test_a_dwell_whose_end_the_journal_lacks_is_lost_and_comes_first(plan, entri
     assert first < state.next_index
 
 
+def test_dwells_to_measure_again_come_first_and_keep_their_measurement_until_then(plan, entries):
+    repeat = {"time_s": 1e4, "event": "repeat_commanded", "dwells": [1]}
+    state = resume_state_of([*entries, repeat], plan)
+    assert (state.lost, state.replaced, state.finished) == ({1}, {1}, {2})
+    assert plan.steps[state.resume_index(plan)].dwell == 1
+    assert state.next_index == resume_state_of(entries, plan).next_index
+    skipped = {"time_s": 2e4, "event": "dwell_skipped", "dwell": 1}
+    again = resume_state_of([*entries, repeat, skipped], plan)
+    assert (again.lost, again.replaced, again.finished, again.skipped) == (set(), set(), {1, 2}, set())
+    measured = resume_state_of([*entries, repeat, {**entries[-1], "marks": {"dwell": 1}}], plan)
+    assert (measured.lost, measured.replaced, measured.finished) == (set(), set(), {1, 2})
+
+
 @pytest.mark.parametrize(
     ("entry", "message"),
     [
@@ -73,6 +86,7 @@ def test_a_dwell_whose_end_the_journal_lacks_is_lost_and_comes_first(plan, entri
         ({"time_s": 1.0, "event": "dwell_finished", "marks": {"dwell": 10**6}}, "not an integer"),
         ({"time_s": 1.0, "event": "dwell_skipped", "dwell": "1"}, "'1' is not an integer"),
         ({"time_s": 1.0, "event": "dwell_given_up", "counts": True, "dwell": -1}, "-1 is not an integer"),
+        ({"time_s": 1.0, "event": "repeat_commanded", "dwells": [0]}, "0 is not an integer from 1 to"),
         ({"time_s": 1.0, "event": "continued", "by": "itself", "after": 5}, "not iterable"),
         ({"time_s": 1.0, "event": "powered_on", "run": 10**9}, "from 1 to 1000000"),
         ({"time_s": 1.0, "event": "run_ended", "ended": "finished"}, "'reason'"),

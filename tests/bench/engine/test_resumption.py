@@ -4,22 +4,34 @@ import os
 import shutil
 import signal
 import sys
+from dataclasses import replace
 
 import pytest
+import typer
+from typer.testing import CliRunner
 
-from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.bias.dwell_table import read_dwells, write_dwells
 from gyrobench.bench.cli import main
+from gyrobench.bench.cli.resume import resume
 from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.observers import RunObserver
 from gyrobench.bench.engine.operator import ConsentingOperator, RunCommand
 from gyrobench.bench.engine.resume import MAX_RESUMES_WITHOUT_PROGRESS, prepare_resumption
 from gyrobench.bench.engine.run import resume_run, run_job
 from gyrobench.bench.foundations.clock import VirtualClock
-from gyrobench.bench.foundations.errors import BenchInUseError, ConnectionFailedError, RunFolderError
+from gyrobench.bench.foundations.errors import (
+    BenchInUseError,
+    ConnectionFailedError,
+    DocumentError,
+    RunFinishedError,
+    RunFolderError,
+)
+from gyrobench.bench.report.run_report import write_report
 from gyrobench.bench.runs.folder import open_run_folder
-from gyrobench.bench.runs.journal import Journal, read_journal
+from gyrobench.bench.runs.journal import Journal, facts_of, read_journal
 from gyrobench.bench.runs.locks import RunLock
 from gyrobench.bench.runs.provenance import read_provenance
+from gyrobench.bench.runs.seal import verify_seals
 from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE, Emulation
 from gyrobench.drivers.chamber.watlow_f4 import WatlowF4
 from gyrobench.drivers.ins.can_ins import CanIns
@@ -55,13 +67,25 @@ def procedure(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def undisturbed(procedure, tmp_path_factory):
+def finished_run(procedure, tmp_path_factory):
+    """A run without interruption, with its seal."""
+    path = tmp_path_factory.mktemp("undisturbed") / "run"
     job = prepare_job(str(procedure), "quick", Emulation("quick", 0))
-    folder, outcome = run_job(
-        job, tmp_path_factory.mktemp("undisturbed") / "run", Watcher(), ConsentingOperator()
-    )
+    folder, outcome = run_job(job, path, Watcher(), ConsentingOperator())
     assert outcome.ended == "finished"
-    return read_dwells(folder.dwells)
+    write_report(folder)
+    return path
+
+
+@pytest.fixture(scope="module")
+def undisturbed(finished_run):
+    return read_dwells(finished_run / "dwells.csv")
+
+
+@pytest.fixture
+def finished(finished_run, tmp_path):
+    """A copy of it that a test may resume."""
+    return shutil.copytree(finished_run, tmp_path / "finished")
 
 
 def broken_off(procedure, path, kind, nth=1):
@@ -83,9 +107,9 @@ def in_third_dwell(broken, tmp_path):
     return shutil.copytree(broken, tmp_path / "run")
 
 
-def resumed(path):
+def resumed(path, repeat=()):
     watcher = Watcher()
-    folder, outcome = resume_run(prepare_resumption(path), watcher, ConsentingOperator())
+    folder, outcome = resume_run(prepare_resumption(path, repeat=repeat), watcher, ConsentingOperator())
     assert outcome.ended == "finished", outcome.reason
     return folder, outcome, watcher
 
@@ -307,3 +331,101 @@ def test_nothing_is_approached_when_the_only_dwell_left_is_skipped(procedure, tm
         "power_off",
         "chamber_off",
     ]
+
+
+def runs_of(path):
+    """Number of the power cycle of each dwell in the table, in order."""
+    return {row.dwell: int(row.run.rsplit("-")[-1]) for row in read_dwells(path / "dwells.csv")}
+
+
+def entries_of(path, event):
+    return [entry for entry in read_journal(path / "journal.jsonl") if entry["event"] == event]
+
+
+def test_a_flagged_dwell_of_a_finished_run_is_measured_again(finished, undisturbed):
+    flagged = [replace(row, flags=("a gap",)) if row.dwell == 4 else row for row in undisturbed]
+    write_dwells(finished / "dwells.csv", flagged)
+    words = prepare_resumption(finished, repeat=["flagged"]).describe()
+    assert "Measured again, before step 26: dwell 4 (flagged: a gap)." in words
+    folder, outcome, watcher = resumed(finished, ["flagged"])
+    assert_agree(read_dwells(folder.dwells), undisturbed)
+    assert [each.row.dwell for each in outcome.dwells] == [1, 2, 3, 4]
+    assert runs_of(finished) == {1: 1, 2: 1, 3: 1, 4: 2}
+    (way,) = [text for text in watcher.notes if text.startswith("returning to step")]
+    assert "power on" in way
+    assert "chamber to 25 degC" in way
+    (commanded,) = entries_of(finished, "repeat_commanded")
+    assert (commanded["dwells"], commanded["why"]) == ([4], ["flagged: a gap"])
+    assert entries_of(finished, "dwell_finished")[-1]["replaces_earlier"]
+    assert entries_of(finished, "step_finished")[-1]["kind"] == "chamber_off"
+    assert facts_of(read_journal(folder.journal)).dwells == 4
+    write_report(folder)
+    assert verify_seals(finished).is_intact
+    assert "measured again in place of earlier ones: 4" in folder.report.read_text()
+    with pytest.raises(RunFinishedError, match="no dwell is flagged"):
+        prepare_resumption(finished, repeat=["flagged"])
+
+
+def test_repeated_dwells_share_the_approach_of_their_plateau(finished):
+    resumption = prepare_resumption(finished, repeat=["4", "1", "2"])
+    planned_s = resumption.state.remaining_plan(resumption.job.plan).duration_s
+    resumed(finished, ["4", "1", "2"])
+    assert list(runs_of(finished).items()) == [(3, 1), (1, 2), (2, 2), (4, 2)]
+    approached = [entry for entry in entries_of(finished, "approach_started") if entry["kind"] != "go_to"]
+    assert [each["what"] for each in approached if each["kind"] == "chamber"] == [
+        "chamber to 35 degC at 10 degC/min",
+        "chamber to 25 degC at 10 degC/min",
+    ]
+    assert [each["kind"] for each in approached].count("soak") == 2
+    entries = list(read_journal(finished / "journal.jsonl"))
+    resumed_at = [entry["event"] for entry in entries].index("run_resumed")
+    assert sum(entry.get("planned_s", 0.0) for entry in entries[resumed_at:]) == pytest.approx(
+        planned_s, rel=0.05
+    )
+
+
+def test_a_killed_repeat_resumes_with_the_dwells_that_are_left(finished, undisturbed):
+    with pytest.raises(KilledError):
+        resume_run(prepare_resumption(finished, repeat=["1", "3"]), Watcher("turn", 2), ConsentingOperator())
+    assert runs_of(finished) == {1: 2, 2: 1, 3: 1, 4: 1}
+    state = prepare_resumption(finished).state
+    assert (state.lost, state.replaced, state.finished) == ({3}, {3}, {1, 2, 4})
+    folder, _, _ = resumed(finished)
+    assert runs_of(finished) == {1: 2, 2: 1, 3: 3, 4: 1}
+    by_dwell = sorted(read_dwells(folder.dwells), key=lambda row: row.dwell)
+    assert_agree(by_dwell, undisturbed)
+
+
+def test_the_earlier_measurement_counts_if_its_repeat_is_skipped(finished):
+    operator = Script(None, None, RunCommand.SKIP)
+    _, outcome = resume_run(prepare_resumption(finished, repeat=["2"]), Watcher(), operator)
+    assert (outcome.ended, outcome.skipped_text) == ("finished", "")
+    assert runs_of(finished) == {1: 1, 2: 1, 3: 1, 4: 1}
+    assert prepare_resumption(finished).state.finished == {1, 2, 3, 4}
+
+
+def test_only_dwells_that_are_over_are_repeated(finished, in_third_dwell):
+    for path, dwell in ((finished, "5"), (in_third_dwell, "3")):
+        with pytest.raises(DocumentError, match=f"dwell {dwell} was neither measured nor skipped"):
+            prepare_resumption(path, repeat=[dwell])
+    assert prepare_resumption(in_third_dwell, repeat=["2"]).state.lost == {2}
+
+
+def test_all_dwells_of_a_plateau_with_a_flagged_one_are_chosen(finished, undisturbed):
+    flagged = [replace(row, flags=("a gap",)) if row.dwell == 3 else row for row in undisturbed]
+    write_dwells(finished / "dwells.csv", flagged)
+    assert prepare_resumption(finished, repeat=["plateaus"]).state.lost == {3, 4}
+
+
+def test_the_plan_of_a_repeat_is_shown_before_it_begins(finished):
+    before = {path: path.read_bytes() for path in finished.rglob("*") if path.is_file()}
+    app = typer.Typer()
+    app.command()(resume)
+    printed = CliRunner().invoke(app, [str(finished), "--repeat", "2,4", "--look"])
+    assert printed.exit_code == 0, printed.output
+    assert "Measured again, before step 26: dwell 2 and 4." in printed.output
+    lines = [line.split() for line in printed.output.splitlines()]
+    assert [line[2] for line in lines if line[:1] == ["all"]] == ["2"]
+    assert {path: path.read_bytes() for path in before} == before
+    refused = CliRunner().invoke(app, [str(finished), "--repeat", "two"])
+    assert "--repeat two: give flagged, skipped, plateaus, or numbers" in str(refused.exception)

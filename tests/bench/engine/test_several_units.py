@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.bias.dwell_table import read_dwells, write_dwells
 from gyrobench.bench.dwells.run_results import recompute_run
 from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.observers import ObserverGroup, RunObserver
@@ -229,6 +229,24 @@ class Scraper(RunObserver):
             while self.found.get(dwells) != 3.0:
                 self.recorder.beat(bench)
                 self.found = scraped(ask(server, "/metrics")[1].decode())
+
+
+@pytest.mark.long
+def test_a_flagged_dwell_is_measured_again_on_command_for_its_unit_alone(whole, tmp_path):
+    folder = RunFolder(shutil.copytree(whole[0].path, tmp_path / "run"))
+    flagged = folder.unit("1103").dwells
+    rows = [replace(row, flags=("a gap",) if row.dwell == 2 else ()) for row in read_dwells(flagged)]
+    write_dwells(flagged, rows)
+    resumption = prepare_resumption(folder.path, repeat=["flagged"])
+    assert (resumption.state.lost, resumption.state.replaced) == ({2}, {2})
+    _, outcome = resume_run(resumption, Watcher(), ConsentingOperator())
+    assert outcome.ended == "finished", outcome.reason
+    for number in NUMBERS:
+        again = [row.dwell for row in read_dwells(folder.unit(number).dwells) if row.run.endswith("-2")]
+        assert again == ([2] if number == "1103" else [])
+        if number != "1103":
+            assert dwells_of(folder, number) == dwells_of(whole[0], number)
+    assert prepare_resumption(folder.path, repeat=["1"]).state.lost == {1}
 
 
 @pytest.fixture(scope="module")

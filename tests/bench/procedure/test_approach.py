@@ -3,7 +3,14 @@
 import pytest
 
 from gyrobench.bench.foundations.documents import parse_document
-from gyrobench.bench.procedure.approach import RetainedState, approach, index_after_dwell, restart_index
+from gyrobench.bench.procedure.approach import (
+    RetainedState,
+    approach,
+    index_after_dwell,
+    remaining_steps,
+    restart_index,
+    retained_between,
+)
 from gyrobench.bench.procedure.plan import expand
 from gyrobench.bench.procedure.procedure_file import checked_procedure
 from gyrobench.bench.procedure.steps import Align, GoTo, PowerOn, SetChamber, Soak, Turn, Wait
@@ -117,3 +124,29 @@ def test_the_way_has_time_limits_of_its_own(plan):
     chamber = approach(plan, index_of(plan, 1, Align), RetainedState(False, False, -20.0))[1]
     planned = next(each for each in plan.steps if isinstance(each.step, SetChamber))
     assert chamber.timeout_s > 2 * 80 / 2 * 60 > planned.timeout_s
+
+
+def test_between_dwells_of_a_plateau_the_temperature_is_kept(plan):
+    first, second, third = (index_of(plan, dwell, Align) for dwell in (1, 2, 3))
+    kept = RetainedState(True, True, 60.0)
+    assert retained_between(plan, first, second, kept) == kept
+    assert retained_between(plan, first, third, kept) == RetainedState(True, False, 60.0)
+    assert retained_between(plan, 0, first, kept) == RetainedState(False, False, 60.0)
+
+
+def test_the_remaining_steps_of_a_run_have_each_plateau_once_and_follow_one_another(plan):
+    steps = remaining_steps(plan, len(plan.steps), {4, 1, 2}, COLD_START)
+    assert kinds(steps)[:4] == [PowerOn, SetChamber, Soak, GoTo]
+    temperatures_c = [each.step.temperature_c for each in steps if isinstance(each.step, SetChamber)]
+    assert temperatures_c == [60, 20]
+    assert [each.dwell for each in steps if isinstance(each.step, Align)] == [1, 2, 4]
+    assert [each.end_s for each in steps[:-1]] == pytest.approx([each.start_s for each in steps[1:]])
+    assert steps[0].start_s == 0.0
+
+
+def test_steps_that_remain_follow_those_of_lost_dwells(plan):
+    index = index_after_dwell(plan, 4)
+    steps = remaining_steps(plan, index, {1}, None)
+    assert steps[0].number == plan.steps[index_of(plan, 1, Align)].number
+    assert kinds(steps)[-len(plan.steps[index:]) :] == kinds(plan.steps[index:])
+    assert remaining_steps(plan, len(plan.steps), (), None) == []

@@ -162,3 +162,16 @@ def test_soaks_that_did_not_settle_are_counted_with_the_largest_rate():
         "soak not settled",
         text.format(7.21),
     )
+
+
+def test_a_dwell_repeated_on_command_states_reason_operator_and_what_it_replaces():
+    commanded = entry(10.0, "repeat_commanded", dwells=[7], why=["flagged: a gap"], operator="A. Smith")
+    (event,) = run_events([commanded])
+    assert (event.kind, event.description, event.outcome) == (
+        "dwell repeated",
+        "dwell 7 (flagged: a gap), commanded by A. Smith",
+        "not measured again",
+    )
+    measured = entry(20.0, "dwell_finished", marks={"dwell": 7}, flags="", replaces_earlier=True)
+    (event,) = run_events([commanded, measured])
+    assert event.outcome == "measured again, good; replaces the earlier measurement"
