@@ -18,7 +18,12 @@ def control(
     command: _CommandArgument,
     operator: OperatorOption = "",  # noqa: ARG001 - read from the environment
 ) -> None:
-    """Control a run in progress: pause, continue, hold at this temperature, skip the dwell, or abort.
+    """Control a run in progress: pause, continue, hold, skip the dwell, finish the plateau, or abort.
+
+    pause discards the dwell in progress and waits; hold finishes it and waits at its temperature. finish ends
+    the run after the last dwell of the plateau in progress: the bench goes to its safe state, and results and
+    report are written, as with abort. continue ends a wait, and cancels hold and finish. A run that was ended
+    so can be resumed.
 
     The same commands can be typed in the terminal of the run. The journal records who gave each
     command.

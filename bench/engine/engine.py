@@ -61,6 +61,9 @@ class Engine:
         self._holding = Holding(run, self._ticker)
         self._step_context = StepContext(run, self._units)
         self._hold_commanded_by = ""  # empty if no hold is commanded
+        self._plateau = ""  # in progress, or the one that the run approaches
+        #: Plateau after which the run ends, and the source of that command; None if none is commanded.
+        self._finish: tuple[str, str] | None = None
         self._unseen_faults: tuple[str, ...] = ()
         self._current: PlannedStep | None = None
         self._dwell: int | None = None  # the dwell in progress, or the one that the run returns to
@@ -101,6 +104,7 @@ class Engine:
         while index < len(self._plan.steps):
             try:
                 self._dwell = self._plan.steps[index].dwell
+                self._end_after_plateau(index)
                 self._check_interlocks_before_motion()
                 self._bench.prepare_table()
                 if retained is not None:
@@ -127,6 +131,16 @@ class Engine:
                 retained = self._recover(index, [trip_of_error(error, self._bench.station)])
             except CommandReceivedError as error:
                 index, retained = self._execute_command(index, error.received, retained)
+
+    def _end_after_plateau(self, index: int) -> None:
+        """Raise RunStoppedError at the first step after a plateau with which the run is to end.
+
+        After the last dwell the run finishes.
+        """
+        self._plateau = self._plan.steps[index].plateau
+        plateau, source = self._finish or (self._plateau, "")
+        if plateau != self._plateau and any(planned.dwell for planned in self._plan.steps[index:]):
+            raise RunStoppedError(f"ended after the plateau {plateau}, as commanded by {source}")
 
     def _check_interlocks_before_motion(self) -> None:
         """Raise TrippedError if an interlock is tripped or a safe action has failed.
@@ -261,9 +275,12 @@ class Engine:
             case RunCommand.HOLD:
                 self._hold_commanded_by = describe_source(received.source)
                 self._run.note("holds at the end of the present step or dwell")
+            case RunCommand.FINISH:
+                self._finish = (self._plateau, describe_source(received.source))
+                self._run.note(f"ends after the plateau {self._plateau}".rstrip())
             case RunCommand.CONTINUE:
-                self._hold_commanded_by = ""
-                self._run.note("the commanded hold is cancelled")
+                self._hold_commanded_by, self._finish = "", None
+                self._run.note("the commanded hold or end is cancelled")
             case _:
                 raise CommandReceivedError(received)
 
@@ -271,7 +288,7 @@ class Engine:
         """Why a step does not accept a command; empty if it does."""
         if command is RunCommand.SKIP and not self._dwell:
             return "no dwell is in progress: nothing is skipped"
-        if command is RunCommand.CONTINUE and not self._hold_commanded_by:
+        if command is RunCommand.CONTINUE and not (self._hold_commanded_by or self._finish):
             return "the run does not hold: there is nothing to continue"
         return ""
 

@@ -1,6 +1,6 @@
 """The operator of a run: questions that the run asks, and commands that the operator gives.
 
-Commands come from the terminal or as signals: pause, continue, hold, skip, abort.
+Commands come from the terminal or as signals: pause, continue, hold, skip, finish, abort.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ class RunCommand(StrEnum):
     CONTINUE = "continue"
     HOLD = "hold"
     SKIP = "skip"
+    FINISH = "finish"
     ABORT = "abort"
 
 
@@ -42,6 +43,7 @@ COMMAND_MEANINGS: Mapping[RunCommand, str] = MappingProxyType(
         RunCommand.CONTINUE: "continue after a pause or a hold",
         RunCommand.HOLD: "finish the dwell in progress, then wait at this temperature",
         RunCommand.SKIP: "discard the dwell in progress and continue with the next one",
+        RunCommand.FINISH: "finish the plateau in progress, then end as with abort",
         RunCommand.ABORT: "bring the bench to its safe state and end; the run can be resumed",
     }
 )
@@ -57,6 +59,7 @@ _COMMAND_SIGNALS: Mapping[signal.Signals, RunCommand] = MappingProxyType(
         signal.SIGCONT: RunCommand.CONTINUE,
         signal.SIGUSR1: RunCommand.HOLD,
         signal.SIGUSR2: RunCommand.SKIP,
+        signal.SIGRTMIN: RunCommand.FINISH,
     }
 )
 

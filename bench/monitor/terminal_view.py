@@ -85,7 +85,7 @@ class _TerminalOperator:
 class _VirtualTimeOperator(_TerminalOperator):
     """Takes commands from the keyboard, and consents to every question, since virtual time can't wait."""
 
-    commands = (RunCommand.SKIP, RunCommand.ABORT)
+    commands = (RunCommand.SKIP, RunCommand.FINISH, RunCommand.ABORT)
 
     def __init__(self, console: Console, keyboard: Keyboard) -> None:
         super().__init__(console, keyboard)

@@ -20,7 +20,7 @@ def test_it_reads_as_plain_markdown():
 def test_commands_show_the_values_of_a_choice_and_no_empty_default():
     text = (DOCS / "reference" / "commands.md").read_text(encoding="utf-8")
     assert "or lines as in a file. Values: live, lines. | `live` |" in text
-    assert "Command to the run. Values: pause, continue, hold, skip, abort. | required |" in text
+    assert "Command to the run. Values: pause, continue, hold, skip, finish, abort. | required |" in text
     assert "| `` |" not in text
 
 

@@ -15,7 +15,7 @@ from gyrobench.bench.cli import main
 from gyrobench.bench.cli.resume import resume
 from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.observers import RunObserver
-from gyrobench.bench.engine.operator import ConsentingOperator, RunCommand
+from gyrobench.bench.engine.operator import ConsentingOperator, RunCommand, send_command
 from gyrobench.bench.engine.resume import MAX_RESUMES_WITHOUT_PROGRESS, prepare_resumption
 from gyrobench.bench.engine.run import resume_run, run_job
 from gyrobench.bench.foundations.clock import VirtualClock
@@ -415,6 +415,46 @@ def test_all_dwells_of_a_plateau_with_a_flagged_one_are_chosen(finished, undistu
     flagged = [replace(row, flags=("a gap",)) if row.dwell == 3 else row for row in undisturbed]
     write_dwells(finished / "dwells.csv", flagged)
     assert prepare_resumption(finished, repeat=["plateaus"]).state.lost == {3, 4}
+
+
+#: Ticks until the first dwell.
+UNTIL_FIRST_DWELL = [None] * 150
+
+
+def test_a_run_that_is_to_finish_its_plateau_ends_after_it_and_can_be_resumed(
+    procedure, undisturbed, tmp_path
+):
+    job = prepare_job(str(procedure), "quick", Emulation("quick", 0))
+
+    class Sender(Script):
+        def command(self):
+            if len(self._left) == 1:
+                send_command(tmp_path / "run", RunCommand.FINISH, os.getpid(), "B. Jones")
+            return super().command()
+
+    folder, outcome = run_job(job, tmp_path / "run", Watcher(), Sender(*UNTIL_FIRST_DWELL))
+    assert (outcome.ended, outcome.reason) == (
+        "stopped",
+        "ended after the plateau 35 degC, as commanded by B. Jones (gyrobench control)",
+    )
+    assert [row.dwell for row in read_dwells(folder.dwells)] == [1, 2]
+    assert folder.bias_bins.is_file()
+    folder, _, _ = resumed(folder.path)
+    assert_agree(read_dwells(folder.dwells), undisturbed)
+
+
+def test_the_end_after_a_plateau_can_be_cancelled(procedure, tmp_path):
+    job = prepare_job(str(procedure), "quick", Emulation("quick", 0))
+    _, outcome = run_job(
+        job, tmp_path / "run", Watcher(), Script(*UNTIL_FIRST_DWELL, RunCommand.FINISH, RunCommand.CONTINUE)
+    )
+    assert outcome.ended == "finished", outcome.reason
+
+
+def test_a_run_that_is_to_finish_its_last_plateau_finishes(finished):
+    operator = Script(None, None, RunCommand.FINISH)
+    _, outcome = resume_run(prepare_resumption(finished, repeat=["4"]), Watcher(), operator)
+    assert outcome.ended == "finished", outcome.reason
 
 
 def test_the_plan_of_a_repeat_is_shown_before_it_begins(finished):
