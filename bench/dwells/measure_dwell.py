@@ -81,9 +81,10 @@ class MeasuredDwell:
         return self.estimate is None or not set(self.flags).issubset(self.persistent_flags)
 
     def with_larger_gyro_errors(self, factor: float, scale_factor_ratio: float = 1.0) -> MeasuredDwell:
-        """Copy of the dwell whose uncertainty allows for larger errors of the gyros' matrix.
+        """Copy of the dwell whose gyro biases allow for larger errors of the gyros' matrix.
 
-        ``scale_factor_ratio``: additional factor of the scale factors.
+        ``scale_factor_ratio``: additional factor of the scale factors. The accelerometer biases keep their
+        uncertainties: they are the evidence for such errors, and a search may name what they follow.
         """
         if self.estimate is None:
             return self
@@ -93,13 +94,6 @@ class MeasuredDwell:
             covariance = covariance + (each**2 - 1.0) * columns @ columns.T
             parts[name] = replace(parts[name], columns=each * columns, sigma=each * parts[name].sigma)
         estimate = replace(self.estimate, covariance=covariance, parts=ErrorParts(parts))
-        common = estimate.accelerometer_common_sigma
-        added = math.sqrt(max(factor**2 - 1.0, 0.0)) * common
-        estimate = replace(
-            estimate,
-            accelerometer_sigma=np.hypot(estimate.accelerometer_sigma, added),
-            accelerometer_common_sigma=np.hypot(common, added),
-        )
         row = replace(self.row, **_uncertainties(estimate))
         return replace(self, estimate=estimate, row=row)
 

@@ -354,6 +354,6 @@ def test_what_is_typed_during_a_run_on_virtual_time_is_executed_or_answered(tmp_
     typed = "hello\npause\nabort\n"
     ended = subprocess.run(command, input=typed, cwd=tmp_path, capture_output=True, text=True, timeout=200)
     assert ended.returncode == EXIT_NOT_FINISHED
-    assert ended.stdout.count("Type one of: skip, abort") == 2
+    assert ended.stdout.count("Type one of: skip, finish, abort") == 2
     assert "pause: a run on virtual time never waits" in ended.stdout
     assert "stopped by the operator (terminal)" in ended.stdout
