@@ -46,7 +46,7 @@ steps:
 def test_several_runs_of_one_unit_are_investigated_together(tmp_path):
     (tmp_path / "two_cycles.yaml").write_text(TWO_CYCLES)
     runs = ("first", "second")
-    for seed, name in enumerate(runs):
+    for seed, name in enumerate(runs, start=10):
         done = gyrobench(
             *("run", "two_cycles.yaml", "--station", "quick", "--world", "quick_warm_up"),
             *("--seed", str(seed), "--out", name, "--view", "lines"),
