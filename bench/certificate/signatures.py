@@ -23,7 +23,7 @@ from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.files import read_limited
 from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.foundations.text import counted
-from gyrobench.bench.runs.seal import PASSWORD_VARIABLE, pem_key
+from gyrobench.bench.runs.seal_keys import PASSWORD_VARIABLE, pem_key
 
 if TYPE_CHECKING:
     from cryptography.x509 import Certificate

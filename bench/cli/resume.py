@@ -69,7 +69,7 @@ def resume(
     """
     from gyrobench.bench.engine.resume import give_up_damage, prepare_resumption
     from gyrobench.bench.engine.run import resume_run
-    from gyrobench.bench.foundations.errors import DocumentError, RunFinishedError
+    from gyrobench.bench.foundations.errors import RunFinishedError
     from gyrobench.bench.monitor.terminal_view import observe_in_terminal
     from gyrobench.bench.procedure.timeline import timeline_rows
     from gyrobench.bench.report.terminal.tables import timeline_table
@@ -78,9 +78,6 @@ def resume(
     terminal = console(as_json, of_run=True)
     require_no_holder(run_folder)
     dwells = repeat.replace(",", " ").split()
-    words = ("flagged", "skipped", "plateaus")
-    if unknown := [each for each in dwells if each not in words and not each.isdecimal()]:
-        raise DocumentError(f"--repeat {unknown[0]}: give {', '.join(words)}, or numbers of dwells")
     try:
         resumption = prepare_resumption(run_folder, anyway, dwells)
     except RunFinishedError as error:

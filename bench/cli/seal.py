@@ -53,10 +53,11 @@ def seal(
     from gyrobench.bench.runs import seal as seals
     from gyrobench.bench.runs.folder import open_run_folder
     from gyrobench.bench.runs.locks import RunLock
+    from gyrobench.bench.runs.seal_keys import new_key as make_key
 
     terminal = console(as_json)
     if new_key is not None:
-        public_key = seals.new_key(new_key)
+        public_key = make_key(new_key)
         terminal.print(f"Secret key  {new_key}\nPublic key  {public_key}", soft_wrap=True)
         return
     if run_folder is None:

@@ -212,7 +212,7 @@ class LiveUnit:
             return False
         period_s = elapsed_s / max(epochs, 1)
         if abs(period_s / self._other_period_s - 1.0) < _SAME_PERIOD:
-            is_emulated = self.station.file.ins.interface == "emulator"
+            is_emulated = self.station.file.ins.is_emulated
             remedy = "choose the --world that belongs to it" if is_emulated else "the output rate of the INS"
             if self.station.file.speed > 1.0:
                 remedy += "; or this computer is too slow for `gyrobench emulate --speed`"

@@ -114,7 +114,8 @@ class Resumption:
         """The resumption that also measures dwells again.
 
         ``selection``: numbers of dwells, "flagged", "skipped", or "plateaus" for all dwells of the plateaus
-        with a flagged or skipped one. Raises DocumentError if a dwell was neither measured nor skipped.
+        with a flagged or skipped one. Raises DocumentError for another word, and if a dwell was neither
+        measured nor skipped.
         """
         parts = [part for part in self.units if part.number not in self.state.dropped]
         repeats = {part.number: _selected_dwells(part, selection) for part in parts}
@@ -346,6 +347,8 @@ def _selected_dwells(part: InterruptedRun, selection: Sequence[str]) -> dict[int
             for _, steps in itertools.groupby(planned, key=lambda step: step.plateau):
                 plateau = {step.dwell or 0 for step in steps}
                 selected |= set() if plateau.isdisjoint(reasons) else plateau & known
+        elif not each.isdecimal():
+            raise DocumentError(f"--repeat {each}: give flagged, skipped, plateaus, or numbers of dwells")
         elif int(each) in known:
             selected.add(int(each))
         else:

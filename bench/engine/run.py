@@ -40,7 +40,7 @@ from gyrobench.bench.runs.folder import RUNS, RunFolder, create_run_folder
 from gyrobench.bench.runs.journal import Journal, facts_of, read_journal
 from gyrobench.bench.runs.locks import RunLock
 from gyrobench.bench.runs.provenance import add_identity, identities_in, update_input_hashes, write_provenance
-from gyrobench.bench.runs.seal import KEY_VARIABLE, require_usable_key
+from gyrobench.bench.runs.seal_keys import KEY_VARIABLE, require_usable_key
 from gyrobench.bench.runs.telemetry import Telemetry
 from gyrobench.bench.station.bench_lock import BenchLock
 from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE, Instruments

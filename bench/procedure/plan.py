@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from gyrobench.bench.bias.dwell import DwellPurpose
@@ -116,9 +116,7 @@ def _schedule(steps: Sequence[ResolvedStep], bench: BenchEstimate) -> Iterator[P
     for number, resolved in enumerate(steps, start=1):
         step = resolved.step
         if isinstance(step, GoTo):
-            following = itertools.takewhile(lambda each: not isinstance(each.step, GoTo), steps[number:])
-            turns_deg = tuple(turn for each in following for turn in turns_of(each.step))
-            bench = replace(bench, next_turns_deg=turns_deg)
+            bench = replace(bench, next_turns_deg=_turns_before_go_to(each.step for each in steps[number:]))
         duration_s = step.expected_s(bench)
         after = replace(step.after(bench, duration_s), angles_deg=step.angles_after(bench))
         yield PlannedStep(
@@ -181,7 +179,12 @@ def _purpose_of(steps: Sequence[Step]) -> DwellPurpose:
 
 def turns_after(plan: Plan, position: PlannedStep) -> tuple[TurnOrMove, ...]:
     """Turns and moves, in deg, between ``position`` and the next step that goes to a position."""
-    return tuple(turn for each in turn_steps_after(plan, position) for turn in turns_of(each.step))
+    return _turns_before_go_to(each.step for each in plan.steps_after(position))
+
+
+def _turns_before_go_to(steps: Iterable[Step]) -> tuple[TurnOrMove, ...]:
+    following = itertools.takewhile(lambda step: not isinstance(step, GoTo), steps)
+    return tuple(turn for step in following for turn in turns_of(step))
 
 
 def turns_of(step: Step) -> list[TurnOrMove]:

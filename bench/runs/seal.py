@@ -11,51 +11,31 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-import os
 import platform
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
 
 from gyrobench.bench import __version__
 from gyrobench.bench.foundations.clock import WallClock
-from gyrobench.bench.foundations.errors import (
-    DocumentError,
-    GyrobenchError,
-    MissingRunError,
-    RunFolderError,
-    UnusablePathError,
-)
-from gyrobench.bench.foundations.files import (
-    file_sha256,
-    make_folder,
-    parse_json,
-    read_limited,
-    write_error,
-    write_whole,
-)
+from gyrobench.bench.foundations.errors import MissingRunError, RunFolderError
+from gyrobench.bench.foundations.files import file_sha256, make_folder, parse_json, read_limited, write_whole
 from gyrobench.bench.foundations.operator_name import command_line, login_name, operator_name
-from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.runs.fingerprint import find_change, fingerprint_of
 from gyrobench.bench.runs.folder import JOURNAL, UNITS_FOLDER, RunFolder
 from gyrobench.bench.runs.journal import broken_links, facts_of, is_linked, journal_lines, read_journal
+from gyrobench.bench.runs.seal_keys import public_bytes, signature_of, signature_problem
 
-if TYPE_CHECKING:
-    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-
-#: Environment variables: file of the key that signs seals (PEM), and its password if it has one.
-KEY_VARIABLE, PASSWORD_VARIABLE = "GYROBENCH_SEAL_KEY", "GYROBENCH_KEY_PASSWORD"
 _SEALS = "seals"
 #: Not sealed: files that processes and live views use during a run.
 _TRANSIENT = ("live.json",)
 #: Measured data and inputs; everything else can be computed again.
 _EVIDENCE_FOLDERS = ("can", "telemetry")
 _EVIDENCE = (JOURNAL, "procedure.yaml", "station.yaml", "calibration.csv", "compensation.yaml")
-_MAX_SEAL_BYTES, _MAX_KEY_BYTES = 500_000_000, 100_000
+_MAX_SEAL_BYTES = 500_000_000
 _CHUNK_BYTES = 1 << 20
 _MAX_COMMAND_CHARACTERS = 300
 
@@ -211,7 +191,7 @@ def _seal_folder(
     text = bytearray()
     for part in _seal_as_json(folder.path, seal, sealed):
         text += part
-    signature = {"sha256": hashlib.sha256(text).hexdigest(), **_signature(text, key)}
+    signature = {"sha256": hashlib.sha256(text).hexdigest(), **signature_of(text, key)}
     make_folder(folder.path / _SEALS)
     write_whole(folder.path / seal.relative_path, [text, b"\n", json.dumps(signature).encode(), b"\n"])
     return folder.path / seal.relative_path
@@ -316,31 +296,6 @@ def verify_seals(folder: Path, trusted_key: Path | None = None) -> SealCheck:
     return SealCheck(seals, findings, not_sealed, files)
 
 
-def new_key(path: Path) -> Path:
-    """Make an Ed25519 key pair for seals: a private key, readable only by its owner, and FILE.pub beside it.
-
-    Returns the path of the public key. Raises RunFolderError if a file exists or can't be written.
-    """
-    ed25519 = require("cryptography.hazmat.primitives.asymmetric.ed25519")
-    serialization = require("cryptography.hazmat.primitives.serialization")
-    public = path.with_name(path.name + ".pub")
-    if path.exists() or public.exists():
-        raise UnusablePathError(f"{path}: a key of this name exists. Choose another name")
-    private_key = ed25519.Ed25519PrivateKey.generate()
-    pem = serialization.Encoding.PEM
-    try:
-        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    except OSError as error:
-        raise write_error(path, error) from error
-    with open(descriptor, "wb") as stream:  # noqa: PTH123 - a descriptor
-        stream.write(
-            private_key.private_bytes(pem, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
-        )
-    key_format = serialization.PublicFormat.SubjectPublicKeyInfo
-    write_whole(public, private_key.public_key().public_bytes(pem, key_format))
-    return public
-
-
 def _is_evidence(path: str) -> bool:
     return path in _EVIDENCE or path.startswith(tuple(f"{name}/" for name in _EVIDENCE_FOLDERS))
 
@@ -406,7 +361,7 @@ def _finding(root: Path, path: str, sealed: SealedFile, seals: Sequence[Seal]) -
 
 
 def _read_seals(root: Path, trusted_key: Path | None = None) -> list[Seal]:
-    trusted = _public_bytes(trusted_key) if trusted_key else None
+    trusted = public_bytes(trusted_key) if trusted_key else None
     return [_read_seal(path, trusted) for path in _seal_paths(root)]
 
 
@@ -428,81 +383,8 @@ def _read_seal(path: Path, trusted: bytes | None) -> Seal:
         files = {name: SealedFile(**each) for name, each in record.pop("files").items()}
         seal = Seal(**{**record, "files": files, "changes": SealChanges(**record["changes"])})
         key = base64.b64decode(signature.get("public_key", ""))
-        problem = _signature_problem(text, signature, key, trusted)
+        problem = signature_problem(text, signature, key, trusted)
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise RunFolderError(f"{path}: this seal is damaged: {error}. Restore it from a copy") from error
     identity = f"Ed25519 key {hashlib.sha256(key).hexdigest()[:16]}" if key else ""
     return replace(seal, key=identity, unsigned=signature.get("unsigned", ""), problem=problem)
-
-
-def _signature_problem(text: bytes, signature: Mapping[str, Any], key: bytes, trusted: bytes | None) -> str:
-    """Problem of the signature of a seal; empty if there is none."""
-    if hashlib.sha256(text).hexdigest() != signature["sha256"]:
-        return "was changed: its hash does not fit"
-    if trusted is not None and key != trusted:
-        return "is not signed by the trusted key"
-    if not key:
-        return ""
-    invalid = require("cryptography.exceptions").InvalidSignature
-    ed25519 = require("cryptography.hazmat.primitives.asymmetric.ed25519")
-    try:
-        ed25519.Ed25519PublicKey.from_public_bytes(key).verify(base64.b64decode(signature["signature"]), text)
-    except invalid:
-        return "was changed: its signature does not fit"
-    return ""
-
-
-def _signature(text: bytearray, key: Path | None) -> dict[str, str]:
-    """Signature of a seal; the reason in place of it if no key is given or usable."""
-    configured = os.environ.get(KEY_VARIABLE, "")
-    if key is None and not configured:
-        return {"unsigned": f"no key; {KEY_VARIABLE} names one"}
-    try:
-        private_key = _load_key(key or Path(configured))
-    except GyrobenchError as error:
-        if key is not None:
-            raise
-        return {"unsigned": str(error)}
-    public = base64.b64encode(private_key.public_key().public_bytes_raw()).decode()
-    return {
-        "algorithm": "Ed25519",
-        "public_key": public,
-        "signature": base64.b64encode(private_key.sign(text)).decode(),
-    }
-
-
-def require_usable_key() -> None:
-    """Raise DocumentError if GYROBENCH_SEAL_KEY names a key that can't sign."""
-    if configured := os.environ.get(KEY_VARIABLE):
-        _load_key(Path(configured))
-
-
-def _load_key(path: Path) -> Ed25519PrivateKey:
-    """Load an Ed25519 key, with its password in GYROBENCH_KEY_PASSWORD if any; raises DocumentError."""
-    ed25519 = require("cryptography.hazmat.primitives.asymmetric.ed25519")
-    try:
-        key = pem_key(read_limited(path, _MAX_KEY_BYTES, DocumentError))
-    except (ValueError, TypeError) as error:
-        raise DocumentError(f"{path}: is not a private key that can be read: {error}") from error
-    if not isinstance(key, ed25519.Ed25519PrivateKey):
-        raise DocumentError(f"{path}: is not an Ed25519 key. Make one with: gyrobench seal --new-key FILE")
-    return key  # type: ignore[no-any-return]
-
-
-def pem_key(content: bytes) -> Any:
-    """Private key in PEM, its password in GYROBENCH_KEY_PASSWORD if any; raises ValueError or TypeError."""
-    load = require("cryptography.hazmat.primitives.serialization").load_pem_private_key
-    password = os.environ.get(PASSWORD_VARIABLE, "").encode() or None
-    try:
-        return load(content, password)
-    except TypeError:  # also if the password is that of another key, and this one has none
-        return load(content, None)
-
-
-def _public_bytes(path: Path) -> bytes:
-    serialization = require("cryptography.hazmat.primitives.serialization")
-    try:
-        key = serialization.load_pem_public_key(read_limited(path, _MAX_KEY_BYTES, DocumentError))
-        return key.public_bytes_raw()  # type: ignore[no-any-return]
-    except (ValueError, AttributeError) as error:
-        raise DocumentError(f"{path}: is not a public Ed25519 key in PEM: {error}") from error

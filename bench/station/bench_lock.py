@@ -28,7 +28,6 @@ JOG_COMMAND = "gyrobench jog"
 
 _SHARED_FOLDERS = (Path("/run/lock"), Path("/tmp"))  # noqa: S108 - files there are opened with care
 _WRITABLE_BY_ALL = stat.S_ISVTX | stat.S_IRWXO
-_EMULATED = "emulator"
 
 
 class BenchLock(Lock):

@@ -13,14 +13,13 @@ from gyrobench.bench.runs.can_log import CanLog
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
 from gyrobench.bench.runs.seal import (
-    KEY_VARIABLE,
     edited_tables,
-    new_key,
     require_sealed_inputs,
     seal_run,
     update_seal,
     verify_seals,
 )
+from gyrobench.bench.runs.seal_keys import KEY_VARIABLE, new_key
 from gyrobench.drivers.frames import FrameBlock
 from tests.bench.command_line import gyrobench
 
