@@ -15,7 +15,7 @@ from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
 from gyrobench.bench.foundations.text import of_units, with_micro_sign
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Mapping
     from pathlib import Path
 
     from rich.console import Console, RenderableType
@@ -171,9 +171,7 @@ def print_end(
     """
     from gyrobench.bench.foundations.documents import read_document
     from gyrobench.bench.foundations.memory import free_memory
-    from gyrobench.bench.report.run_findings import run_findings, signs_sentence
-    from gyrobench.bench.report.temperature_findings import recorded_sensors_sentence
-    from gyrobench.bench.runs.tables.joint_table import read_joint_plateaus
+    from gyrobench.bench.report.run_findings import signs_sentence
 
     is_finished, resume = outcome.ended == "finished", _resume_text(folder, outcome)
     safe_state = "\n".join(each.text for each in outcome.safe_state)
@@ -193,20 +191,11 @@ def print_end(
         )
     record = _end_record(folder, outcome)
     shortcoming, skipped = outcome.shortcoming(fail_on), outcome.skipped_text
-    outcomes = outcome.units or {"": outcome}
-    rows_by_unit = {number: [each.row for each in unit.results.dwells] for number, unit in outcomes.items()}
-    is_flagged = any(row.flags for rows in rows_by_unit.values() for row in rows)
-    repeatable = [name for name, exists in (("flagged", is_flagged), ("skipped", skipped)) if exists]
-    station = read_document(folder.station).data if any(rows_by_unit.values()) else {}
-    # By text, as several units often have the same.
-    findings: dict[str, list[str]] = {}
-    for number, rows in rows_by_unit.items():
-        joint, unit = folder.unit(number).joint, outcomes[number]
-        plateaus = read_joint_plateaus(joint) if joint.exists() else []
-        sources = rows, station, unit.results.noise, plateaus, unit.reason or outcome.reason
-        for finding in run_findings(*sources, recorded_sensors_sentence(folder.unit(number))).items():
-            findings.setdefault(" ".join(finding), []).append(number)
-    del rows_by_unit, rows
+    units = outcome.units or {"": outcome}
+    flags = [dwell.flags for unit in units.values() for dwell in unit.results.dwells]
+    repeatable = [name for name, exists in (("flagged", any(flags)), ("skipped", skipped)) if exists]
+    station = read_document(folder.station).data if flags else {}
+    findings = _findings(folder, outcome, station)
     outcome.release()
     free_memory()  # reused by the modules imported next
 
@@ -235,7 +224,7 @@ def print_end(
     if word := watermark_of(folder.path):
         console.print(f"{word}: {_EMULATED_BENCH}", soft_wrap=True, style="bold yellow")
     notes: dict[str, list[str]] = {}
-    for number in outcomes:
+    for number in units:
         journal = folder.unit(number).journal
         facts = facts_of(read_journal(journal) if journal.is_file() else ())
         notes.setdefault(signs_sentence(facts, station, station_name), []).append(number)
@@ -261,6 +250,28 @@ def print_end(
     if shortcoming:
         console.print(shortcoming, soft_wrap=True, style="bold red")
         raise typer.Exit(EXIT_NOT_FINISHED)
+
+
+def _findings(folder: RunFolder, outcome: RunOutcome, station: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Findings of the end of a run, with the numbers of the units that have them."""
+    from gyrobench.bench.report.run_findings import run_findings
+    from gyrobench.bench.report.temperature_findings import recorded_sensors_sentence
+    from gyrobench.bench.runs.tables.joint_table import read_joint_plateaus
+
+    numbers_by_text: dict[str, list[str]] = {}
+    for number, unit in (outcome.units or {"": outcome}).items():
+        unit_folder = folder.unit(number)
+        findings = run_findings(
+            [dwell.row for dwell in unit.results.dwells],
+            station,
+            unit.results.noise,
+            read_joint_plateaus(unit_folder.joint) if unit_folder.joint.exists() else [],
+            unit.reason or outcome.reason,
+            recorded_sensors_sentence(unit_folder),
+        )
+        for finding in findings.items():
+            numbers_by_text.setdefault(" ".join(finding), []).append(number)
+    return numbers_by_text
 
 
 def _resume_text(folder: RunFolder, outcome: RunOutcome) -> str:

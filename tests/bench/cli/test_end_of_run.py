@@ -1,6 +1,8 @@
 """The end of a run that was stopped, as the terminal states it."""
 
 import io
+import weakref
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import pytest
@@ -13,11 +15,16 @@ from gyrobench.bench.engine.run_outcome import RunOutcome
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.shipped import find_document
-from gyrobench.bench.report import run_findings
+from gyrobench.bench.report import run_findings, run_report
+from gyrobench.bench.report.run_report import WrittenReport
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
 from gyrobench.bench.station.safe_state import SafeAction, SafePart
 from tests.bench.command_line import gyrobench
+
+
+class _Row(SimpleNamespace):
+    """Row of a dwell that can be referenced weakly."""
 
 
 def lines_of(folder, outcome):
@@ -74,6 +81,24 @@ def test_what_is_doubtful_in_the_results_of_one_of_several_units_is_printed(tmp_
         with Journal(folder.unit(number).journal, VirtualClock()) as journal:
             journal.record("run_started", procedure="ten_minute_check", station="emulated")
     assert "Unit 8: Declared noise. Large." in lines_of(folder, RunOutcome(ended="stopped", units=units))
+
+
+def test_the_report_of_a_run_is_written_without_its_dwells_in_memory(tmp_path, monkeypatch):
+    folder = RunFolder(tmp_path)
+    folder.station.write_text(find_document("stations", "emulated").read_text())
+    dwells = [SimpleNamespace(row=_Row(flags=("short",)), flags=("short",))]
+    row, rows_in_memory = weakref.ref(dwells[0].row), []
+    outcome = RunOutcome(ended="stopped", results=RunResults(dwells=dwells))
+    del dwells
+    monkeypatch.setattr(run_findings, "run_findings", lambda rows, *_: dict.fromkeys(rows[0].flags, ""))
+
+    def write(folder):
+        rows_in_memory.append(row())
+        return WrittenReport(folder.report, Mock())
+
+    monkeypatch.setattr(run_report, "write_report", write)
+    assert "short" in " ".join(lines_of(folder, outcome))
+    assert rows_in_memory == [None]
 
 
 def test_a_wrong_station_file_is_corrected_in_the_run_folder_before_the_run_resumes(tmp_path):
