@@ -19,12 +19,13 @@
     ├── MeasurementError (ValueError)     measured data that can't give a result
     │   └── SignalMapError                they contradict the signal map or the latitude
     ├── RunFolderError (OSError)          a run folder that can't be written or read
+    │   ├── RunFinishedError              there is nothing to resume
     │   ├── MissingRunError               there is no run where one was named
     │   └── UnusablePathError             a path that was named can't be written, or is in use
     └── MissingPackageError (ImportError) an optional package is not installed
 
-A message states what happened, where, and what to do about it. Exceptions that are used only inside the
-engine are in ``bench/engine/interlocks/watch.py`` and ``bench/engine/operator.py``.
+A message states what happened, where, and what to do about it. Subclasses that a single package uses are
+defined there.
 """
 
 
