@@ -21,7 +21,7 @@ from gyrobench.bench.foundations.errors import (
     RunFolderError,
 )
 from gyrobench.bench.foundations.operator_name import operator_name
-from gyrobench.bench.foundations.text import flag_text, hours_minutes, listed, run_ending
+from gyrobench.bench.foundations.text import flag_text, hours_minutes, listed, plural, run_ending
 from gyrobench.bench.procedure.approach import index_after_dwell
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.runs.folder import UNITS_FOLDER, RunFolder, open_run_folder
@@ -197,7 +197,8 @@ class Resumption:
             ]
             next_step = f", before step {state.next_index + 1}" if state.next_index < len(plan.steps) else ""
             until = " Until then the earlier measurements count." if state.replaced else ""
-            lines.append(f"Measured again{next_step}: dwell {listed(numbers)}.{until}")
+            dwells = plural(len(numbers), "dwell", "dwells")
+            lines.append(f"Measured again{next_step}: {dwells} {listed(numbers)}.{until}")
         if state.next_index:
             lines.append(
                 "Before that the INS is switched off and on, and temperature and position are approached "
@@ -252,7 +253,8 @@ def prepare_resumption(path: Path, anyway: bool = False, repeat: Sequence[str] =
         raise RunFolderError(f"{path}: every unit of this run was dropped: nothing to resume.")
     is_measured = state.ended == "finished" and state.is_over(job.plan)
     if is_measured and not resumption.damage and all(_is_evaluated(unit.folder) for unit in resumption.units):
-        nothing = f"no dwell is {' or '.join(repeat)}" if repeat else "nothing to resume"
+        reasons = "flagged or skipped" if "plateaus" in repeat else " or ".join(repeat)
+        nothing = f"no dwell is {reasons}" if repeat else "nothing to resume"
         raise RunFinishedError(f"{path}: this run is finished and has its report: {nothing}.")
     if state.resumes_without_progress >= MAX_RESUMES_WITHOUT_PROGRESS and not anyway:
         raise RunFolderError(

@@ -362,8 +362,9 @@ def test_a_flagged_dwell_of_a_finished_run_is_measured_again(finished, undisturb
     write_report(folder)
     assert verify_seals(finished).is_intact
     assert "measured again in place of earlier ones: 4" in folder.report.read_text()
-    with pytest.raises(RunFinishedError, match="no dwell is flagged"):
-        prepare_resumption(finished, repeat=["flagged"])
+    for repeat, reasons in (("flagged", "flagged"), ("plateaus", "flagged or skipped")):
+        with pytest.raises(RunFinishedError, match=f"no dwell is {reasons}\\.$"):
+            prepare_resumption(finished, repeat=[repeat])
 
 
 def test_repeated_dwells_share_the_approach_of_their_plateau(finished):
@@ -463,7 +464,7 @@ def test_the_plan_of_a_repeat_is_shown_before_it_begins(finished):
     app.command()(resume)
     printed = CliRunner().invoke(app, [str(finished), "--repeat", "2,4", "--look"])
     assert printed.exit_code == 0, printed.output
-    assert "Measured again, before step 26: dwell 2 and 4." in printed.output
+    assert "Measured again, before step 26: dwells 2 and 4." in printed.output
     lines = [line.split() for line in printed.output.splitlines()]
     assert [line[2] for line in lines if line[:1] == ["all"]] == ["2"]
     assert {path: path.read_bytes() for path in before} == before
