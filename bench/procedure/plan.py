@@ -51,8 +51,7 @@ class PlannedStep:
     @property
     def after(self) -> BenchEstimate:
         """Expected state of the bench when the step ends."""
-        after = self.step.after(self.before, self.duration_s)
-        return replace(after, angles_deg=self.step.angles_after(self.before))
+        return self.step.after(self.before, self.duration_s)
 
     @property
     def label(self) -> str:
@@ -118,7 +117,7 @@ def _schedule(steps: Sequence[ResolvedStep], bench: BenchEstimate) -> Iterator[P
         if isinstance(step, GoTo):
             bench = replace(bench, next_turns_deg=_turns_before_go_to(each.step for each in steps[number:]))
         duration_s = step.expected_s(bench)
-        after = replace(step.after(bench, duration_s), angles_deg=step.angles_after(bench))
+        after = step.after(bench, duration_s)
         yield PlannedStep(
             number=number,
             location=resolved.location,

@@ -12,7 +12,6 @@ from typing_extensions import override
 
 from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.text import counted
-from gyrobench.bench.navigation.table_axes import Angles
 from gyrobench.bench.procedure.estimate import BenchEstimate
 from gyrobench.bench.procedure.steps import Duration, DurationOrZero, Step, TableRate, TurnAngle, span
 
@@ -54,15 +53,11 @@ class RotatingStep(Step):
         return turning_s + len(moves) * (_MOTION_S + self.settle_s) + rest_s
 
     @override
-    def angles_after(self, bench: BenchEstimate) -> Angles | None:
+    def commanded(self, bench: BenchEstimate) -> BenchEstimate:
         if bench.angles_deg is None:
-            return None
+            return replace(bench, position=None)
         outer_deg, inner_deg = np.sum([bench.angles_deg, *(move for move, _ in self.moves())], axis=0)
-        return float(outer_deg), float(inner_deg)
-
-    @override
-    def after(self, bench: BenchEstimate, elapsed_s: float) -> BenchEstimate:
-        return replace(bench, position=None).passed(elapsed_s)
+        return replace(bench, position=None, angles_deg=(float(outer_deg), float(inner_deg)))
 
 
 def counted_moves(steps: Sequence[Step]) -> str:

@@ -14,7 +14,6 @@ from gyrobench.bench.bias.dwell import MIN_DURATION
 from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.text import did_you_mean
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.bench.navigation.table_axes import Angles
 from gyrobench.bench.procedure.estimate import BenchEstimate
 
 #: A step of more than a week counts as a mistake.
@@ -69,11 +68,11 @@ class Step(StrictModel):
 
     def after(self, bench: BenchEstimate, elapsed_s: float) -> BenchEstimate:
         """Expected state of the bench ``elapsed_s`` after the step began in the state ``bench``."""
-        return bench.passed(elapsed_s)
+        return self.commanded(bench).passed(elapsed_s)
 
-    def angles_after(self, bench: BenchEstimate) -> Angles | None:
-        """Expected angles of the table after the step; None if they are not known."""
-        return bench.angles_deg
+    def commanded(self, bench: BenchEstimate) -> BenchEstimate:
+        """State ``bench`` with what the step commands; a motion counts as complete at once."""
+        return bench
 
     def time_limit_s(self, expected_s: float) -> float:
         """Time after which the step has failed, s, given its expected duration."""
@@ -113,7 +112,7 @@ class SetChamber(Step):
 
     @override
     def expected_s(self, bench: BenchEstimate) -> float:
-        ramp_s = self._with_command(bench).ramp_left_s()
+        ramp_s = self.commanded(bench).ramp_left_s()
         air_lag_s = bench.thermal.air_lag_s
         lag_c = self.ramp_c_per_min / 60.0 * min(ramp_s, air_lag_s)
         if self.within_c > lag_c:  # near enough while the set point still moves
@@ -121,8 +120,8 @@ class SetChamber(Step):
         return ramp_s + air_lag_s * math.log(lag_c / self.within_c)
 
     @override
-    def after(self, bench: BenchEstimate, elapsed_s: float) -> BenchEstimate:
-        return self._with_command(bench).passed(elapsed_s)
+    def commanded(self, bench: BenchEstimate) -> BenchEstimate:
+        return replace(bench, set_point_c=self.temperature_c, ramp_c_per_s=self.ramp_c_per_min / 60.0)
 
     @override
     def usual_time_limit_s(self, expected_s: float) -> float:
@@ -132,9 +131,6 @@ class SetChamber(Step):
     def describe(self) -> str:
         return f"chamber to {self.temperature_c:g} degC at {self.ramp_c_per_min:g} degC/min"
 
-    def _with_command(self, bench: BenchEstimate) -> BenchEstimate:
-        return replace(bench, set_point_c=self.temperature_c, ramp_c_per_s=self.ramp_c_per_min / 60.0)
-
 
 class ChamberOff(Step):
     """Switch the chamber off; it returns to room temperature by itself."""
@@ -142,10 +138,9 @@ class ChamberOff(Step):
     name = "chamber_off"
 
     @override
-    def after(self, bench: BenchEstimate, elapsed_s: float) -> BenchEstimate:
+    def commanded(self, bench: BenchEstimate) -> BenchEstimate:
         # The slow return of an idle chamber does not matter to a plan.
-        idle = replace(bench, set_point_c=None, ramp_c_per_s=0.0, chamber_c=bench.thermal.room_c)
-        return idle.passed(elapsed_s)
+        return replace(bench, set_point_c=None, ramp_c_per_s=0.0, chamber_c=bench.thermal.room_c)
 
 
 class Soak(Step):
@@ -241,8 +236,8 @@ class Align(Step):
         return min(max(self.duration_s or 0.0, _FINE_ALIGNMENT_S), self.at_most_s)
 
     @override
-    def after(self, bench: BenchEstimate, elapsed_s: float) -> BenchEstimate:
-        return replace(bench, aligned=bench.powered).passed(elapsed_s)
+    def commanded(self, bench: BenchEstimate) -> BenchEstimate:
+        return replace(bench, aligned=bench.powered)
 
     @override
     def usual_time_limit_s(self, expected_s: float) -> float:
@@ -342,17 +337,13 @@ class Turn(Step):
 
     @override
     def expected_s(self, bench: BenchEstimate) -> float:
-        moving_s = bench.motion_s(self.angles_after(bench), self.rate_dps, abs(self.angle_deg))
+        moving_s = bench.motion_s(self.commanded(bench).angles_deg, self.rate_dps, abs(self.angle_deg))
         return moving_s + bench.wait_s(self.settle_s)
 
     @override
-    def angles_after(self, bench: BenchEstimate) -> Angles | None:
-        return bench.angles_turned(self.angle_deg)
-
-    @override
-    def after(self, bench: BenchEstimate, elapsed_s: float) -> BenchEstimate:
+    def commanded(self, bench: BenchEstimate) -> BenchEstimate:
         azimuth_deg = (bench.azimuth_deg + self.angle_deg) % 360.0
-        return replace(bench, azimuth_deg=azimuth_deg).passed(elapsed_s)
+        return replace(bench, azimuth_deg=azimuth_deg, angles_deg=bench.angles_turned(self.angle_deg))
 
     @override
     def describe(self) -> str:
@@ -378,8 +369,8 @@ class PowerOn(Step):
         return self.settle_s
 
     @override
-    def after(self, bench: BenchEstimate, elapsed_s: float) -> BenchEstimate:
-        return replace(bench, powered=True, aligned=False).passed(elapsed_s)
+    def commanded(self, bench: BenchEstimate) -> BenchEstimate:
+        return replace(bench, powered=True, aligned=False)
 
     @override
     def usual_time_limit_s(self, expected_s: float) -> float:
@@ -396,8 +387,8 @@ class PowerOff(Step):
     name = "power_off"
 
     @override
-    def after(self, bench: BenchEstimate, elapsed_s: float) -> BenchEstimate:
-        return replace(bench, powered=False, aligned=False).passed(elapsed_s)
+    def commanded(self, bench: BenchEstimate) -> BenchEstimate:
+        return replace(bench, powered=False, aligned=False)
 
 
 class GoTo(Step):
@@ -412,17 +403,16 @@ class GoTo(Step):
 
     @override
     def expected_s(self, bench: BenchEstimate) -> float:
-        moving_s = bench.motion_s(self.angles_after(bench), self.rate_dps, _USUAL_TRAVEL_DEG)
+        moving_s = bench.motion_s(self.commanded(bench).angles_deg, self.rate_dps, _USUAL_TRAVEL_DEG)
         return moving_s + bench.wait_s(self.settle_s)
 
     @override
-    def angles_after(self, bench: BenchEstimate) -> Angles | None:
-        return bench.angles_at(self.position, self.azimuth_deg)
-
-    @override
-    def after(self, bench: BenchEstimate, elapsed_s: float) -> BenchEstimate:
-        at_position_now = replace(bench, aligned=False, position=self.position, azimuth_deg=self.azimuth_deg)
-        return at_position_now.passed(elapsed_s)
+    def commanded(self, bench: BenchEstimate) -> BenchEstimate:
+        position, azimuth_deg = self.position, self.azimuth_deg
+        angles_deg = bench.angles_at(position, azimuth_deg)
+        return replace(
+            bench, aligned=False, position=position, azimuth_deg=azimuth_deg, angles_deg=angles_deg
+        )
 
     @override
     def usual_time_limit_s(self, expected_s: float) -> float:
