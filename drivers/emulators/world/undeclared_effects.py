@@ -48,20 +48,20 @@ class Conditions(NamedTuple):
     neighbours_k: FloatArray = np.zeros((1, 1))
 
 
-#: Function that returns the bias caused by an effect, deg/h, shape (n, 3); called in the order of time.
-AddedBias = Callable[[Conditions], FloatArray]
+#: Function that returns an error caused by an effect, shape (n, 3); called in the order of time.
+AddedError = Callable[[Conditions], FloatArray]
 
 
 class _Effect(StrictModel):
     """Base class of the effects. A subclass overrides one of the errors, or ``start`` if it has a state."""
 
-    def start(self) -> AddedBias:
-        """Return the function that evaluates the effect, with its initial state."""
-        return self._added_dph
+    def start(self) -> AddedError:
+        """Return the function that evaluates the bias, deg/h, with its initial state."""
+        return self.added_dph
 
     def added_dph(self, now: Conditions) -> FloatArray:
         """Bias caused by an effect without a state under these conditions, deg/h, shape (n, 3)."""
-        return self._added_dph(now)
+        return np.zeros(now.optics_c.shape)
 
     def added_scale_factor_ppm(self, now: Conditions) -> FloatArray:
         """Scale factor errors of the gyros caused by the effect, ppm, shape (n, 3)."""
@@ -69,9 +69,6 @@ class _Effect(StrictModel):
 
     def added_ug(self, now: Conditions) -> FloatArray:
         """Accelerometer biases caused by the effect, ug, shape (n, 3)."""
-        return np.zeros(now.optics_c.shape)
-
-    def _added_dph(self, now: Conditions) -> FloatArray:
         return np.zeros(now.optics_c.shape)
 
 
@@ -83,7 +80,8 @@ class TemperatureRate(_Effect):
         description="bias of each gyro per rate of its optics, deg/h per K/h"
     )
 
-    def _added_dph(self, now: Conditions) -> FloatArray:
+    @override
+    def added_dph(self, now: Conditions) -> FloatArray:
         return np.array(self.sensitivity_dph_per_c_per_h) * now.optics_rate_c_per_h
 
 
@@ -123,7 +121,8 @@ class ThermalGradient(_Effect):
         description="bias of each gyro per kelvin of electronics above optics, deg/h/K"
     )
 
-    def _added_dph(self, now: Conditions) -> FloatArray:
+    @override
+    def added_dph(self, now: Conditions) -> FloatArray:
         return np.array(self.sensitivity_dph_per_c) * (now.electronics_c - now.optics_c)
 
 
@@ -141,7 +140,8 @@ class AttitudeThermal(_Effect):
     onset_c: Positive = Field(50.0, description="below this the effect grows, degC")
     onset_width_c: Positive = Field(2.0, description="width of the onset, K")
 
-    def _added_dph(self, now: Conditions) -> FloatArray:
+    @override
+    def added_dph(self, now: Conditions) -> FloatArray:
         below = (self.onset_c - now.optics_c) / self.onset_width_c
         softened = np.logaddexp(below, 0.0) * (self.onset_width_c / self.onset_c)
         return np.asarray(self.sensitivity_dph_per_w * (now.convected_w * softened))
@@ -161,7 +161,7 @@ class ThermalHysteresis(_Effect):
     )
 
     @override
-    def start(self) -> AddedBias:
+    def start(self) -> AddedError:
         sensitivity = np.array(self.sensitivity_dph_per_c)
         follower_c: FloatArray | None = None  # starts at the first temperature
 
@@ -185,7 +185,8 @@ class WarmUp(_Effect):
     bias_dph: BodyVector = Field(description="bias at power-on of each gyro, deg/h")
     time_constant_s: Positive = Field(description="time in which it falls to 37 %, s")
 
-    def _added_dph(self, now: Conditions) -> FloatArray:
+    @override
+    def added_dph(self, now: Conditions) -> FloatArray:
         return np.array(self.bias_dph) * np.exp(-now.since_power_on_s / self.time_constant_s)
 
 
@@ -195,7 +196,8 @@ class TimeDrift(_Effect):
     kind: Literal["time_drift"] = Field(description="name of the effect")
     drift_dph_per_day: BodyVector = Field(description="drift of each gyro, deg/h per day")
 
-    def _added_dph(self, now: Conditions) -> FloatArray:
+    @override
+    def added_dph(self, now: Conditions) -> FloatArray:
         return np.array(self.drift_dph_per_day) * now.time_s / _DAY_S
 
 
@@ -206,7 +208,8 @@ class BiasJump(_Effect):
     bias_dph: BodyVector = Field(description="jump of each gyro, deg/h")
     at_h: NotNegative = Field(description="time of the jump since the start of the world, h")
 
-    def _added_dph(self, now: Conditions) -> FloatArray:
+    @override
+    def added_dph(self, now: Conditions) -> FloatArray:
         return np.array(self.bias_dph) * (now.time_s >= self.at_h * _HOUR_S)
 
 
@@ -218,7 +221,8 @@ class SupplyRipple(_Effect):
     period_h: Positive = Field(description="period, h")
     phase_deg: float = Field(0.0, description="phase at the start of the world, deg")
 
-    def _added_dph(self, now: Conditions) -> FloatArray:
+    @override
+    def added_dph(self, now: Conditions) -> FloatArray:
         phase = math.tau * now.time_s / (self.period_h * _HOUR_S) + math.radians(self.phase_deg)
         return np.array(self.amplitude_dph) * np.sin(phase)
 
@@ -245,7 +249,8 @@ class GSensitivity(_Effect):
         description="bias per g along the gyro's own axis, three values, or three rows of three, deg/h/g"
     )
 
-    def _added_dph(self, now: Conditions) -> FloatArray:
+    @override
+    def added_dph(self, now: Conditions) -> FloatArray:
         sensitivity = np.array(self.sensitivity_dph_per_g)
         matrix = np.diag(sensitivity) if sensitivity.ndim == 1 else sensitivity
         return np.asarray((matrix @ now.up_body[..., np.newaxis])[..., 0])
@@ -277,7 +282,8 @@ class ChamberState(_Effect):
     kind: Literal["chamber_state"] = Field(description="name of the effect")
     bias_dph: BodyVector = Field(description="bias of each gyro while the compressor runs, deg/h")
 
-    def _added_dph(self, now: Conditions) -> FloatArray:
+    @override
+    def added_dph(self, now: Conditions) -> FloatArray:
         return np.array(self.bias_dph) * now.compressor_duty
 
 
@@ -292,7 +298,8 @@ class NeighbouringUnit(_Effect):
         description="bias of each gyro per kelvin that the neighbours add to the air around it, deg/h/K"
     )
 
-    def _added_dph(self, now: Conditions) -> FloatArray:
+    @override
+    def added_dph(self, now: Conditions) -> FloatArray:
         return np.array(self.sensitivity_dph_per_k) * now.neighbours_k
 
 
@@ -308,7 +315,8 @@ class ModeHop(_Effect):
     first_reset_c: float = Field(description="temperature of the first change of mode, degC")
     reset_every_c: Positive = Field(description="kelvin between changes of mode")
 
-    def _added_dph(self, now: Conditions) -> FloatArray:
+    @override
+    def added_dph(self, now: Conditions) -> FloatArray:
         mode = np.floor((now.optics_c - self.first_reset_c) / self.reset_every_c)
         return np.asarray(np.array(self.bias_dph) * (mode % 2.0 == 0.0))
 
@@ -322,7 +330,8 @@ class LooseClamp(_Effect):
     )
     free_above_c: float = Field(description="temperature of the optics above which the clamp is free, degC")
 
-    def _added_dph(self, now: Conditions) -> FloatArray:
+    @override
+    def added_dph(self, now: Conditions) -> FloatArray:
         free_k = np.maximum(now.optics_c - self.free_above_c, 0.0)
         return np.asarray(np.array(self.sensitivity_dph_per_c) * free_k)
 
@@ -350,7 +359,8 @@ class DitherCrossing(_Effect):
         description="bias of each of the two at the crossing, deg/h"
     )
 
-    def _added_dph(self, now: Conditions) -> FloatArray:
+    @override
+    def added_dph(self, now: Conditions) -> FloatArray:
         pair = ["xyz".index(gyro) for gyro in self.gyros]
         mean_c = now.optics_c[..., pair].mean(axis=-1, keepdims=True)
         detuning = (mean_c - self.crossing_c) / self.half_width_c
@@ -372,29 +382,24 @@ class UndeclaredBias:
     """The sum of all undeclared effects of a world."""
 
     def __init__(self, effects: Sequence[_Effect]) -> None:
-        self._effects = [effect.start() for effect in effects]
-        base_method = _Effect.added_scale_factor_ppm
-        self._scale_factor_effects = [
-            each for each in effects if type(each).added_scale_factor_ppm is not base_method
-        ]
-        self._accelerometer_effects = [
-            each for each in effects if type(each).added_ug is not _Effect.added_ug
-        ]
+        self._biases = [effect.start() for effect in effects]
+        self._scale_factors, self._accelerometers = (
+            [getattr(each, name) for each in effects if name in vars(type(each))]
+            for name in ("added_scale_factor_ppm", "added_ug")
+        )
 
     def added_dph(self, now: Conditions) -> FloatArray:
         """Sum of the biases of all effects, deg/h, shape (n, 3); must be called in the order of time."""
-        total = np.zeros(now.optics_c.shape)
-        for effect in self._effects:
-            total += effect(now)
-        return total
+        return _sum(self._biases, now)
 
     def added_scale_factor_ppm(self, now: Conditions) -> FloatArray:
         """Sum of the scale factor errors of all effects, ppm, shape (n, 3)."""
-        total = np.zeros(now.optics_c.shape)
-        for each in self._scale_factor_effects:
-            total += each.added_scale_factor_ppm(now)
-        return total
+        return _sum(self._scale_factors, now)
 
     def added_ug(self, now: Conditions) -> FloatArray:
         """Sum of the accelerometer biases of all effects, ug, shape (n, 3)."""
-        return sum((each.added_ug(now) for each in self._accelerometer_effects), np.zeros(now.optics_c.shape))
+        return _sum(self._accelerometers, now)
+
+
+def _sum(errors: Sequence[AddedError], now: Conditions) -> FloatArray:
+    return sum((error(now) for error in errors), np.zeros(now.optics_c.shape))

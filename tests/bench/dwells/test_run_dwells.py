@@ -15,7 +15,6 @@ from gyrobench.bench.dwells.run_results import recompute_run
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
-from gyrobench.bench.runs.marks import DwellMarks
 
 pytestmark = pytest.mark.long
 
@@ -90,11 +89,6 @@ def test_parts_that_no_finished_dwell_needs_may_be_cut_off(copied_run):
             path.write_bytes(path.read_bytes()[:300])
     recompute_run(copied_run.path)
     assert copied_run.dwells.read_bytes() == expected
-
-
-def test_marks_survive_the_journal():
-    with pytest.raises(RunFolderError, match="damaged marks"):
-        DwellMarks.from_json({"windows": [{"first_frame": 1}], "disturbances": []})
 
 
 @pytest.fixture(scope="module")
