@@ -5,7 +5,11 @@ from functools import cache
 import pytest
 
 from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.drivers.chamber.thermotron_8800 import Thermotron8800
+from gyrobench.drivers.chamber.watlow_f4t import WatlowF4T
 from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
+from gyrobench.drivers.emulators.thermotron_8800 import Thermotron8800Emulator
+from gyrobench.drivers.emulators.watlow_f4t import WatlowF4TEmulator
 from gyrobench.drivers.serial_line import SerialLine
 
 
@@ -40,13 +44,12 @@ class Heard:
 
 
 class ChamberBench:
-    """An emulated chamber at its port, with the events that it switched and the requests that it got.
-
-    A driver's tests name the emulator and the driver.
-    """
+    """An emulated chamber at its port, with the events that it switched and the requests that it got."""
 
     emulator: type
     driver_of: type
+    opened: tuple[bytes, ...]  #: Replies to what the driver sends when it is opened.
+    profile: str  #: Pattern of the description of a profile in progress.
 
     def __init__(self, rig, **options):
         self.rig, self.air, self.events = rig, rig.air, []
@@ -60,6 +63,16 @@ class ChamberBench:
         self.heard.requests.clear()
         action()
         return self.heard.requests
+
+
+class ThermotronBench(ChamberBench):
+    emulator, driver_of, opened = Thermotron8800Emulator, Thermotron8800, (b"0\r",)
+    profile = "program .MODE. 1."
+
+
+class WatlowBench(ChamberBench):
+    emulator, driver_of, opened = WatlowF4TEmulator, WatlowF4T, (b"F4T\n", b"", b"C\n", b"IDLE\n")
+    profile = "profile .its state is RUNNING."
 
 
 class Rig:

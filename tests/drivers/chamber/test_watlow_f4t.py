@@ -1,36 +1,16 @@
-import contextlib
-import math
-
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
 
-from gyrobench.bench.foundations.errors import (
-    FaultError,
-    InstrumentError,
-    NoReplyError,
-    RefusedError,
-    ReplyError,
-)
-from gyrobench.drivers.chamber import ChamberReading
+from gyrobench.bench.foundations.errors import FaultError, NoReplyError, RefusedError, ReplyError
 from gyrobench.drivers.chamber.watlow_f4t import WatlowF4T
-from gyrobench.drivers.emulators.watlow_f4t import WatlowF4TEmulator
-from tests.drivers.conftest import ChamberBench, Scripted, any_rig
+from tests.drivers.conftest import Scripted, WatlowBench
 
 LOOP = b":SOURCE:CLOOP1:"
-
-
-#: Replies to what the driver sends when it is opened.
-OPENED = (b"F4T\n", b"", b"C\n", b"IDLE\n")
-
-
-class Bench(ChamberBench):
-    emulator, driver_of = WatlowF4TEmulator, WatlowF4T
+OPENED = WatlowBench.opened
 
 
 @pytest.fixture
 def make_bench(rig):
-    return lambda **options: Bench(rig, **options)
+    return lambda **options: WatlowBench(rig, **options)
 
 
 @pytest.fixture(params=[1, 4])
@@ -47,7 +27,7 @@ def test_it_is_identified_and_set_to_degrees_celsius(bench):
 
 
 def test_a_controller_that_was_set_to_fahrenheit_works(rig):
-    bench = Bench(rig)
+    bench = WatlowBench(rig)
     bench.chamber.feed(b":UNIT:TEMPERATURE F\n", 0.0)
     bench.air.air_c = 25.0
     assert bench.chamber.feed(LOOP + b"PVALUE?\n", 0.0) == b"77.0000\n"
@@ -66,14 +46,6 @@ def test_a_temperature_and_its_ramp_are_commanded_and_read_back(bench):
     ]  # fmt: skip
     assert (bench.air.set_point_c, bench.air.ramp_rate_c_per_min) == (25.0, 5.0)
     assert chamber.set_point_c() == 25.0
-
-
-def test_without_a_rate_the_ramp_is_switched_off(bench):
-    chamber = bench.driver()
-    chamber.set_temperature(60.0, 0.5)
-    assert bench.air.ramp_rate_c_per_min == 0.5
-    assert bench.requests_of(lambda: chamber.set_temperature(-12.5, None))[2] == LOOP + b"RACTION OFF\n"
-    assert (bench.air.set_point_c, bench.air.ramp_rate_c_per_min) == (-12.5, None)
 
 
 def test_a_ramp_too_slow_for_the_controller_to_hold_is_refused(make_bench):
@@ -176,45 +148,6 @@ def test_an_unexpected_reply_is_an_error(rig, reply, error, message):
     line, _ = rig.line("chamber", Scripted(*OPENED, reply))
     with pytest.raises(error, match=message):
         WatlowF4T(line).read()
-
-
-@given(replies=st.lists(st.binary(max_size=12) | st.sampled_from([b"NONE\n", b"22.0\n", b"ON\n", b"nan\n"])))
-@example(replies=[b"NONE\n", b"22.0\n", b"22.0\n", b"ON\n"])
-def test_any_reply_gives_a_value_or_an_instrument_error(replies):
-    line, _ = any_rig().line("chamber", Scripted(*OPENED, *replies))
-    chamber = WatlowF4T(line)
-    for action in (chamber.read, lambda: chamber.set_temperature(20.0, 1.0), lambda: chamber.switch(True)):
-        with contextlib.suppress(InstrumentError):
-            result = action()
-            if isinstance(result, ChamberReading):
-                assert math.isfinite(result.temperature_c)
-
-
-def test_after_a_change_of_its_unit_at_the_panel_nothing_is_commanded_and_the_chamber_is_off(make_bench):
-    bench = make_bench()
-    chamber = bench.driver()
-    chamber.set_temperature(60.0, 1.0)
-    chamber.switch(True)
-    bench.chamber.use_fahrenheit(True)
-    with pytest.raises(RefusedError, match="its unit was changed from °C to °F"):
-        chamber.set_temperature(23.0, 1.0)
-    assert bench.air.set_point_c == 60.0
-    assert not bench.air.running
-
-
-@pytest.mark.parametrize("end", [False, True])
-def test_a_profile_is_refused_or_ended(make_bench, end):
-    bench = make_bench()
-    chamber = bench.driver()
-    chamber.end_profiles = end
-    bench.chamber.start_profile(85.0)
-    assert chamber.set_point_c() == 23.0
-    if not end:
-        with pytest.raises(RefusedError, match=r"runs a profile .its state is RUNNING., which overrides"):
-            chamber.set_temperature(40.0, None)
-        return
-    chamber.set_temperature(40.0, None)
-    assert (bench.air.set_point_c, chamber.running_profile()) == (40.0, "")
 
 
 def test_a_controller_without_queries_for_unit_and_profile_is_used_without_them(rig):

@@ -18,26 +18,6 @@ angles = st.floats(-np.pi, np.pi)
 middle_angles = st.floats(-1.5, 1.5)
 
 
-@given(first=angles, middle=middle_angles, last=angles)
-def test_euler_angles_come_back_away_from_the_singularity(first, middle, last):
-    for sequence, roll, pitch in ((RPY, last, middle), (PRY, middle, last)):
-        matrix = attitude_matrices(sequence, roll, pitch, first)
-        found = euler_angles(sequence, matrix)
-        difference = np.angle(np.exp(1j * (np.array(found) - [roll, pitch, first])))
-        assert np.abs(difference).max() < 1e-12
-
-
-@given(
-    quaternion=st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(lambda q: np.linalg.norm(q) > 0.1)
-)
-def test_any_attitude_has_angles_of_a_sequence_that_is_regular_there(quaternion):
-    C_nb = Rotation.from_quat(quaternion).as_matrix()
-    regular = [sequence for sequence, axis in ((PRY, 0), (RPY, 1)) if abs(C_nb[2, axis]) < 0.999]
-    assert regular
-    for sequence in regular:
-        assert attitude_matrices(sequence, *euler_angles(sequence, C_nb)) == pytest.approx(C_nb, abs=1e-9)
-
-
 @given(roll=angles, pitch=angles, yaw=angles)
 def test_sequences_are_intrinsic_rotations_about_the_axes_they_name(roll, pitch, yaw):
     rpy = Rotation.from_euler("ZXY", [yaw, pitch, roll]).as_matrix()
