@@ -101,20 +101,9 @@ def judge(
     """Judge the gyros of one unit by the rules in the module docstring.
 
     A run is accepted only if every planned dwell was compared with all others of its plateau, in each cycle,
-    and plateaus connect all positions; a gyro that exceeds a limit is rejected even if not.
-
-    Parameters
-    ----------
-    rows : iterable of DwellRow
-        Dwells; those with flags count as not measured.
-    limits : AcceptanceLimits or None
-        Of the procedure.
-    planned : iterable of PlannedDwell
-        Those that measure biases, in the order of time.
-    width_c : float
-        Width of the temperature bins of the judgements, K.
-    shared : mapping of int to ndarray
-        Errors that are the same in all dwells, as parts of their uncertainties.
+    and plateaus connect all positions; a gyro that exceeds a limit is rejected even if not. Dwells with flags
+    count as not measured. ``planned``: dwells that measure biases, in the order of time; ``width_c``: width
+    of the temperature bins of the judgements, K; ``shared``: errors that are the same in all dwells.
     """
     if limits is None:
         return Acceptance()

@@ -109,16 +109,10 @@ class RateNoise:
 
 
 def on_grid(time_s: FloatArray, values: FloatArray) -> tuple[float, FloatArray]:
-    """Put samples on an even grid, with NaN for missing samples.
+    """Put samples on an even grid; returns its mean interval, s, and values (m, c), NaN for missing samples.
 
-    ``time_s`` (n,): increasing; jitter that is small relative to the interval does not matter. ``values``
-    (n, c): samples.
-
-    Returns
-    -------
-    interval_s : float
-        Mean interval of the grid.
-    values : ndarray, shape (m, c)
+    ``time_s`` (n,): increasing; jitter that is small relative to the interval does not matter. ``values`` (n,
+    c): samples.
     """
     steps = np.diff(time_s)
     indices = np.concatenate([[0], np.cumsum(np.maximum(np.rint(steps / np.median(steps)), 1))]).astype(int)

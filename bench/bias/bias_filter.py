@@ -111,17 +111,7 @@ def _sigma_of_attitude(parts: Mapping[str, ErrorPart]) -> FloatArray:
 
 
 class BiasFilter:
-    """Recursive estimate of one dwell.
-
-    Parameters
-    ----------
-    site : Site
-        Location of the bench.
-    noise : NoiseModel
-        Noise of the INS.
-    prior : PriorKnowledge
-        Prior knowledge of the INS.
-    """
+    """Recursive estimate of one dwell."""
 
     def __init__(self, site: Site, noise: NoiseModel, prior: PriorKnowledge) -> None:
         self._site, self._noise, self._prior = site, noise, prior
@@ -136,16 +126,9 @@ class BiasFilter:
     def begin_window(self, time_s: float, C_nb: FloatArray, turn: TurnPath | None = None) -> None:
         """Begin a window of navigation at rest.
 
-        Raises MeasurementError if a window after the first has no turn, or begins before the last one ends.
-
-        Parameters
-        ----------
-        time_s : float
-            Its first epoch on the clock of the INS.
-        C_nb : ndarray, shape (3, 3)
-            Attitude that the INS computes then.
-        turn : TurnPath, optional
-            Attitude of the table from the last window to this one.
+        ``time_s``, ``C_nb`` (3, 3): first epoch on the clock of the INS, and the attitude that it computes
+        then; ``turn``: attitude of the table from the last window to this one. Raises MeasurementError if a
+        window after the first has no turn, or begins before the last one ends.
         """
         count = parameters.COMMON_COUNT + parameters.PER_WINDOW * (len(self._windows) + 1)
         state_response = np.zeros((STATES, count))

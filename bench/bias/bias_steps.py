@@ -54,20 +54,10 @@ def find_bias_step(
     parameters: FloatArray,
     covariance: FloatArray,
 ) -> BiasStep | None:
-    """Find the most significant step of a gyro bias in a dwell.
+    """Find the most significant step of a gyro bias in a dwell; None if its windows are too short for it.
 
-    Result: None if the windows are too short for the test.
-
-    Parameters
-    ----------
-    windows : list of WindowFilter
-        All windows of the dwell.
-    changes : list of WindowChange
-        From each window to the next.
-    expansions : list of ndarray, shape (c, p)
-        Each column of a window for a unit of each parameter.
-    parameters, covariance : ndarray, shape (p,), (p, p)
-        The estimate without a step.
+    ``changes``: from each window to the next; ``expansions`` (c, p): each column of a window for a unit of
+    each parameter; ``parameters`` (p,), ``covariance`` (p, p): the estimate without a step.
     """
     size, count = STATES + _GYROS, len(parameters)
     later, later_information = np.zeros((size, count + 1)), np.zeros((size, size))
@@ -138,21 +128,11 @@ def _backward(
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Information of all later epochs of a window on the state and the biases from an epoch on.
 
-    Parameters
-    ----------
-    rows, gains, scales, transitions : ndarray, shape (n, 3, c), (n, 3, 6), (n, 3), (n, 6, 6)
-        See :class:`gyrobench.bench.bias.window_filter.FilteredEpochs`.
-    bias_response : ndarray, shape (n, 6, 3)
-        State after each interval for a unit of each gyro's bias.
-    saved : ndarray, shape (m,)
-        Epochs, descending; -1 stands for the start of the window.
-
-    Returns
-    -------
-    information : ndarray, shape (m, 9, 9)
-        Fisher information on the state and the biases.
-    responses : ndarray, shape (m, 9, c + 9)
-        Information shared with the columns of the window, and the transposed transition to its end.
+    ``rows`` (n, 3, c), ``gains`` (n, 3, 6), ``scales`` (n, 3), ``transitions`` (n, 6, 6): see
+    :class:`gyrobench.bench.bias.window_filter.FilteredEpochs`; ``bias_response`` (n, 6, 3): state after each
+    interval for a unit of each gyro's bias; ``saved`` (m,): epochs, descending; -1 stands for the start of
+    the window. Returns the Fisher information (m, 9, 9), and (m, 9, c + 9) the information shared with the
+    columns of the window, and the transposed transition to its end.
     """
     columns, size = rows.shape[2], STATES + _GYROS
     width = columns + size

@@ -196,16 +196,10 @@ def bin_budgets(
 def coefficient_budget(
     variances: Mapping[str, float], inputs: Mapping[str, float], misfit_dof: float
 ) -> Budget:
-    """Budget of a coefficient from its variances by source.
+    """Budget of a coefficient.
 
-    Parameters
-    ----------
-    variances : mapping of str to float
-        By key of :data:`SOURCES`, in the square of the coefficient's unit.
-    inputs : mapping of str to float
-        Standard uncertainty of the inputs that have one, SI.
-    misfit_dof : float
-        Degrees of freedom of the residuals.
+    ``variances``: by key of :data:`SOURCES`, in the square of the coefficient's unit; ``inputs``: standard
+    uncertainty of the inputs that have one, SI; ``misfit_dof``: degrees of freedom of the residuals.
     """
     contributions = [
         Contribution(

@@ -104,14 +104,9 @@ def prior_parts(
 ) -> dict[str, ErrorPart]:
     """Errors due to prior knowledge.
 
-    Parameters
-    ----------
-    response : ndarray, shape (3, p)
-        Error of the biases for one standard deviation of each independent part of the prior knowledge.
-    parameter_mask : ndarray, shape (p,)
-        1 for each parameter that is estimated, 0 for those that are taken as zero.
-    windows : int
-        Number of windows.
+    ``response`` (3, p): error of the biases for one standard deviation of each independent part of the prior
+    knowledge; ``parameter_mask`` (p,): 1 for each parameter that is estimated, 0 for those that are taken as
+    zero; ``windows``: their number.
     """
     matrix = np.arange(parameters.GYRO_MATRIX.start, parameters.GYRO_MATRIX.stop)
     scale_factors = matrix[:: 3 + 1]
@@ -151,14 +146,8 @@ def noise_parts(
 ) -> dict[str, ErrorPart]:
     """Errors due to the noise of gyros, accelerometers and outputs.
 
-    Parameters
-    ----------
-    windows, changes : sequences of WindowFilter and WindowChange
-        All windows of the dwell, and the change from each to the next.
-    expansions : sequence of ndarray, shape (c, p)
-        Each column of a window for a unit of each parameter.
-    gain : ndarray, shape (p, 3)
-        Covariance of the parameters with the biases.
+    ``changes``: from each window to the next; ``expansions`` (c, p): each column of a window for a unit of
+    each parameter; ``gain`` (p, 3): covariance of the parameters with the biases.
     """
     walks, outputs, costate = np.zeros((2, 3, 3)), np.zeros((3, 3, 3)), np.zeros((STATES, 3))
     for number in reversed(range(len(windows))):
@@ -200,16 +189,11 @@ def _backward(
 ) -> None:  # fmt: skip
     """Propagate the weights of a window's innovations back to the noise; changes the last three in place.
 
-    Parameters
-    ----------
-    weights, gains, scales, transitions : ndarray, shape (n, 3, 3), (n, 3, 6), (n, 3), (n, 6, 6)
-        See :class:`gyrobench.bench.bias.window_filter.FilteredEpochs`.
-    walk_covariance : ndarray, shape (2, n, 6, 6)
-        Covariance that unit angle and velocity random walk add in the interval that ends at each epoch.
-    costate : ndarray, shape (6, 3)
-        Error of the biases for a unit error of the state.
-    walks, outputs : ndarray, shape (2, 3, 3), (3, 3, 3)
-        Covariance of the biases for unit walks and for unit variance of each output.
+    ``weights`` (n, 3, 3), ``gains`` (n, 3, 6), ``scales`` (n, 3), ``transitions`` (n, 6, 6): see
+    :class:`gyrobench.bench.bias.window_filter.FilteredEpochs`; ``walk_covariance`` (2, n, 6, 6): covariance
+    that unit angle and velocity random walk add in the interval that ends at each epoch; ``costate`` (6, 3):
+    error of the biases for a unit error of the state; ``walks`` (2, 3, 3), ``outputs`` (3, 3, 3): covariance
+    of the biases for unit walks and for unit variance of each output.
     """
     by_datum = np.empty(3)
     carried = np.empty((STATES, 3))

@@ -101,21 +101,11 @@ class NoiseModel:
         )
 
     def velocity_variance(self, time: FloatArray, weights: FloatArray, gravity: float) -> FloatArray:
-        """Variance of weighted sums of one horizontal velocity.
+        """Variance of weighted sums of one horizontal velocity, () or (m,).
 
-        Parameters
-        ----------
-        time : ndarray, shape (n,)
-            Epochs, s; there may be a gap during a turn. Noise before the first epoch is not included, so the
-            weights of the first window must not respond to a constant and a slope.
-        weights : ndarray, shape (n,) or (n, m)
-            Weight of each epoch, for m sums.
-        gravity : float
-            Gravity, m/s^2.
-
-        Returns
-        -------
-        ndarray, shape () or (m,)
+        ``time`` (n,): epochs, s; there may be a gap during a turn. Noise before the first epoch is not
+        included, so the weights of the first window must not respond to a constant and a slope. ``weights``
+        (n,) or (n, m): of each epoch, for m sums; ``gravity`` in m/s^2.
         """
         rate = np.sqrt(gravity / MEAN_RADIUS)
         tails = _tails(time, weights, rate)

@@ -52,19 +52,10 @@ class _WindowSlopes:
 
 
 def estimate_paper(dwell: Dwell, gravity: float, noise: NoiseModel) -> BiasEstimate:
-    """Estimate the gyro bias of one dwell by the paper's method.
+    """Estimate the gyro bias of one dwell by the paper's method; ``gravity`` in m/s^2.
 
-    Raises MeasurementError if there are not two windows with a turn of 180 deg about the vertical between
-    them.
-
-    Parameters
-    ----------
-    dwell : Dwell
-        Two windows, before and after a turn of +-180 deg about the vertical.
-    gravity : float
-        Gravity at the bench, m/s^2.
-    noise : NoiseModel
-        Noise of the INS; affects only the covariance, which does not include the leaks of the method.
+    The noise affects only the covariance, which does not include the leaks of the method. Raises
+    MeasurementError if there are not two windows with a turn of 180 deg about the vertical between them.
     """
     _check_half_turn(dwell)
     before, after = (_WindowSlopes(window) for window in dwell.windows)

@@ -47,16 +47,9 @@ _HEADING_SIGMA, _VELOCITY_SIGMA, _FIRST_ATTITUDE_SIGMA = 1.0, 10.0, 0.1
 
 
 def inputs(C_nb: FloatArray, rate_body: FloatArray, count: int) -> FloatArray:
-    """Input of the error model, (5, count), for a unit of each parameter.
+    """Input of the error model, (5, count), for a unit of each of ``count`` parameters.
 
-    Parameters
-    ----------
-    C_nb : ndarray, shape (3, 3)
-        Attitude.
-    rate_body : ndarray, shape (3,)
-        Rotation against inertial space in body axes, rad/s.
-    count : int
-        Number of parameters.
+    ``C_nb`` (3, 3): attitude; ``rate_body`` (3,): rotation against inertial space in body axes, rad/s.
     """
     columns = np.zeros((INPUTS, count))
     columns[:3, GYRO_BIAS] = C_nb

@@ -178,19 +178,11 @@ def estimate_rate(recording: RateRecording) -> RateEstimate:
 
 
 def up_down_pair(up: RateRecording, down: RateRecording, axis: str) -> UpDownEstimate:
-    """Separate bias and Earth rate by two recordings with one body axis up and down.
+    """Separate bias and Earth rate by two recordings with one body axis, "x", "y" or "z", up and down.
 
     If specific forces are recorded, the rates are projected on the vertical determined by them. Otherwise the
-    axis is assumed to be vertical, and a tilt adds a part of the horizontal Earth rate.
-
-    Raises MeasurementError for no such axis, an axis far from the vertical, too short recordings.
-
-    Parameters
-    ----------
-    up, down : RateRecording
-        With the axis up, and down.
-    axis : {"x", "y", "z"}
-        Which.
+    axis is assumed to be vertical, and a tilt adds a part of the horizontal Earth rate. Raises
+    MeasurementError for no such axis, an axis far from the vertical, too short recordings.
     """
     if axis not in AXES:
         raise MeasurementError(f"there is no body axis '{axis}'; the axes are {', '.join(AXES)}")

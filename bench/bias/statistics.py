@@ -35,15 +35,9 @@ _MIN_VARIANCE = 1e-3
 def solve(rows: FloatArray, data: FloatArray, prior_root: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Solve white rows for the parameters (p,) and their covariance (p, p).
 
-    Parameters
-    ----------
-    rows : ndarray, shape (n, p)
-        Response of each datum to the parameters, in standard deviations.
-    data : ndarray, shape (n,)
-        The data, in standard deviations.
-    prior_root : ndarray, shape (p, k)
-        Root ``L`` of the prior covariance ``L @ L.T``. The problem is solved for its k independent
-        components, so parameters may depend on one another or be known exactly.
+    ``rows`` (n, p), ``data`` (n,): response of each datum to the parameters, and the data, both in standard
+    deviations; ``prior_root`` (p, k): root ``L`` of the prior covariance ``L @ L.T``. The problem is solved
+    for its k independent components, so parameters may depend on one another or be known exactly.
     """
     count, root = prior_root.shape[1], _triangular_root(rows, data, prior_root)
     spread = prior_root @ np.linalg.inv(root[:count, :count])
@@ -85,14 +79,9 @@ class Chi2Test:
 def chi2_test(residuals: FloatArray, rows: FloatArray, covariance: FloatArray) -> Chi2Test:
     """Test the residuals of white data.
 
-    Parameters
-    ----------
-    residuals : ndarray, shape (n,)
-        Data minus the prediction of the estimate.
-    rows : ndarray, shape (n, p)
-        Response of the data to the parameters.
-    covariance : ndarray, shape (p, p)
-        Of the estimate, from these data or from the data of which these are sums.
+    ``residuals`` (n,): data minus the prediction of the estimate; ``rows`` (n, p): response of the data to
+    the parameters; ``covariance`` (p, p): of the estimate, from these data or from the data of which these
+    are sums.
     """
     variances, directions = np.linalg.eigh(np.eye(len(residuals)) - rows @ covariance @ rows.T)
     free = variances > _MIN_VARIANCE

@@ -116,18 +116,11 @@ def exceeds_declared(error: float, sigma: float, declared: float) -> bool:
 def up_rate(
     groups: Sequence[VerticalPairs], earth_rate: FloatArray, declared_latitude: float = math.inf
 ) -> UpRate:
-    """Rate Up from the half-differences at one or several temperatures.
+    """Rate Up from the half-differences at one or several temperatures, a group each.
 
     Temperatures count as independent; the common effect of gyro scale factors is far below the noise.
-
-    Parameters
-    ----------
-    groups : sequence of VerticalPairs
-        One for each temperature.
-    earth_rate : ndarray, shape (3,)
-        Rotation of the Earth in ENU, rad/s.
-    declared_latitude : float
-        Standard uncertainty of the latitude, rad.
+    ``earth_rate`` (3,): rotation of the Earth in ENU, rad/s; ``declared_latitude``: standard uncertainty,
+    rad.
     """
     groups = [group for group in groups if group.gyros]
     if not groups:

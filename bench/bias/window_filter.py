@@ -59,18 +59,9 @@ class FilteredEpochs:
 class WindowFilter:
     """Filters one window: the data, and the responses to the inputs that may act in it.
 
-    Parameters
-    ----------
-    site, noise
-        Location of the bench, and the noise of the INS.
-    time_s : float
-        First epoch on the clock of the INS.
-    C_nb : ndarray, shape (3, 3)
-        Attitude that the INS computes then.
-    negated_state : ndarray, shape (6,)
-        Estimate of the state from earlier windows, with opposite sign.
-    covariance : ndarray, shape (6, 6)
-        Covariance of that estimate due to the noise; changed as epochs are added.
+    ``time_s``, ``C_nb`` (3, 3): first epoch on the clock of the INS, and the attitude that it computes then;
+    ``negated_state`` (6,): estimate of the state from earlier windows, with opposite sign; ``covariance``
+    (6, 6): of that estimate due to the noise, changed as epochs are added.
 
     Attributes
     ----------
@@ -203,29 +194,15 @@ def whiten(
     covariances: FloatArray,
     varying_inputs: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Filter the next epochs of one window; ``columns`` and ``covariance`` are changed in place.
+    """Filter the next n epochs of one window; ``columns`` and ``covariance`` are changed in place.
 
-    Parameters
-    ----------
-    columns : ndarray, shape (6, c)
-        The part of the state that the filter does not estimate, for each column.
-    covariance : ndarray, shape (6, 6)
-        Of the filter's estimate, due to the noise.
-    measured : ndarray, shape (n, 3)
-        Velocity error East and North, attitude error about Up.
-    variances : ndarray, shape (3,)
-        Of the noise of each of them.
-    transitions, responses, covariances : ndarray, shape (n, 6, 6), (n, 6, 5), (n, 6, 6)
-        The interval that ends at each epoch; :class:`gyrobench.bench.navigation.error_model.Intervals`.
-    varying_inputs : ndarray, shape (n, 5, 8)
-        Input in the interval that ends at each epoch, for each column from the slopes on.
-
-    Returns
-    -------
-    rows : ndarray, shape (n, 3, c)
-        White rows with unit variance.
-    gains, scales : ndarray, shape (n, 3, 6), (n, 3)
-        Gain of the filter for each datum, and inverse standard deviation of its innovation.
+    ``columns`` (6, c): the part of the state that the filter does not estimate, for each column;
+    ``covariance`` (6, 6): of the filter's estimate, due to the noise; ``measured`` (n, 3): velocity error
+    East and North, attitude error about Up; ``variances`` (3,): of the noise of each of them; ``transitions``
+    (n, 6, 6), ``responses`` (n, 6, 5), ``covariances`` (n, 6, 6): the interval that ends at each epoch, see
+    :class:`gyrobench.bench.navigation.error_model.Intervals`; ``varying_inputs`` (n, 5, 8): input in that
+    interval, for each column from the slopes on. Returns white rows (n, 3, c) with unit variance, and for
+    each datum the gain (n, 3, 6) of the filter and the inverse standard deviation (n, 3) of its innovation.
     """
     rows = np.empty((measured.shape[0], 3, COLUMN_COUNT))
     gains, scales = np.empty((measured.shape[0], 3, 6)), np.empty((measured.shape[0], 3))

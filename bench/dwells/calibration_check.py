@@ -62,17 +62,8 @@ def calibration_check_rows(
 
     Each navigation gives the bias of the gyro along North; two alignments half a turn apart, in one position
     and on one plateau, give that of the gyro along East. A bias that is not observable has a row with the
-    reason.
-
-    Parameters
-    ----------
-    dwells : sequence of CheckDwell
-        In any order.
-    calibration : sequence of DwellRow
-        Of this run or another one; rows of other units are skipped. Without any, nothing is compared and the
-        accelerometer biases are unknown.
-    setup : MeasurementSetup
-        As used for the dwells.
+    reason. ``dwells``: in any order; ``calibration``: of this run or another one; rows of other units are
+    skipped. Without any, nothing is compared and the accelerometer biases are unknown.
     """
     calibrations = {
         unit: EarlierCalibration((row for row in calibration if row.unit == unit), setup.prior)

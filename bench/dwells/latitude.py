@@ -32,18 +32,8 @@ def without_latitude_error(
 
     If rates North and Up together confirm that the latitude is off by more than declared, biases and
     uncertainties of the vertical gyros are those of the joint solution without that rate. If only the rate
-    North indicates it, and no consistent rate Up contradicts it, the dwells are flagged.
-
-    Parameters
-    ----------
-    dwells : sequence of MeasuredDwell
-        Of the run, in order.
-    solutions : sequence of JointSolution
-        Of its plateaus.
-    rate : UpRate or None
-        Rate Up of all plateaus.
-    prior : PriorKnowledge
-        With the declared uncertainty of the latitude.
+    North indicates it, and no consistent rate Up contradicts it, the dwells are flagged. ``solutions`` are
+    those of the run's plateaus, ``rate`` is the rate Up of all of them.
     """
     if rate is not None and rate.finding is Finding.LATITUDE_OFF:
         corrected = {

@@ -64,18 +64,9 @@ def output_faults(
     velocity_step_mps: float,
     heading_step_rad: float,
 ) -> list[OutputFault]:
-    """Find faults of the output in the windows of a dwell.
+    """Find faults of the output in the windows of a dwell, given with all their epochs.
 
-    Parameters
-    ----------
-    windows : sequence of NavigationWindow
-        With all their epochs.
-    noise : NoiseModel
-        Of the INS.
-    gravity : float
-        m/s^2.
-    velocity_step_mps, heading_step_rad : float
-        Resolution of the output.
+    ``gravity`` in m/s^2; ``velocity_step_mps``, ``heading_step_rad``: resolution of the output.
     """
     steps = dict.fromkeys(_VELOCITIES, velocity_step_mps) | dict.fromkeys(_ATTITUDE, heading_step_rad)
     channels = [_channels(window) for window in windows]

@@ -158,14 +158,8 @@ def calibrate_plateaus(
 ) -> list[PlateauCalibration]:
     """Estimate the coefficients of each plateau, in the order of time.
 
-    Parameters
-    ----------
-    solutions : sequence of JointSolution
-        Of the plateaus with dwells.
-    rows : iterable of DwellRow
-        Of the dwells in the solutions.
-    rotations : sequence of PlateauRotations
-        In the order of time.
+    ``solutions``: of the plateaus with dwells; ``rows``: of the dwells in them; ``rotations``: in the order
+    of time.
     """
     by_number = {row.dwell: row for row in rows}
     plateaus_in_time: list[tuple[int, JointSolution | None, PlateauRotations | None]] = []

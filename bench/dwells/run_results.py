@@ -96,20 +96,11 @@ def evaluate(
     limits: AcceptanceLimits | None = None,
     planned: Sequence[PlannedDwell] = (),
 ) -> RunResults:
-    """Evaluate the dwells of one run without those that have flags.
+    """Evaluate the dwells of one run, in the order of time, without those that have flags.
 
-    The noise estimate is an exception: it includes dwells whose flags are all persistent.
-
-    Parameters
-    ----------
-    dwells : sequence of MeasuredDwell
-        In the order of time.
-    bin_width_c : float
-        Width of the temperature bins, K.
-    limits : AcceptanceLimits, optional
-        Limits of acceptance; without them the unit is not judged.
-    planned : sequence of PlannedDwell
-        Dwells that were planned; see :func:`planned_dwells`.
+    The noise estimate is an exception: it includes dwells whose flags are all persistent. ``bin_width_c``:
+    width of the temperature bins, K; ``limits``: without them the unit is not judged; ``planned``: see
+    :func:`planned_dwells`.
     """
     noise = _pooled_noise([dwell for dwell in dwells if not dwell.is_disturbed], setup)
     dwells = flag_rest_of_wrong_setup(_flag_held_heading(dwells, setup))

@@ -126,13 +126,8 @@ def valid_temperatures(
 ) -> tuple[NavigationData, tuple[str, ...]]:
     """Mask the sensors that are faulty between two frames.
 
-    Returns
-    -------
-    NavigationData
-        With NaN at all times for each faulty sensor.
-    tuple of str
-        A flag for each faulty sensor of the gyros' optics: without it a bias belongs to no bin. The other
-        sensors are not needed.
+    Returns the navigation with NaN at all times for each faulty sensor, and a flag for each faulty sensor of
+    the gyros' optics: without it a bias belongs to no bin. The other sensors are not needed.
     """
     series = navigation.temperatures
     time_s = navigation.ins_time_s[navigation.between(first_row, end_row)]
@@ -205,14 +200,9 @@ _MAX_CHAMBER_CHANGE_K = 15.0
 
 
 def stuck_sensors(rows: Sequence[DwellRow]) -> Iterator[tuple[int, str]]:
-    """Find sensors of the gyros' optics that are stuck in the last of some dwells.
+    """Find sensors of the gyros' optics that are stuck in the last of some dwells of one run, in time order.
 
-    ``rows``: of one run so far, in the order of time.
-
-    Yields
-    ------
-    int, str
-        Index of a dwell whose temperature is invalid, and its flag.
+    Yields the index of a dwell whose temperature is invalid, and its flag.
     """
     if not rows:
         return

@@ -83,17 +83,9 @@ class _Unit:
 def recalibration(runs: Mapping[str, Sequence[RunBias]], unit: str, limit_dph: float) -> Recalibration:
     """Due date for the bias of a unit to stay within a limit of either sign.
 
-    Raises MeasurementError if the unit has no run, or all units together have too few to estimate the scatter
-    between runs.
-
-    Parameters
-    ----------
-    runs : mapping of str to sequence of RunBias
-        The same quantity in the runs of each unit, in order of time: the unit and its siblings.
-    unit : str
-        The unit.
-    limit_dph : float
-        Largest bias of either sign in a run, deg/h.
+    ``runs``: the same quantity in the runs of each unit, in order of time: the unit and its siblings;
+    ``limit_dph``: largest bias of either sign in a run. Raises MeasurementError if the unit has no run, or
+    all units together have too few to estimate the scatter between runs.
     """
     units = {name: _Unit.of(each) for name, each in runs.items() if each}
     if unit not in units:
