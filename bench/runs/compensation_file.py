@@ -20,19 +20,10 @@ _GyroValues = Annotated[list[float], Field(min_length=3, max_length=3)]
 _Vectors = Annotated[list[_GyroValues], Field(min_length=3, max_length=3)]
 _Polynomials = Annotated[list[Annotated[list[float], Field(min_length=1)]], Field(min_length=3, max_length=3)]
 _NumberName = Literal[
-    "polynomial_dph",
-    "rate_dph_per_c_per_h",
-    "gradient_dph_per_k",
-    "saturating_dph_per_k",
-    "growing_dph_per_k",
-    "onset_c",
-    "onset_width_c",
-    "gravity_dph_per_g",
-    "warm_up_dph",
-    "warm_up_s",
-    "hysteresis_dph_per_k",
-    "half_width_k",
-]
+    "polynomial_dph", "rate_dph_per_c_per_h", "gradient_dph_per_k", "saturating_dph_per_k",
+    "growing_dph_per_k", "onset_c", "onset_width_c", "gravity_dph_per_g", "warm_up_dph", "warm_up_s",
+    "hysteresis_dph_per_k", "half_width_k",
+]  # fmt: skip
 
 
 class CorrectionEntry(StrictModel):

@@ -95,18 +95,9 @@ class RunFolder:
     def tables(self) -> list[Path]:
         """Existing tables that are computed from the data."""
         computed = (
-            self.dwells,
-            self.bias_bins,
-            self.budget,
-            self.joint,
-            self.joint_biases,
-            self.coefficients,
-            self.correlations,
-            self.noise,
-            self.characteristics,
-            self.calibration_check,
-            self.acceptance,
-        )
+            self.dwells, self.bias_bins, self.budget, self.joint, self.joint_biases, self.coefficients,
+            self.correlations, self.noise, self.characteristics, self.calibration_check, self.acceptance,
+        )  # fmt: skip
         return [path for path in computed if path.exists()]
 
     def unit(self, number: str) -> RunFolder:
@@ -174,18 +165,9 @@ def open_run_folder(path: Path, may_have_units: bool = False) -> RunFolder:
     """
     folder = RunFolder(path)
     for name in (
-        "can",
-        "telemetry",
-        "figures",
-        CLOSURE,
-        f"{CLOSURE}/figures",
-        "verify",
-        "verify/figures",
-        "export",
-        "seals",
-        "certificate",
-        UNITS_FOLDER,
-    ):
+        "can", "telemetry", "figures", CLOSURE, f"{CLOSURE}/figures", "verify", "verify/figures", "export",
+        "seals", "certificate", UNITS_FOLDER,
+    ):  # fmt: skip
         inner = path / name
         if not inner.resolve().is_relative_to(path.resolve()):
             raise RunFolderError(

@@ -23,24 +23,10 @@ from gyrobench.bench.runs.folder import find_parts, part_path
 
 #: Columns, in order; all are 64-bit floats, NaN for unknown values.
 TELEMETRY_COLUMNS = (
-    "time_s",
-    "chamber_set_c",
-    "chamber_c",
-    "outer_deg",
-    "inner_deg",
-    "outer_rate_dps",
-    "inner_rate_dps",
-    "gyro_x_c",
-    "gyro_y_c",
-    "gyro_z_c",
-    "board_x_c",
-    "board_y_c",
-    "board_z_c",
-    "case_c",
-    "ins_mode",
-    "step",
-    "dwell",
-)
+    "time_s", "chamber_set_c", "chamber_c", "outer_deg", "inner_deg", "outer_rate_dps", "inner_rate_dps",
+    "gyro_x_c", "gyro_y_c", "gyro_z_c", "board_x_c", "board_y_c", "board_z_c", "case_c", "ins_mode",
+    "step", "dwell",
+)  # fmt: skip
 _ROWS_PER_PART = 900
 #: Maximum loss after a kill, in real time and on virtual time, where writing takes a large share of the run.
 _MAX_UNWRITTEN_S, _MAX_UNWRITTEN_VIRTUAL_S = 60.0, 600.0

@@ -39,15 +39,9 @@ _MAX_LISTED_MISTAKES = 20
 
 #: Errors that cantools raises for an invalid file; they have no common base class.
 _DBC_ERRORS = (
-    cantools.Error,
-    textparser.Error,
-    ValueError,
-    TypeError,
-    LookupError,
-    AttributeError,
-    ArithmeticError,
+    cantools.Error, textparser.Error, ValueError, TypeError, LookupError, AttributeError, ArithmeticError,
     RecursionError,
-)
+)  # fmt: skip
 
 
 def load_dbc(path: Path, identifier_offset: int = 0) -> Database:

@@ -84,18 +84,10 @@ def test_only_ends_are_over(state):
         lambda data: data["attitude"].update(body_in_enu=[[1.0, 0.0, 0.0]]),
     ],
     ids=[
-        "a key less",
-        "a key more",
-        "a key more within",
-        "text for a number",
-        "no state",
-        "an older format",
-        "no number",
-        "a value less",
-        "a time less",
-        "half a matrix",
+        "a key less", "a key more", "a key more within", "text for a number", "no state", "an older format",
+        "no number", "a value less", "a time less", "half a matrix",
     ],
-)
+)  # fmt: skip
 def test_a_damaged_snapshot_is_refused_with_its_file(damage, tmp_path):
     data = json.loads(made_up_snapshot().to_json())
     damage(data)

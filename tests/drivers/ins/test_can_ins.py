@@ -333,38 +333,8 @@ def test_a_compensation_is_loaded_number_by_number(driver, unit, clock):
 def test_every_term_is_sent_to_its_index(driver, unit):
     driver.load_compensation(EVERY_TERM)
     of_z = [unit.coefficients[2, index] for index in range(28)]
-    assert of_z == pytest.approx(
-        [
-            0.03,
-            0,
-            0,
-            0,
-            0,
-            0,
-            -20,
-            70,
-            0.1,
-            30,
-            0.2,
-            5,
-            25,
-            7,
-            8,
-            9,
-            16,
-            17,
-            18,
-            50,
-            2,
-            25,
-            26,
-            27,
-            0.04,
-            900,
-            0.05,
-            3,
-        ]
-    )
+    polynomial, attitude = [0.03, 0, 0, 0, 0, 0, -20, 70, 0.1, 30, 0.2, 5, 25], [7, 8, 9, 16, 17, 18, 50, 2]
+    assert of_z == pytest.approx([*polynomial, *attitude, 25, 26, 27, 0.04, 900, 0.05, 3])
     assert driver._commands.load_compensation.supported_terms() == list(TERMS)
 
 
