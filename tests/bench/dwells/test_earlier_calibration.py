@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gyrobench.bench.bias.dwell_table import DwellRow, write_dwells
+from gyrobench.bench.bias.dwell_table import write_dwells
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.dwells.earlier_calibration import (
     MAX_EXTRAPOLATION_K,
@@ -35,26 +35,9 @@ def triple(values):
 def row(position="z_up", gyro_c=20.0, bias_dph=0.0, accelerometer_ug=0.0, **fields):
     """A dwell; one value stands for all three axes."""
     vertical = POSITIONS[position].up_axis
-    sigmas = [1000.0 if axis == vertical else SIGMA_UG for axis in range(3)]
-    return DwellRow(
-        **{
-            "unit": "U7",
-            "run": "R1",
-            "dwell": 1,
-            "cycle": 1,
-            "position": position,
-            "start_s": 0.0,
-            "end_s": 1.0,
-            "since_power_on_s": 0.0,
-            "gyro_c": triple(gyro_c),
-            "gyro_rate_c_per_h": (0.0,) * 3,
-            "bias_dph": triple(bias_dph),
-            "sigma_dph": (SIGMA_DPH,) * 3,
-            "accelerometer_ug": triple(accelerometer_ug),
-            "accelerometer_sigma_ug": tuple(sigmas),
-        }
-        | fields
-    )
+    sigmas_ug = tuple(1000.0 if axis == vertical else SIGMA_UG for axis in range(3))
+    given = {"accelerometer_ug": triple(accelerometer_ug), "accelerometer_sigma_ug": sigmas_ug} | fields
+    return calibrated(position, triple(bias_dph), SIGMA_DPH, triple(gyro_c), **given)
 
 
 def known_ug(rows, position="z_up", gyro_c=20.0):

@@ -209,20 +209,18 @@ def test_a_station_in_real_time_has_a_clock_of_its_speed(changed, clock, speed):
     assert made.speed == speed
 
 
-def test_the_dbc_file_of_another_ins_is_reported_once(tmp_path):
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("gyrobench_ins.dbc", "canaerospace.dbc", r"'canaerospace.dbc' has none of the messages in"),
+        ("GYRO_OPTICS_TEMPERATURE", "GYRO_TEMPERATURE", "no message 'GYRO_TEMPERATURE'"),
+    ],
+)
+def test_what_the_dbc_file_lacks_is_reported_once(tmp_path, old, new, message):
     text = find_document("stations", "emulated").read_text()
     path = tmp_path / "mine.yaml"
-    path.write_text(text.replace("gyrobench_ins.dbc", "canaerospace.dbc"))
-    with pytest.raises(DocumentError, match=r"'canaerospace.dbc' has none of the messages in") as wrong:
-        Station(path).check_dbc()
-    assert len(str(wrong.value).splitlines()) == 1
-
-
-def test_a_message_that_the_dbc_file_lacks_is_reported_once(tmp_path):
-    text = find_document("stations", "emulated").read_text()
-    path = tmp_path / "mine.yaml"
-    path.write_text(text.replace("GYRO_OPTICS_TEMPERATURE", "GYRO_TEMPERATURE"))
-    with pytest.raises(DocumentError, match="no message 'GYRO_TEMPERATURE'") as wrong:
+    path.write_text(text.replace(old, new))
+    with pytest.raises(DocumentError, match=message) as wrong:
         Station(path).check_dbc()
     assert len(str(wrong.value).splitlines()) == 1
 

@@ -176,3 +176,18 @@ def recording(codec) -> Callable[..., FrameBlock]:
 @pytest.fixture(scope="session")
 def to_messages() -> Callable[[FrameBlock], list[can.Message]]:
     return FrameBlock.messages
+
+
+@pytest.fixture
+def codec_with(tmp_path, dbc_path):
+    """``codec_with({old: new})``: the codec of the DBC file with texts replaced."""
+
+    def make(changes):
+        text = dbc_path.read_text()
+        for old, new in changes.items():
+            assert old in text
+            text = text.replace(old, new)
+        (tmp_path / "changed.dbc").write_text(text)
+        return DbcCodec(load_dbc(tmp_path / "changed.dbc"))
+
+    return make

@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
 from gyrobench.drivers.ins.resolution import (
     LIMIT_DPH,
     horizontal_gyro_errors_dph,
@@ -19,19 +18,6 @@ def slope_weights(order):
     time_s = (np.arange(SAMPLES) + 0.5) / SAMPLES * WINDOW_S
     fit = np.linalg.pinv(np.vander(time_s - WINDOW_S / 2, order + 1, increasing=True))
     return fit[order] * order
-
-
-@pytest.fixture
-def codec_with(tmp_path, dbc_path):
-    def make(changes):
-        text = dbc_path.read_text()
-        for old, new in changes.items():
-            assert old in text
-            text = text.replace(old, new)
-        (tmp_path / "changed.dbc").write_text(text)
-        return DbcCodec(load_dbc(tmp_path / "changed.dbc"))
-
-    return make
 
 
 def test_errors_are_those_of_least_squares_fits_over_both_windows():

@@ -61,20 +61,6 @@ def test_mistakes_of_a_map_are_named(make_signal_map, old, new, message):
         make_signal_map({old: new})
 
 
-@pytest.fixture
-def codec_with_units(tmp_path, dbc_path):
-    def make(changes):
-        text = dbc_path.read_text()
-        for old, new in changes.items():
-            assert old in text
-            text = text.replace(old, new)
-        path = tmp_path / "changed.dbc"
-        path.write_text(text)
-        return DbcCodec(load_dbc(path))
-
-    return make
-
-
 @pytest.mark.parametrize(
     ("path", "old", "new", "dbc_value", "expected"),
     [
@@ -89,17 +75,13 @@ def codec_with_units(tmp_path, dbc_path):
         ("time_ns", '"ns"', '"ms"', 2e3, 2.0),
     ],
 )
-def test_units_of_the_dbc_are_converted_to_si(
-    codec_with_units, signal_map, path, old, new, dbc_value, expected
-):
-    bound = bind_signals(signal_map, codec_with_units({old: new}))[path]
+def test_units_of_the_dbc_are_converted_to_si(codec_with, signal_map, path, old, new, dbc_value, expected):
+    bound = bind_signals(signal_map, codec_with({old: new}))[path]
     assert dbc_value * bound.gain + bound.offset == pytest.approx(expected)
 
 
-def test_a_unit_that_is_unknown_or_of_another_kind_is_an_error_with_the_allowed_ones(
-    codec_with_units, signal_map
-):
-    codec = codec_with_units({'"degC"': '""', '"m/s"': '"deg"'})
+def test_a_unit_that_is_unknown_or_of_another_kind_is_an_error_with_the_allowed_ones(codec_with, signal_map):
+    codec = codec_with({'"degC"': '""', '"m/s"': '"deg"'})
     with pytest.raises(DocumentError) as error:
         bind_signals(signal_map, codec)
     text = str(error.value)
@@ -108,8 +90,8 @@ def test_a_unit_that_is_unknown_or_of_another_kind_is_an_error_with_the_allowed_
     assert len(text.splitlines()) == 3 + 7
 
 
-def test_a_unit_given_in_the_map_replaces_that_of_the_dbc(codec_with_units, make_signal_map):
-    codec = codec_with_units({'"m/s" BENCH\n SG_ VELOCITY_EAST': '"" BENCH\n SG_ VELOCITY_EAST'})
+def test_a_unit_given_in_the_map_replaces_that_of_the_dbc(codec_with, make_signal_map):
+    codec = codec_with({'"m/s" BENCH\n SG_ VELOCITY_EAST': '"" BENCH\n SG_ VELOCITY_EAST'})
     source = "{signal: VELOCITY_NE.VELOCITY_NORTH, unit: km/h, scale: 2}"
     signal_map = make_signal_map({"velocity_north: VELOCITY_NE.VELOCITY_NORTH": f"velocity_north: {source}"})
     assert bind_signals(signal_map, codec)["velocity_north"].gain == pytest.approx(2 / 3.6)
@@ -167,9 +149,9 @@ def test_a_temperature_at_the_end_of_its_field_is_no_value(codec, signal_map, ra
     ("value_c", "is_valid"), [(84.99, True), (85.0, False), (90.0, False), (-40.0, False)]
 )
 def test_a_temperature_at_the_limit_of_the_dbc_or_beyond_is_no_value(
-    codec_with_units, signal_map, value_c, is_valid
+    codec_with, signal_map, value_c, is_valid
 ):
-    codec = codec_with_units({"X : 0|16@1- (0.01,0) [-327.68|327.67]": "X : 0|16@1- (0.01,0) [-40|85]"})
+    codec = codec_with({"X : 0|16@1- (0.01,0) [-327.68|327.67]": "X : 0|16@1- (0.01,0) [-40|85]"})
     bound = bind_signals(signal_map, codec)["gyro_optics_temperature.x"]
     assert np.isfinite(bound.to_si(np.array([value_c]))).tolist() == [is_valid]
 

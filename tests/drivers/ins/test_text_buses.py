@@ -5,6 +5,7 @@ import socket
 import threading
 import time
 import tty
+from contextlib import ExitStack
 
 import can
 import numpy as np
@@ -179,6 +180,20 @@ def test_lines_that_come_in_pieces_are_whole_frames_in_order(adapter):
     close_bus(bus)
 
 
+@pytest.fixture
+def opened():
+    """``opened(adapter)``: the adapter and its open bus, both closed after the test."""
+    with ExitStack() as resources:
+
+        def open_bus_of(adapter):
+            resources.callback(adapter.close)
+            bus = adapter.open()
+            resources.callback(close_bus, bus)
+            return adapter, bus
+
+        yield open_bus_of
+
+
 @pytest.mark.parametrize(
     ("make", "good", "garbage"),
     [
@@ -189,17 +204,14 @@ def test_lines_that_come_in_pieces_are_whole_frames_in_order(adapter):
         (Socketcand, b"< frame 004 17.5 00 >", b"< error wrong frame >"),
     ],
 )
-def test_garbage_between_frames_is_reported_once_and_loses_none(make, good, garbage):
-    adapter = make()
-    bus = adapter.open()
+def test_garbage_between_frames_is_reported_once_and_loses_none(opened, make, good, garbage):
+    adapter, bus = opened(make())
     adapter.send(good + good + garbage + good)
     assert received(bus, 3).arbitration_id.tolist() == 3 * [4]
     with pytest.raises(ReplyError, match=r"no CAN frame: '[t<]"):
         received(bus, 1)
     adapter.send(good)
     assert len(received(bus, 1)) == 1
-    close_bus(bus)
-    adapter.close()
 
 
 @pytest.mark.parametrize(
@@ -209,27 +221,21 @@ def test_garbage_between_frames_is_reported_once_and_loses_none(make, good, garb
         (Socketcand, b"< frame 004 17.5 00 >", b"< frame 004 x%d 00 >"),
     ],
 )
-def test_frames_behind_many_different_invalid_lines_are_received(make, line, wrong):
-    adapter = make()
-    bus = adapter.open()
+def test_frames_behind_many_different_invalid_lines_are_received(opened, make, line, wrong):
+    adapter, bus = opened(make())
     adapter.send(b"".join(wrong % index for index in range(1000)) + 100 * line)
     assert len(received(bus, 100)) == 100
     assert bus.lost == 0
-    close_bus(bus)
-    adapter.close()
 
 
-def test_frames_in_more_layouts_than_a_bus_has_count_as_lost(monkeypatch):
+def test_frames_in_more_layouts_than_a_bus_has_count_as_lost(opened, monkeypatch):
     monkeypatch.setattr(can_bus, "_MAX_LAYOUTS", 3)
-    adapter = Slcan("socket")
-    bus = adapter.open()
+    adapter, bus = opened(Slcan("socket"))
     adapter.send(b"t00z\rt0040\rt004111\rt00421122\rt0043112233\rt0043112234\rt0040\r")
     assert len(received(bus, 4)) == 4
     with pytest.raises(ReplyError, match=r"no CAN frame: 't00z'.*2 frames are lost"):
         received(bus, 1)
     assert bus.lost == 2
-    close_bus(bus)
-    adapter.close()
 
 
 @pytest.mark.parametrize(
@@ -239,13 +245,10 @@ def test_frames_in_more_layouts_than_a_bus_has_count_as_lost(monkeypatch):
         (Socketcand, b"< frame 004 17.5 00 >\n< frame 004 17.5 00 >\r\n  < frame 004 17.5 00 >"),
     ],
 )
-def test_blanks_between_frames_are_passed_over(make, text):
-    adapter = make()
-    bus = adapter.open()
+def test_blanks_between_frames_are_passed_over(opened, make, text):
+    adapter, bus = opened(make())
     adapter.send(text)
     assert len(received(bus, 3)) == 3
-    close_bus(bus)
-    adapter.close()
 
 
 def test_filters_apply_to_blocks(adapter):

@@ -254,36 +254,19 @@ def test_silence_is_reported_with_the_command(serve, scripted):
         Acutrol3000(line, reply_timeout_s=0.02).identify()
 
 
-def test_a_truncated_prefix_is_no_reply(serve, scripted):
-    with (
-        serve(scripted(reply("A table"), b"\x00\x00\x00")) as line,
-        pytest.raises(NoReplyError, match="3 of 8 bytes"),
-    ):
+@pytest.mark.parametrize(
+    ("answer", "error", "message"),
+    [
+        (b"\x00\x00\x00", NoReplyError, "3 of 8 bytes"),
+        (reply("10.0001")[:-2], NoReplyError, "5 of 7 bytes"),
+        (b"\x00\x00\x00\x00\xff\xff\xff\xff", ReplyError, "ff ff"),
+        (reply("", code=7), RefusedError, "error 7"),
+    ],
+    ids=["truncated prefix", "text shorter than its length", "absurd length", "error code without text"],
+)
+def test_a_damaged_reply_is_an_error(serve, scripted, answer, error, message):
+    with serve(scripted(reply("A table"), answer)) as line, pytest.raises(error, match=message):
         met(line, reply_timeout_s=1.0).identify()
-
-
-def test_a_text_shorter_than_its_length_is_no_reply(serve, scripted):
-    with (
-        serve(scripted(reply("A table"), reply("10.0001")[:-2])) as line,
-        pytest.raises(NoReplyError, match="5 of 7 bytes"),
-    ):
-        met(line, reply_timeout_s=1.0).identify()
-
-
-def test_an_absurd_length_is_a_wrong_reply(serve, scripted):
-    with (
-        serve(scripted(reply("A table"), b"\x00\x00\x00\x00\xff\xff\xff\xff")) as line,
-        pytest.raises(ReplyError, match="ff ff"),
-    ):
-        met(line).identify()
-
-
-def test_an_error_code_without_text_is_a_refusal(serve, scripted):
-    with (
-        serve(scripted(reply("A table"), reply("", code=7))) as line,
-        pytest.raises(RefusedError, match="error 7"),
-    ):
-        met(line).stop()
 
 
 @pytest.mark.parametrize("text", ["", "OK", "1.0;2.0;3.0", "1.0;2.0;3.0;4.0;5.0", "1;2;3;nan", "1;2;3;x"])
