@@ -215,14 +215,6 @@ def test_the_setup_has_place_noise_resolution_and_what_is_known_of_the_station()
     assert all(limit.sufficient for limit in setup.resolution)
 
 
-def test_noise_that_is_left_to_the_dwells_is_none(tmp_path):
-    text = SHIPPED.read_text()
-    begin, end = text.index("  noise:\n"), text.index("unit:\n")
-    path = tmp_path / "station.yaml"
-    path.write_text(f"{text[:begin]}  noise: estimated\n\n{text[end:]}")
-    assert measurement_setup(Station(path)).noise is None
-
-
 def test_a_signal_that_the_dbc_lacks_is_an_error(tmp_path):
     path = tmp_path / "station.yaml"
     path.write_text(SHIPPED.read_text().replace("VELOCITY_NE.VELOCITY_EAST", "VELOCITY_NE.VELOCITY_WEST"))

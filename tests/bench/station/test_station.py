@@ -106,12 +106,6 @@ def test_what_must_not_be_in_a_station_file_is_refused_with_its_place(changed, f
         Station(path)
 
 
-def test_an_absent_dbc_file_is_named(changed):
-    path = changed(("dbc: gyrobench_ins.dbc", "dbc: absent.dbc"))
-    with pytest.raises(DocumentError, match=r"absent\.dbc"):
-        Station(path).dbc_path  # noqa: B018
-
-
 def test_outer_and_inner_follow_the_controllers_axis_numbers(changed):
     path = changed(
         ("outer_axis_number: 1", "outer_axis_number: 2"), ("inner_axis_number: 2", "inner_axis_number: 1")

@@ -113,10 +113,6 @@ def test_noise_that_is_missing_is_reported_with_what_to_write(changed):
         Station(changed((NOISE, "")))
 
 
-def test_noise_may_be_left_to_the_data(changed):
-    assert Station(changed((NOISE, "  noise: estimated\n"))).file.ins.noise == "estimated"
-
-
 @pytest.mark.parametrize(
     ("key", "message"),
     [

@@ -2,10 +2,8 @@
 
 import asyncio
 import threading
-from collections.abc import Iterator
 
 import pytest
-from pymodbus.client import ModbusSerialClient
 from pymodbus.simulator import DataType, SimData, SimDevice
 
 from gyrobench.bench.foundations.clock import WallClock
@@ -68,37 +66,6 @@ class Server(threading.Thread):
     def register(self, address: int) -> int:
         future = asyncio.run_coroutine_threadsafe(self._server.async_getValues(1, 3, address), self._loop)
         return future.result(120)[0]
-
-
-@pytest.fixture
-def client(bench) -> Iterator[ModbusSerialClient]:
-    client = ModbusSerialClient(bench.url, baudrate=19200, timeout=120, retries=0)
-    assert client.connect()
-    yield client
-    client.close()
-
-
-def test_pymodbus_client_reads_the_emulated_chamber(bench, client):
-    bench.air.air_c = -12.3
-    reply = client.read_holding_registers(100, count=2)
-    assert not reply.isError()
-    assert reply.registers == [0x10000 - 123, 0]
-    assert client.read_holding_registers(0).registers == [5270]
-
-
-def test_pymodbus_client_writes_the_emulated_chamber(bench, client):
-    assert not client.write_register(300, 850).isError()
-    assert bench.air.set_point_c == 85.0
-    assert not client.write_registers(1100, [2, 15, 1]).isError()
-    assert bench.air.ramp_rate_c_per_min == pytest.approx(1.5 / 60.0)
-    assert not client.write_register(2010, 1).isError()
-    assert bench.events == [(2, True)]
-
-
-def test_pymodbus_client_understands_the_exceptions(bench, client):
-    assert client.read_holding_registers(3000).exception_code == 2
-    assert client.write_register(300, 9999).exception_code == 3
-    assert client.read_coils(100).exception_code == 1
 
 
 def test_the_driver_talks_to_pymodbus_server(crossed_ports):
