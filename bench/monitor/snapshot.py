@@ -286,63 +286,42 @@ class RunState(StrEnum):
 
 @dataclass(frozen=True)
 class RunSnapshot(StrictRecord):
-    """Snapshot of a run at one time.
+    """Snapshot of a run at one time."""
 
-    Attributes
-    ----------
-    name, folder : str
-        Name and path of the run folder.
-    procedure, station, unit : str
-        Procedure, station and serial number of the INS, empty before the INS has reported it.
-    started_utc, updated_utc : str
-        ISO 8601: start of the run's clock, and the host's calendar at this snapshot. On virtual time a
-        run starts in the year 2000.
-    state, reason, question
-        State; why the run holds, waits, stopped or failed; the open question, if any.
-    now_s, left_s, planned_s : float
-        Time on the run's clock, planned time remaining, and planned duration of the run.
-    planned, measured
-        Planned and measured temperatures.
-    bench, attitude, step, dwell
-        Present values; None if unknown or none is in progress.
-    dwells, bins, alarms, messages
-        Completed dwells that measure a bias, their bins, active alarms, and the last messages,
-        the newest last.
-    finished_dwells : int
-        Number of completed dwells, with those for rotations and noise.
-    skipped : tuple of int
-        Numbers of the dwells that the operator skipped.
-    units
-        Each unit of a run with several; ``unit``, ``dwells`` and ``bins`` are then of the first that is
-        measured.
-    """
-
+    #: name, folder: Name and path of the run folder.
     name: str
     folder: str
+    #: procedure, station, unit: Serial number of the INS, empty before the INS has reported it.
     procedure: str
     station: str
     unit: str
+    #: started_utc, updated_utc: ISO 8601: start of the run's clock, in the year 2000 on virtual time,
+    #: and the host's calendar at this snapshot.
     started_utc: str
     updated_utc: str
     state: Annotated[RunState, BeforeValidator(lambda value: RunState(_STATES_IN_FILE.get(value, value)))]
+    #: now_s, left_s, planned_s: Time on the run's clock, planned time remaining, planned duration of the run.
     now_s: float
     left_s: float
     planned_s: float
     dwell_count: int
-    finished_dwells: int = 0
-    skipped: tuple[int, ...] = ()
-    reason: str = ""
+    finished_dwells: int = 0  #: Number of completed dwells, with those for rotations and noise.
+    skipped: tuple[int, ...] = ()  #: Numbers of the dwells that the operator skipped.
+    reason: str = ""  #: Why the run holds, waits, stopped or failed.
     question: Question | None = None
     planned: PlannedProfile = field(default_factory=PlannedProfile)
     measured: MeasuredProfile = field(default_factory=MeasuredProfile)
+    #: bench, attitude, step, dwell: Present values; None if unknown or none is in progress.
     bench: BenchReadings | None = None
     attitude: Attitude | None = None
     step: CurrentStep | None = None
     dwell: CurrentDwell | None = None
-    dwells: tuple[SnapshotDwell, ...] = ()
-    bins: tuple[LiveBin, ...] = ()
-    alarms: tuple[Alarm, ...] = ()
-    messages: tuple[Note, ...] = ()
+    dwells: tuple[SnapshotDwell, ...] = ()  #: Completed dwells that measure a bias.
+    bins: tuple[LiveBin, ...] = ()  #: Of these dwells.
+    alarms: tuple[Alarm, ...] = ()  #: Active ones.
+    messages: tuple[Note, ...] = ()  #: The last messages, the newest last.
+    #: Each unit of a run with several; ``unit``, ``dwells`` and ``bins`` are then of the first that is
+    #: measured.
     units: tuple[UnitStatus, ...] = ()
     format: Literal[1] = FORMAT  # type: ignore[assignment]
 

@@ -31,37 +31,22 @@ _DAMPING_STEP_S = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Sensors:
-    """Three gyros and three accelerometers, in body axes and SI.
-
-    Attributes
-    ----------
-    gyro_bias, accelerometer_bias : ndarray, shape (3,)
-        rad/s and m/s^2.
-    gyro_matrix, accelerometer_matrix : ndarray, shape (3, 3)
-        Scale factor errors on the diagonal, misalignments beside it: the paper's (1) and (2).
-    angle_random_walk, velocity_random_walk : float
-        rad/sqrt(s) and m/s/sqrt(s).
-    gyro_bias_change : callable or None
-        Time since the first navigation began (n,) to what is added to the gyro bias then (n, 3).
-    accelerometer_bias_change : callable or None
-        The same of the accelerometers.
-    gyro_pulse, accelerometer_pulse : float
-        Size of one output pulse without dither, rad and m/s; 0 for none.
-    velocity_damping_s : float
-        Time constant with which the INS damps its velocity; infinite where it is free inertial.
-    """
+    """Three gyros and three accelerometers, in body axes and SI."""
 
     gyro_bias: FloatArray = field(default_factory=lambda: np.zeros(3))
     accelerometer_bias: FloatArray = field(default_factory=lambda: np.zeros(3))
+    #: Scale factor errors on the diagonal, misalignments beside it: the paper's (1) and (2).
     gyro_matrix: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     accelerometer_matrix: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     angle_random_walk: float = 0.0
     velocity_random_walk: float = 0.0
+    #: Time since the first navigation began (n,) to what is added to the bias then (n, 3).
     gyro_bias_change: Callable[[FloatArray], FloatArray] | None = None
     accelerometer_bias_change: Callable[[FloatArray], FloatArray] | None = None
+    #: Size of one output pulse without dither; 0 for none.
     gyro_pulse: float = 0.0
     accelerometer_pulse: float = 0.0
-    velocity_damping_s: float = math.inf
+    velocity_damping_s: float = math.inf  #: Time constant of the velocity; infinite: free inertial.
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,39 +64,19 @@ class Table:
 
 @dataclass(frozen=True, eq=False)
 class Rest:
-    """What the INS puts out in one navigation at rest.
+    """What the INS puts out in one navigation at rest."""
 
-    Attributes
-    ----------
-    time_s : ndarray, shape (n,)
-        Since the end of the alignment.
-    velocity_en_mps : ndarray, shape (n, 2)
-        East and North.
-    C_nb : ndarray, shape (n, 3, 3)
-        Attitude that it computes.
-    """
-
-    time_s: FloatArray
-    velocity_en_mps: FloatArray
-    C_nb: FloatArray
+    time_s: FloatArray  #: Shape (n,), since the end of the alignment.
+    velocity_en_mps: FloatArray  #: Shape (n, 2), East and North.
+    C_nb: FloatArray  #: Shape (n, 3, 3), the attitude that it computes.
 
 
 @dataclass(frozen=True, eq=False)
 class DwellScenario:
-    """Where the INS rests and for how long.
-
-    Attributes
-    ----------
-    angles_rad : sequence of tuple
-        Outer and inner angle of each navigation at rest.
-    window_s, turn_s, settle_s, align_s, epoch_s : float
-        Durations of a navigation, a turn, the rest after it, and the alignment; time between epochs.
-    latitude, height, latitude_error : float
-        True place in rad and m; error of the latitude entered into the INS, rad.
-    """
+    """Where the INS rests and for how long; angles in rad, lengths in m."""
 
     table: Table
-    angles_rad: Sequence[tuple[float, float]]
+    angles_rad: Sequence[tuple[float, float]]  #: Outer and inner angle of each navigation at rest.
     latitude: float
     height: float = 0.0
     window_s: float = 600.0
@@ -119,19 +84,13 @@ class DwellScenario:
     settle_s: float = 0.0
     align_s: float = 300.0
     epoch_s: float = 1.0
-    latitude_error: float = 0.0
+    latitude_error: float = 0.0  #: Of the latitude entered into the INS.
 
 
 def simulate_dwell(
     scenario: DwellScenario, sensors: Sensors, random: np.random.Generator | None = None
 ) -> list[Rest]:
-    """Simulate one dwell; without ``random`` the sensors have no noise.
-
-    Returns
-    -------
-    list of Rest
-        One for each pair of angles.
-    """
+    """Simulate one dwell, a rest for each pair of angles; without ``random`` the sensors have no noise."""
     ins = _Ins(scenario, sensors, random)
     angles = scenario.angles_rad
     ins.align(angles[0])

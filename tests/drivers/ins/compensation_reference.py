@@ -12,25 +12,13 @@ from gyrobench.drivers.ins.compensation import Compensation
 
 @dataclass(frozen=True, eq=False)
 class Conditions:
-    """What a unit goes through from power-on, in the order of time.
+    """What a unit goes through from power-on, in the order of time."""
 
-    Attributes
-    ----------
-    optics_c, board_c : ndarray, shape (n, 3)
-        Temperatures of each gyro's optics and electronics.
-    rate_c_per_h : ndarray, shape (n, 3)
-        Rate of the optics' temperatures.
-    up_body : ndarray, shape (n, 3)
-        Unit vector Up in body axes.
-    since_power_on_s : ndarray, shape (n,)
-        Time since the unit was switched on.
-    """
-
-    optics_c: FloatArray
-    board_c: FloatArray
-    rate_c_per_h: FloatArray
-    up_body: FloatArray
-    since_power_on_s: FloatArray
+    optics_c: FloatArray  #: Shape (n, 3), as the next two. Temperature of each gyro's optics.
+    board_c: FloatArray  #: Temperature of each gyro's electronics.
+    rate_c_per_h: FloatArray  #: Rate of the optics' temperatures.
+    up_body: FloatArray  #: Shape (n, 3). Unit vector Up in body axes.
+    since_power_on_s: FloatArray  #: Shape (n,).
 
 
 def compensated_dph(compensation: Compensation, conditions: Conditions) -> FloatArray:
@@ -61,19 +49,10 @@ def compensated_dph(compensation: Compensation, conditions: Conditions) -> Float
 
 
 def play(values: FloatArray, half_width: FloatArray) -> FloatArray:
-    """Follow a course with slack: what a pointer does that has play on either side.
+    """Follow a course with slack on either side: what a pointer does that has play.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n, 3)
-        In the order of time; the pointer begins at the first one.
-    half_width : ndarray, shape (3,)
-        Slack on either side.
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        The pointer, never farther than the half width from the value.
+    ``values`` (n, 3): in the order of time; the pointer begins at the first one; ``half_width`` (3,). Returns
+    the pointer (n, 3), never farther than the half width from the value.
     """
     pointer = np.array(values, dtype=np.float64)
     for before, now in itertools.pairwise(pointer):
