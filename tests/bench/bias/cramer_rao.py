@@ -37,20 +37,13 @@ class _Segment:
 
 @dataclass
 class CramerRao:
-    """One dwell at rest, turn, rest with Z up: responses of the INS's output to all that can change it.
-
-    Attributes
-    ----------
-    epoch_s : float
-        Time between epochs.
-    by_gyro_noise, by_accelerometer_noise : ndarray, shape (m, m)
-        Covariance of the m outputs for unit random walks of each gyro and accelerometer.
-    """
+    """One dwell at rest, turn, rest with Z up: responses of the INS's output to all that can change it."""
 
     latitude_deg: float = 36.4
     window_s: float = 600.0
     turn_s: float = 25.0
     epoch_s: float = 1.0
+    #: Shape (m, m). Covariance of the m outputs for unit random walks of each gyro and accelerometer.
     by_gyro_noise: FloatArray = field(init=False)
     by_accelerometer_noise: FloatArray = field(init=False)
 
@@ -71,12 +64,8 @@ class CramerRao:
     ) -> FloatArray:
         """Bound (6,) of the standard uncertainty of the biases of gyros, rad/s, and accelerometers, m/s^2.
 
-        Parameters
-        ----------
-        velocity_jump : bool
-            The velocity may change in the turn by an unknown amount; else it goes on.
-        accelerometer_bias : float
-            Prior standard uncertainty of the accelerometer biases, m/s^2: the vertical one acts on nothing.
+        With ``velocity_jump`` the velocity may change in the turn by an unknown amount; else it goes on.
+        ``accelerometer_bias``: prior standard uncertainty, m/s^2: the vertical one acts on nothing.
         """
         columns = self._responses if velocity_jump else self._responses[:, :-2]
         covariance = noise.angle_random_walk**2 * self.by_gyro_noise

@@ -70,23 +70,13 @@ def emulate(
     latitude_error_arcmin: float = 0.0,
     **scenario: Any,
 ) -> Dwell:
-    """One dwell of the simulated INS.
+    """One dwell of the simulated INS, with a window at each azimuth of ``stops_deg``.
 
-    Parameters
-    ----------
-    noise : NoiseModel, optional
-        Its white parts are added to the output; the random walks are those of ``ins``.
-    stops_deg : tuple of float
-        Azimuth of each window.
-    outer_level : bool
-        A table as the emulated station's, on which a turn of level Z moves both axes; otherwise
-        the outer axis is vertical.
-    gyro_c : callable, optional
-        Time (n,) to the temperature of each gyro (n, 3); the accelerometers have the mean.
-    lsb : tuple of float
-        Resolution of the velocity output, m/s, and of the Euler angles, deg.
-    **scenario
-        Other fields of :class:`DwellScenario`.
+    The white parts of ``noise`` are added to the output; the random walks are those of ``ins``. With
+    ``outer_level`` the table is as the emulated station's, on which a turn of level Z moves both axes;
+    otherwise the outer axis is vertical. ``gyro_c``: time (n,) to the temperature of each gyro (n, 3); the
+    accelerometers have the mean. ``lsb``: resolution of the velocity output, m/s, and of the Euler angles,
+    deg. ``scenario``: other fields of :class:`DwellScenario`.
     """
     table, stops = _table(position, stops_deg, outer_level)
     latitude = np.radians(latitude_deg)

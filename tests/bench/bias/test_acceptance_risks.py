@@ -61,18 +61,11 @@ def verdicts(
 ):
     """Count the verdicts on runs of a unit.
 
-    Parameters
-    ----------
-    true_dph : callable
-        Biases of the three gyros from cycle, index of the plateau, index of the position, and temperature.
-    drift, power_on : callable
-        Temperature within the plateau, and number of the power-on.
-    turn_on_dph : float
-        Standard deviation of the constants of the power-ons.
-    shared_dph : float
-        Part of the standard uncertainty by an error of each position that is the same in all its dwells.
-    sigma_dph, scatter_dph : ndarray, shape (6, 3)
-        Standard uncertainties by position and gyro, and the scatter; by default as large.
+    ``true_dph``: biases of the three gyros from cycle, index of the plateau, index of the position, and
+    temperature; ``drift``, ``power_on``: temperature within the plateau, and number of the power-on;
+    ``turn_on_dph``: standard deviation of the constants of the power-ons; ``shared_dph``: part of the
+    standard uncertainty by an error of each position that is the same in all its dwells; ``sigma_dph``,
+    ``scatter_dph`` (6, 3): standard uncertainties by position and gyro, and the scatter; by default as large.
     """
     random = np.random.default_rng(1)
     places = [(c, s, p) for c in range(cycles) for s in range(len(plateaus_c)) for p in range(len(POSITIONS))]

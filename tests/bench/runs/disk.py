@@ -5,16 +5,11 @@ from pathlib import Path
 
 
 class Disk:
-    """Watches ``os.fsync`` for everything below a folder; that folder itself is on the disk.
-
-    Attributes
-    ----------
-    states : dict
-        Every state in which a power cut or a kill would have left the folder, once: file name to content.
-    """
+    """Watches ``os.fsync`` for everything below a folder; that folder itself is on the disk."""
 
     def __init__(self, root):
         self.root = Path(root)
+        #: Every state in which a power cut or a kill would have left the folder: file name to content.
         self.states = {}
         self._contents = {}
         self._names = {}

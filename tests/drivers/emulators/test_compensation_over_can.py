@@ -15,37 +15,15 @@ from gyrobench.bench.station.station import Station
 from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
 from gyrobench.drivers.ins.compensation import Compensation, Correction
 from gyrobench.drivers.ins.readout import InsMode
-from tests.drivers.ins.compensation_reference import Conditions, compensated_dph
+from tests.drivers.ins.compensation_reference import TERM_NUMBERS, Conditions, compensated_dph
 
 _STEP_S = 10.0
 ARCSEC = np.radians(1.0) / 3600.0
-_DIFFERENCE = {"difference_low_k": np.full(3, 2.0), "difference_high_k": np.full(3, 60.0)}
-_ONSET = {"onset_c": np.array([30.0, 25.0, 20.0]), "onset_width_c": np.array([4.0, 5.0, 6.0]), **_DIFFERENCE}
-_VECTORS = np.array([[0.1, -0.2, 0.3], [-0.4, 0.5, -0.6], [0.7, -0.8, 0.9]])
-
-TERMS = {
-    "polynomial": {
-        "polynomial_dph": np.array([[0.5, -0.02, 3e-4, 1e-6], [-0.5, 0, 0, 1e-6], [0, 0.01, 0, 0]])
-    },
-    "temperature_rate": {
-        "rate_dph_per_c_per_h": np.array([0.02, -0.01, 0.03]),
-        "rate_limit_c_per_h": np.full(3, 90.0),
-    },
-    "thermal_gradient": {"gradient_dph_per_k": np.array([0.02, -0.01, 0.03]), **_DIFFERENCE},
-    "attitude_thermal": {"saturating_dph_per_k": 0.1 * _VECTORS, **_ONSET},
-    "attitude_thermal_growing": {"growing_dph_per_k": 0.01 * _VECTORS, **_ONSET},
-    "g_sensitivity": {"gravity_dph_per_g": _VECTORS},
-    "warm_up": {"warm_up_dph": np.array([0.5, -0.4, 0.3]), "warm_up_s": np.array([1800.0, 3600.0, 900.0])},
-    "thermal_hysteresis": {
-        "hysteresis_dph_per_k": np.array([0.1, -0.2, 0.3]),
-        "half_width_k": np.array([3.0, 4.0, 100.0]),
-    },
-}
 
 
 def compensation(name, **changes):
     numbers = {"polynomial_dph": np.zeros((3, 1)), "low_c": np.full(3, -30.0), "high_c": np.full(3, 75.0)}
-    return Compensation(**{**numbers, **TERMS[name], **changes})
+    return Compensation(**{**numbers, **TERM_NUMBERS[name], **changes})
 
 
 class EmulatedIns:
@@ -122,7 +100,7 @@ def emulated():
         yield bench
 
 
-@pytest.mark.parametrize("name", TERMS)
+@pytest.mark.parametrize("name", TERM_NUMBERS)
 def test_the_gyros_measure_less_by_what_each_term_says(emulated, name):
     emulated.run(20.0)
     before_dph = emulated.rate_dph()
@@ -177,7 +155,7 @@ def test_outside_the_fitted_temperatures_nothing_is_extrapolated(emulated):
     before_dph = emulated.rate_dph()
     emulated.ins.load_compensation(compensation("polynomial", low_c=np.full(3, coldest_c)))
     emulated.ins.apply_compensation()
-    held_dph = np.polynomial.polynomial.polyval(coldest_c, TERMS["polynomial"]["polynomial_dph"].T)
+    held_dph = np.polynomial.polynomial.polyval(coldest_c, TERM_NUMBERS["polynomial"]["polynomial_dph"].T)
     np.testing.assert_allclose(before_dph - emulated.rate_dph(), held_dph, rtol=1e-5)
 
 

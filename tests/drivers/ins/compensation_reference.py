@@ -9,6 +9,30 @@ from scipy.special import expit
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.drivers.ins.compensation import Compensation
 
+_DIFFERENCE = {"difference_low_k": np.full(3, 2.0), "difference_high_k": np.full(3, 60.0)}
+_ONSET = {"onset_c": np.array([30.0, 25.0, 20.0]), "onset_width_c": np.array([4.0, 5.0, 6.0]), **_DIFFERENCE}
+_VECTORS = np.array([[0.1, -0.2, 0.3], [-0.4, 0.5, -0.6], [0.7, -0.8, 0.9]])
+
+#: Numbers of each term, all different from zero.
+TERM_NUMBERS = {
+    "polynomial": {
+        "polynomial_dph": np.array([[0.5, -0.02, 3e-4, 1e-6], [-0.5, 0, 0, 1e-6], [0, 0.01, 0, 0]])
+    },
+    "temperature_rate": {
+        "rate_dph_per_c_per_h": np.array([0.02, -0.01, 0.03]),
+        "rate_limit_c_per_h": np.full(3, 90.0),
+    },
+    "thermal_gradient": {"gradient_dph_per_k": np.array([0.02, -0.01, 0.03]), **_DIFFERENCE},
+    "attitude_thermal": {"saturating_dph_per_k": 0.1 * _VECTORS, **_ONSET},
+    "attitude_thermal_growing": {"growing_dph_per_k": 0.01 * _VECTORS, **_ONSET},
+    "g_sensitivity": {"gravity_dph_per_g": _VECTORS},
+    "warm_up": {"warm_up_dph": np.array([0.5, -0.4, 0.3]), "warm_up_s": np.array([1800.0, 3600.0, 900.0])},
+    "thermal_hysteresis": {
+        "hysteresis_dph_per_k": np.array([0.1, -0.2, 0.3]),
+        "half_width_k": np.array([3.0, 4.0, 100.0]),
+    },
+}
+
 
 @dataclass(frozen=True, eq=False)
 class Conditions:

@@ -8,27 +8,17 @@ import pytest
 
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.drivers.ins.compensation import TERMS, Compensation, checksum
+from tests.drivers.ins.compensation_reference import TERM_NUMBERS
 
 BASE = {
     "polynomial_dph": np.array([[0.01, 1e-4, -2e-6], [0.02, 0.0, 0.0], [-0.01, 2e-4, 1e-6]]),
     "low_c": np.full(3, -20.0),
     "high_c": np.full(3, 70.0),
 }
-_DIFFERENCE = {"difference_low_k": [5.0] * 3, "difference_high_k": [25.0] * 3}
-_ONSET = {"onset_c": [50.0, 48.0, 52.0], "onset_width_c": [2.0, 3.0, 4.0], **_DIFFERENCE}
-TERM_NUMBERS = {
-    "temperature_rate": {"rate_dph_per_c_per_h": [2e-4, 0.0, -1e-4], "rate_limit_c_per_h": [30.0] * 3},
-    "thermal_gradient": {"gradient_dph_per_k": [1e-3, -1e-3, 0.0], **_DIFFERENCE},
-    "attitude_thermal": {"saturating_dph_per_k": 1e-3 * np.arange(9.0).reshape(3, 3), **_ONSET},
-    "attitude_thermal_growing": {"growing_dph_per_k": 1e-4 * np.arange(9.0).reshape(3, 3), **_ONSET},
-    "g_sensitivity": {"gravity_dph_per_g": [[0.01, 0.0, 0.0], [0.0, 0.02, 0.01], [0.0, 0.0, -0.01]]},
-    "warm_up": {"warm_up_dph": [0.04, 0.0, -0.02], "warm_up_s": [900.0] * 3},
-    "thermal_hysteresis": {"hysteresis_dph_per_k": [0.005, 0.0, -0.002], "half_width_k": [3.0, 2.0, 4.0]},
-}
 
 
 def compensation(*terms, **changes):
-    numbers = {name: np.array(value) for term in terms for name, value in TERM_NUMBERS[term].items()}
+    numbers = {name: value for term in terms for name, value in TERM_NUMBERS[term].items()}
     return Compensation(**{**BASE, **numbers, **changes})
 
 
