@@ -8,7 +8,21 @@ from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
 
-TWO_TEMPERATURES = """procedure: two_temperatures
+
+def short_dwell(position="z_up", align_s=60, navigate_s=61, indent=2):
+    """Steps of a procedure file: a dwell with two navigations around half a turn."""
+    steps = (
+        f"go_to: {{position: {position}, rate_dps: 30}}",
+        f"align: {{duration_s: {align_s}}}",
+        f"navigate: {{duration_s: {navigate_s}}}",
+        "turn: {angle_deg: 180, rate_dps: 30, settle_s: 1}",
+        f"navigate: {{duration_s: {navigate_s}}}",
+    )
+    return "".join(f"{' ' * indent}- {step}\n" for step in steps)
+
+
+TWO_TEMPERATURES = (
+    """procedure: two_temperatures
 steps:
   - power_on: {settle_s: 20}
   - repeat:
@@ -19,14 +33,10 @@ steps:
         - repeat:
             over: {position: [z_up, y_down]}
             steps:
-              - go_to: {position: $position, rate_dps: 30}
-              - align: {duration_s: 16}
-              - navigate: {duration_s: 61}
-              - turn: {angle_deg: 180, rate_dps: 30, settle_s: 1}
-              - navigate: {duration_s: 61}
-  - power_off
-  - chamber_off
 """
+    + short_dwell("$position", align_s=16, indent=14)
+    + "  - power_off\n  - chamber_off\n"
+)
 
 
 class KilledError(BaseException):

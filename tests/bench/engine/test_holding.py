@@ -12,6 +12,7 @@ from gyrobench.bench.engine.operator import ConsentingOperator, RunCommand, send
 from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
+from tests.bench.engine.intervention import short_dwell
 from tests.bench.engine.test_resumption import Watcher
 
 PROCEDURE = """procedure: one_dwell
@@ -19,12 +20,7 @@ steps:
   - power_on: {settle_s: 20}
   - chamber: {temperature_c: 26, ramp_c_per_min: 10}
   - soak: {for_s: 60}
-  - go_to: {position: z_up, rate_dps: 30}
-  - align: {duration_s: 16}
-  - navigate: {duration_s: 61}
-  - turn: {angle_deg: 180, rate_dps: 30, settle_s: 1}
-  - navigate: {duration_s: 61}
-"""
+""" + short_dwell(align_s=16)
 
 
 class PausingOperator(ConsentingOperator):

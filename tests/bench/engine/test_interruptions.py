@@ -14,7 +14,7 @@ from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.emulators.acl_axis import SoftwareFault
 from gyrobench.drivers.modbus_rtu import append_crc
-from tests.bench.engine.intervention import Intervention, run_with
+from tests.bench.engine.intervention import Intervention, run_with, short_dwell
 
 FLAG = """procedure: flag_only
 disturbed_dwell: flag
@@ -32,12 +32,7 @@ steps:
   - repeat:
       over: {position: [z_up, z_down]}
       steps:
-        - go_to: {position: $position, rate_dps: 30}
-        - align: {duration_s: 60}
-        - navigate: {duration_s: 61}
-        - turn: {angle_deg: 180, rate_dps: 30, settle_s: 1}
-        - navigate: {duration_s: 61}
-"""
+""" + short_dwell("$position", indent=8)
 
 
 @pytest.fixture

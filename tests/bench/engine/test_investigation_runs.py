@@ -18,6 +18,7 @@ from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.station.instruments import Emulation
+from tests.bench.engine.intervention import short_dwell
 
 CAMPAIGN = """procedure: two_temperatures
 steps:
@@ -30,12 +31,7 @@ steps:
         - repeat:
             over: {position: [z_up, y_down, x_up]}
             steps:
-              - go_to: {position: $position, rate_dps: 30}
-              - align: {duration_s: 16}
-              - navigate: {duration_s: 60}
-              - turn: {angle_deg: 180, rate_dps: 30, settle_s: 1}
-              - navigate: {duration_s: 60}
-"""
+""" + short_dwell("$position", align_s=16, navigate_s=60, indent=14)
 
 
 def observe(job):

@@ -12,6 +12,7 @@ from gyrobench.bench.engine.run_notifier import UNANSWERED_S
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
+from tests.bench.engine.intervention import short_dwell
 from tests.bench.messages.servers import Server
 
 PROCEDURE = """
@@ -136,7 +137,8 @@ def test_a_hold_that_waits_for_the_operator_is_sent_with_its_reason(run_with_rec
     assert hold["answers"] == ["continue", "abort"]
 
 
-DWELLS = """
+DWELLS = (
+    """
 procedure: dwells
 bin_width_c: 5
 disturbed_dwell: flag
@@ -145,13 +147,10 @@ steps:
   - repeat:
       over: {cycle: [1, 2, 3, 4]}
       steps:
-        - go_to: {position: z_up, rate_dps: 30}
-        - align: {duration_s: 16}
-        - navigate: {duration_s: 60}
-        - turn: {angle_deg: 180, rate_dps: 30, settle_s: 1}
-        - navigate: {duration_s: 60}
-  - power_off
 """
+    + short_dwell(align_s=16, navigate_s=60, indent=8)
+    + "  - power_off\n"
+)
 
 
 @pytest.mark.parametrize(

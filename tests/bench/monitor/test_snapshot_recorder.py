@@ -22,7 +22,7 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.emulators.acl_axis import SoftwareFault
 from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
-from tests.bench.engine.intervention import KilledError
+from tests.bench.engine.intervention import KilledError, short_dwell
 from tests.bench.monitor.conftest import recorded_run
 
 
@@ -158,12 +158,7 @@ steps:
   - repeat:
       over: {position: [z_up, z_down]}
       steps:
-        - go_to: {position: $position, rate_dps: 30}
-        - align: {duration_s: 60}
-        - navigate: {duration_s: 61}
-        - turn: {angle_deg: 180, rate_dps: 30, settle_s: 1}
-        - navigate: {duration_s: 61}
-"""
+""" + short_dwell("$position", indent=8)
 
 
 class SlowOperator(ConsentingOperator):

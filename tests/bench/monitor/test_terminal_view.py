@@ -22,6 +22,7 @@ from gyrobench.bench.monitor.snapshot import RunState, read_snapshot
 from gyrobench.bench.monitor.terminal import RunConsole
 from gyrobench.bench.monitor.terminal_view import LinesView, observe_in_terminal
 from gyrobench.bench.station.instruments import Emulation
+from tests.bench.engine.intervention import short_dwell
 
 ROW = DwellRow(
     unit="1000", run="1", dwell=1, cycle=1, position="z_down",
@@ -143,12 +144,7 @@ PROCEDURE = """procedure: short
 steps:
   - power_on
   - wait: {duration_s: 20000}
-  - go_to: {position: z_up, rate_dps: 30}
-  - align: {duration_s: 60}
-  - navigate: {duration_s: 61}
-  - turn: {angle_deg: 180, rate_dps: 30, settle_s: 1}
-  - navigate: {duration_s: 61}
-"""
+""" + short_dwell()
 #: What the command does, without the seconds that a report takes.
 PROGRAM = """
 import sys
