@@ -20,19 +20,22 @@ RATES_DPS = (20.0, 60.0, 100.0)
 SCALE_PPM = 30.0
 
 
-@cache
-def unit():
-    """Nine rotations, then ten turns of the z gyro at three rates in both directions."""
-    spins = [("inner", sign * 3600.0, rate) for rate in RATES_DPS for sign in (1.0, -1.0)]
-    made = Unit(
-        rotations=(*EIGHTEEN[:9], *spins),
+def rotated_unit(*rotations):
+    return Unit(
+        rotations=rotations,
         dwell_s=60.0,
         rate_dps=10.0,
         sample_hz=20.0,
         gravity=SITE.gravity,
         gyro_matrix=SCALE_PPM * 1e-6 * np.eye(3),
     )
-    return made.increments()
+
+
+@cache
+def unit():
+    """Nine rotations, then ten turns of the z gyro at three rates in both directions."""
+    spins = [("inner", sign * 3600.0, rate) for rate in RATES_DPS for sign in (1.0, -1.0)]
+    return rotated_unit(*EIGHTEEN[:9], *spins).increments()
 
 
 def measured(seed, excess):
@@ -83,13 +86,7 @@ def test_nonlinearity_and_asymmetry_are_those_of_the_gyro_and_widen_its_scale_fa
 def test_what_the_table_does_not_return_by_is_no_error_of_the_gyro():
     short_deg = 0.002  # within the tolerance of a table's position: 5.6 ppm of a turn
     spins = [("inner", sign * (360.0 - short_deg), rate) for rate in RATES_DPS for sign in (1.0, -1.0)]
-    made = Unit(
-        rotations=(*EIGHTEEN[:9], *spins),
-        dwell_s=60.0,
-        sample_hz=20.0,
-        gravity=SITE.gravity,
-        gyro_matrix=SCALE_PPM * 1e-6 * np.eye(3),
-    )
+    made = rotated_unit(*EIGHTEEN[:9], *spins)
     increments = Noise().added(*made.increments(), 0.05, np.random.default_rng(3))
     outer, inner = made.profile(0.05 * np.arange(1.0, len(increments[0]) + 1.0))
     table = rotation_matrices(np.outer(outer[0], [1.0, 0.0, 0.0])) @ rotation_matrices(
@@ -108,16 +105,9 @@ def test_what_the_table_does_not_return_by_is_no_error_of_the_gyro():
 def test_turns_that_are_not_whole_contradict_gravity_where_a_gyro_is_spun_level(table_ppm):
     """A wrong scale of the encoder, which repeats from turn to turn."""
     turn_deg = 360.0 * (1.0 + table_ppm * 1e-6)
-    made = Unit(
-        rotations=(
-            *[("outer", angle_deg, 20.0) for angle_deg in (90.0, 90.0, -90.0, -90.0)],
-            *[("outer", sign * turn_deg, 20.0) for _ in range(2) for sign in (1.0, -1.0)],
-        ),
-        dwell_s=60.0,
-        rate_dps=10.0,
-        sample_hz=20.0,
-        gravity=SITE.gravity,
-        gyro_matrix=SCALE_PPM * 1e-6 * np.eye(3),
+    made = rotated_unit(
+        *[("outer", angle_deg, 20.0) for angle_deg in (90.0, 90.0, -90.0, -90.0)],
+        *[("outer", sign * turn_deg, 20.0) for _ in range(2) for sign in (1.0, -1.0)],
     )
     increments = Noise().added(*made.increments(), 0.05, np.random.default_rng(3))
     alone = CalibrationOptions(whole_turns=None)

@@ -2,6 +2,7 @@
 
 import shutil
 
+import numpy as np
 import pytest
 
 from gyrobench.bench.dwells.measurement_setup import measurement_setup
@@ -28,3 +29,12 @@ def recorded(short_run):
     marks = DwellMarks.from_json(entry["marks"])
     frames = dict(read_can_log(folder.can))[marks.log_part].data_frames()
     return marks, frames, measurement_setup(Station(folder.station))
+
+
+def with_wild_velocity(marks, frames):
+    """Frames with one wild velocity in the first window, in an epoch that falls on a whole second."""
+    data = frames.data.copy()
+    inside = slice(marks.windows[0].first_frame, marks.windows[0].end_frame)
+    velocity_rows = np.flatnonzero(frames.arbitration_id[inside] == 0x004) + inside.start
+    data[velocity_rows[100]] = 0x11
+    return frames.with_fields(data=data)

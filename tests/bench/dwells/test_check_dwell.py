@@ -7,22 +7,15 @@ import pytest
 
 from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.dwells.measure_dwell import measure_check_dwell
-from gyrobench.bench.dwells.measurement_setup import measurement_setup
-from gyrobench.bench.runs.can_log import read_can_log
-from gyrobench.bench.runs.journal import read_journal
-from gyrobench.bench.runs.marks import DwellMarks
-from gyrobench.bench.station.station import Station
+from tests.bench.dwells.conftest import with_wild_velocity
 
 
 @pytest.fixture(scope="module")
-def recorded(short_run):
-    """Marks of one navigation after an alignment, its frames, and what measures them."""
-    folder, _ = short_run
-    entry = next(entry for entry in read_journal(folder.journal) if entry["event"] == "dwell_finished")
-    marks = DwellMarks.from_json(entry["marks"])
-    frames = dict(read_can_log(folder.can))[marks.log_part].data_frames()
+def recorded(recorded):
+    """Marks of one navigation after an alignment, its frames, what measures them, and the whole marks."""
+    marks, frames, setup = recorded
     alone = replace(marks, windows=marks.windows[:1], purpose=DwellPurpose.CALIBRATION_CHECK)
-    return alone, frames, measurement_setup(Station(folder.station)), marks
+    return alone, frames, setup, marks
 
 
 def test_one_navigation_is_taken_with_temperatures_of_both_its_parts(recorded):
@@ -89,9 +82,5 @@ def test_disturbances_stay_and_what_is_there_is_taken(recorded):
 
 def test_one_wild_velocity_is_flagged(recorded):
     marks, frames, setup, _ = recorded
-    data = frames.data.copy()
-    inside = slice(marks.windows[0].first_frame, marks.windows[0].end_frame)
-    velocity_rows = np.flatnonzero(frames.arbitration_id[inside] == 0x004) + inside.start
-    data[velocity_rows[100]] = 0x11  # an epoch that falls on a whole second
-    verified = measure_check_dwell(marks, frames.with_fields(data=data), setup)
+    verified = measure_check_dwell(marks, with_wild_velocity(marks, frames), setup)
     assert "times as large as the noise explains" in str(verified.flags)

@@ -15,6 +15,7 @@ from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.station.station import Station
+from tests.bench.dwells.conftest import with_wild_velocity
 
 
 def has_no_numbers(row):
@@ -171,11 +172,7 @@ def test_time_stamps_that_do_not_start_at_the_epoch_or_step_back_change_nothing(
 
 def test_one_wild_velocity_flags_the_dwell(recorded):
     marks, frames, setup = recorded
-    data = frames.data.copy()
-    inside = slice(marks.windows[0].first_frame, marks.windows[0].end_frame)
-    velocity_rows = np.flatnonzero(frames.arbitration_id[inside] == 0x004) + inside.start
-    data[velocity_rows[100]] = 0x11
-    row = measure_dwell(marks, frames.with_fields(data=data), setup).row
+    row = measure_dwell(marks, with_wild_velocity(marks, frames), setup).row
     assert "times as large as the noise explains" in str(row.flags)
 
 

@@ -1,20 +1,13 @@
+from functools import partial
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from gyrobench.drivers.emulators.thermotron_8800 import Thermotron8800Emulator
-from gyrobench.drivers.emulators.world.thermal import ChamberAir
+from tests.drivers.emulators.conftest import ChamberPanel
 
-
-class Panel:
-    def __init__(self, **options):
-        self.air, self.events = ChamberAir(), []
-        self.chamber = Thermotron8800Emulator(
-            self.air, lambda number, on: self.events.append((number, on)), **options
-        )
-
-    def ask(self, request):
-        return self.chamber.feed(request, 1.0)
+Panel = partial(ChamberPanel, Thermotron8800Emulator)
 
 
 @pytest.fixture

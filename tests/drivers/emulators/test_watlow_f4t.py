@@ -1,18 +1,13 @@
+from functools import partial
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from gyrobench.drivers.emulators.watlow_f4t import WatlowF4TEmulator
-from gyrobench.drivers.emulators.world.thermal import ChamberAir
+from tests.drivers.emulators.conftest import ChamberPanel
 
-
-class Panel:
-    def __init__(self):
-        self.air, self.events = ChamberAir(), []
-        self.chamber = WatlowF4TEmulator(self.air, lambda number, on: self.events.append((number, on)))
-
-    def ask(self, request):
-        return self.chamber.feed(request, 1.0)
+Panel = partial(ChamberPanel, WatlowF4TEmulator)
 
 
 @pytest.fixture
