@@ -98,13 +98,20 @@ def assert_consistent(rows, observed):
 
 
 @pytest.fixture(scope="module")
-def with_increments(run_procedure, tmp_path_factory):
-    return run_procedure(short_procedure(tmp_path_factory.mktemp("p")), tmp_path_factory.mktemp("run"), WORLD)
-
-
-def test_rotations_give_every_coefficient_within_its_uncertainty(with_increments):
-    folder, outcome, _ = with_increments
+def folder(run_procedure, tmp_path_factory):
+    """Of a short run of the emulated station, whose INS sends increments."""
+    procedure = short_procedure(tmp_path_factory.mktemp("p"))
+    folder, outcome, _ = run_procedure(procedure, tmp_path_factory.mktemp("run"), WORLD)
     assert outcome.ended == "finished"
+    return folder
+
+
+@pytest.fixture(scope="module")
+def setup(folder):
+    return measurement_setup(Station(folder.station))
+
+
+def test_rotations_give_every_coefficient_within_its_uncertainty(folder):
     rows = read_coefficients(folder.coefficients)
     assert_consistent(rows, len(COEFFICIENTS))
     sigma = {(row.coefficient, row.axis): row.sigma for row in rows}
@@ -136,16 +143,14 @@ def test_biases_that_follow_attitude_are_found_by_the_rotations_and_leave_the_ot
     assert_consistent(rows, len(COEFFICIENTS))
 
 
-def test_the_log_gives_the_coefficients_that_were_measured_during_the_run(with_increments, tmp_path):
-    folder, _, _ = with_increments
+def test_the_log_gives_the_coefficients_that_were_measured_during_the_run(folder, tmp_path):
     again = recompute_run(shutil.copytree(folder.path, tmp_path / "copy"))
     for one, other in zip(*(read_coefficients(each.coefficients) for each in (folder, again)), strict=True):
         assert other.value == pytest.approx(one.value, abs=1e-6 * one.sigma)
         assert other.sigma == pytest.approx(one.sigma, rel=1e-6)
 
 
-def test_the_can_log_of_a_run_gives_the_coefficients_by_an_import_map(with_increments):
-    folder, _, _ = with_increments
+def test_the_can_log_of_a_run_gives_the_coefficients_by_an_import_map(folder):
     log_map = load_log_map(find_document("imports", "emulated_ins"), for_calibration=True)
     paths = sorted(folder.can.glob("*.blf"))
     logs = read_logs(paths, log_map)
@@ -173,10 +178,7 @@ def calibrated(dwells, setup):
     ("axes", "names"),
     [((1, 2, 0), ("angle", "velocity")), ((1, 0, 2), ("angle",)), ((1, 0, 2), ("velocity",))],
 )
-def test_exchanged_axes_of_increments_give_no_coefficients(with_increments, axes, names):
-    folder, _, _ = with_increments
-    setup = measurement_setup(Station(folder.station))
-
+def test_exchanged_axes_of_increments_give_no_coefficients(folder, setup, axes, names):
     def exchanged(frames):
         sent = setup.decode_increments(frames)
         return replace(sent, **{name: getattr(sent, name)[:, axes] for name in names})
@@ -189,10 +191,8 @@ def test_exchanged_axes_of_increments_give_no_coefficients(with_increments, axes
 
 @pytest.mark.parametrize("name", ["angle", "velocity"])
 def test_a_scale_of_the_increments_that_attitude_and_velocity_contradict_is_refused_or_noted(
-    with_increments, name
+    folder, setup, name
 ):
-    folder, _, _ = with_increments
-    setup = measurement_setup(Station(folder.station))
     dwells = list(rotated_dwells(folder))
 
     def scaled(factor):
@@ -239,9 +239,7 @@ def _filtered(values, interval_s, time_constant_s=0.1):
     ],
     ids=["velocity late", "increments filtered", "increments late", "encoders' scale", "axes exchanged"],
 )
-def test_wrong_rotations_are_stated_or_leave_the_coefficients_right(with_increments, sent, table, text):
-    folder, _, _ = with_increments
-    setup = measurement_setup(Station(folder.station))
+def test_wrong_rotations_are_stated_or_leave_the_coefficients_right(folder, setup, sent, table, text):
     right, [plateau] = list(rotated_dwells(folder)), calibrated(rotated_dwells(folder), setup)
 
     def decode(frames):
@@ -263,10 +261,7 @@ def test_wrong_rotations_are_stated_or_leave_the_coefficients_right(with_increme
 
 
 @pytest.mark.parametrize("period_s", [0.009, 0.01, 0.02])
-def test_rotations_give_no_coefficients_with_a_wrong_period_of_the_increments(with_increments, period_s):
-    folder, _, _ = with_increments
-    setup = measurement_setup(Station(folder.station))
-
+def test_rotations_give_no_coefficients_with_a_wrong_period_of_the_increments(folder, setup, period_s):
     def declared(frames):
         return replace(setup.decode_increments(frames), interval_s=period_s)
 
@@ -275,9 +270,7 @@ def test_rotations_give_no_coefficients_with_a_wrong_period_of_the_increments(wi
     assert is_wrong == (found.calibration is None) == (period_s != 0.01)
 
 
-def test_navigation_output_that_is_rounded_counts_with_its_rounding(with_increments):
-    folder, _, _ = with_increments
-    setup = measurement_setup(Station(folder.station))
+def test_navigation_output_that_is_rounded_counts_with_its_rounding(folder, setup):
     coarse = replace(setup, decode_increments=lambda _: None, heading_lsb_rad=8e-5, velocity_lsb_mps=0.01)
     [found] = calibrated([next(iter(rotated_dwells(folder)))], coarse)
     assert found.calibration.noise.white_angle == pytest.approx(8e-5 / np.sqrt(12.0))
@@ -336,11 +329,9 @@ def test_rotations_on_the_ramp_and_after_the_soak_of_one_set_point_are_two_plate
 
 
 def test_a_latitude_that_contradicts_the_rotations_is_named_while_the_run_goes_and_in_its_report(
-    with_increments, monkeypatch
+    folder, setup, monkeypatch
 ):
     monkeypatch.setattr(dwell_output, "latitude_fault", lambda *_: "")  # of an INS that sends no latitude
-    folder, _, _ = with_increments
-    setup = measurement_setup(Station(folder.station))
     wrong = replace(setup, site=replace(setup.site, latitude=setup.site.latitude + np.deg2rad(0.1)))
     rotations = RunRotations()
     measured = list(rotated_dwells(folder))
@@ -353,9 +344,7 @@ def test_a_latitude_that_contradicts_the_rotations_is_named_while_the_run_goes_a
     assert any("noise does not explain" in text for text in coefficients_section(rows).paragraphs)
 
 
-def test_rotations_that_give_nothing_are_a_section_that_states_why(with_increments):
-    folder, _, _ = with_increments
-    setup = measurement_setup(Station(folder.station))
+def test_rotations_that_give_nothing_are_a_section_that_states_why(folder, setup):
     marks, _ = next(iter(rotated_dwells(folder)))
     nothing = PlateauRotations(marks, finding="the rotations give no coefficients: check axes")
     [plateau] = calibrate_plateaus([], [], [nothing], setup)
@@ -367,8 +356,7 @@ def test_rotations_that_give_nothing_are_a_section_that_states_why(with_incremen
     assert not section.tables
 
 
-def test_report_has_table_and_figure_of_the_coefficients(with_increments):
-    folder, _, _ = with_increments
+def test_report_has_table_and_figure_of_the_coefficients(folder):
     section = coefficients_section(read_run(folder).coefficients)
     assert len(section.tables[0].rows) == len(COEFFICIENTS)
     assert [each.name for each in section.figures] == ["coefficients"]

@@ -33,6 +33,14 @@ def index_of(root):
     return RunIndex(open_store(str(root)))
 
 
+@pytest.fixture
+def index(runs):
+    """Index of the runs, up to date."""
+    index = index_of(runs)
+    index.update()
+    return index
+
+
 def test_a_run_stands_in_the_index_as_its_folder_shows_it(runs, sample):
     index = index_of(runs)
     assert index.update() == IndexUpdate(read=3, removed=0, unchanged=0)
@@ -51,9 +59,7 @@ def test_a_run_stands_in_the_index_as_its_folder_shows_it(runs, sample):
     assert 0.0 < dwell["sigma_x_dph"] < 0.01
 
 
-def test_only_runs_whose_files_changed_are_read_again(runs, sample):
-    index = index_of(runs)
-    index.update()
+def test_only_runs_whose_files_changed_are_read_again(index, runs, sample):
     unchanged = index.update()
     assert (unchanged, unchanged.text) == (IndexUpdate(read=0, removed=0, unchanged=3), "")
     write_verdict(copy_run(sample, runs / "d"), "explained", [("thermal_lag", 0.004)])
@@ -69,9 +75,7 @@ def test_only_runs_whose_files_changed_are_read_again(runs, sample):
     assert index.query("SELECT count(*) FROM dwells WHERE path LIKE 'deep%'").rows == [(0,)]
 
 
-def test_the_batch_of_a_unit_follows_the_table_of_units(runs):
-    index = index_of(runs)
-    index.update()
+def test_the_batch_of_a_unit_follows_the_table_of_units(index, runs):
     (runs / "units.csv").write_text("unit,batch\n1002,B9\n")
     index.update()
     assert {run["unit"]: run["batch"] for run in find_runs(index, Selection())} == {"1001": "", "1002": "B9"}
@@ -91,10 +95,8 @@ DAMAGES = [
 ]
 
 
-def test_a_damaged_run_is_listed_with_the_reason_and_read_again_when_repaired(runs):
+def test_a_damaged_run_is_listed_with_the_reason_and_read_again_when_repaired(index, runs):
     """Each damage is repaired as another run gets the next one."""
-    index = index_of(runs)
-    index.update()
     repair = list
     for number, (name, content, reason) in enumerate(DAMAGES):
         repair()
@@ -153,9 +155,7 @@ def test_a_query_can_only_read_and_sees_the_index_alone(runs, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["runs", "secret.csv"]
 
 
-def test_an_index_is_rebuilt_from_the_folders_and_no_other_file_is_replaced(runs, tmp_path):
-    index = index_of(runs)
-    index.update()
+def test_an_index_is_rebuilt_from_the_folders_and_no_other_file_is_replaced(index, runs, tmp_path):
     index.path.unlink()
     assert index.update().read == 3
     assert index.update(rebuild=True).read == 3
@@ -168,9 +168,7 @@ def test_an_index_is_rebuilt_from_the_folders_and_no_other_file_is_replaced(runs
     assert letter.read_text() == "Dear all"
 
 
-def test_a_damaged_index_is_rebuilt_at_once(runs):
-    index = index_of(runs)
-    index.update()
+def test_a_damaged_index_is_rebuilt_at_once(index, runs):
     content = bytearray(index.path.read_bytes())
     content[12:200] = bytes(188)
     index.path.write_bytes(bytes(content[:5000]))
@@ -185,9 +183,7 @@ def hold(path):
 
 
 @pytest.mark.long
-def test_an_index_that_another_process_writes_is_not_rebuilt_under_it(runs, monkeypatch):
-    index = index_of(runs)
-    index.update()
+def test_an_index_that_another_process_writes_is_not_rebuilt_under_it(index, monkeypatch):
     monkeypatch.setattr("gyrobench.bench.runs.index.run_index._LOCK_TIMEOUT_S", 0.1)
     holder = ForkedProcess(hold, str(index.path))
     assert holder.stdout.readline() == "held\n"
@@ -202,9 +198,7 @@ def test_an_index_that_another_process_writes_is_not_rebuilt_under_it(runs, monk
     assert index.update(rebuild=True) == IndexUpdate(read=3, removed=0, unchanged=0)
 
 
-def test_one_query_is_answered_at_a_time(runs):
-    index = index_of(runs)
-    index.update()
+def test_one_query_is_answered_at_a_time(index):
     for sql, count in (("", 0), (";", 0), ("-- nothing", 0), ("SELECT 1; SELECT 2", 2)):
         with pytest.raises(DocumentError, match=f"{count} queries given"):
             index.query(sql)
@@ -259,8 +253,6 @@ def test_the_index_of_a_read_only_folder_is_in_the_users_cache(runs, tmp_path, m
 
 
 def test_an_index_that_cant_be_written_is_named_with_the_way_out(runs, monkeypatch):
-    import duckdb
-
     def full_disk(*_):
         raise duckdb.TransactionException("Failed to commit: No space left on device")
 

@@ -34,7 +34,7 @@ from gyrobench.drivers.emulators.world.world import INNER, OUTER
 TRIPLES = ("optics_c", "electronics_c", "optics_rate_c_per_h", "convected_w", "up_body")
 
 
-def conditions_with(**changes):
+def conditions(**changes):
     """Conditions of a unit at 25 degC, level, long after power-on, with some of them changed.
 
     One number for a value of three gyros stands for all of them.
@@ -55,77 +55,68 @@ def conditions_with(**changes):
     return Conditions(**values)
 
 
-@pytest.fixture(scope="session")
-def conditions():
-    return conditions_with
-
-
 UPS = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
 RATE = TemperatureRate(kind="temperature_rate", sensitivity_dph_per_c_per_h=[1e-4, -2e-4, 0.0])
 GRADIENT = ThermalGradient(kind="thermal_gradient", sensitivity_dph_per_c=[1e-3, -2e-3, 0.0])
 ATTITUDE = AttitudeThermal(kind="attitude_thermal", sensitivity_dph_per_w=[0.04, -0.02, 0.0])
 
 
-def test_at_a_steady_temperature_there_is_no_effect_of_the_rate(conditions):
+def test_at_a_steady_temperature_there_is_no_effect_of_the_rate():
     assert not RATE.added_dph(conditions(optics_c=-20.0)).any()
 
 
-def test_the_effect_of_the_rate_is_odd_in_the_rate_of_each_gyro(conditions):
+def test_the_effect_of_the_rate_is_odd_in_the_rate_of_each_gyro():
     up = RATE.added_dph(conditions(optics_rate_c_per_h=[60.0, 120.0, 60.0]))
     down = RATE.added_dph(conditions(optics_rate_c_per_h=[-60.0, -120.0, -60.0]))
     np.testing.assert_allclose(up, [0.006, -0.024, 0.0])
     np.testing.assert_allclose(down, -up)
 
 
-def test_the_effect_of_the_gradient_follows_electronics_less_optics_of_each_gyro(conditions):
+def test_the_effect_of_the_gradient_follows_electronics_less_optics_of_each_gyro():
     now = conditions(optics_c=[20.0, 30.0, 40.0], electronics_c=[32.0, 30.0, 60.0])
     np.testing.assert_allclose(GRADIENT.added_dph(now), [0.012, 0.0, 0.0])
     swapped = conditions(optics_c=now.electronics_c, electronics_c=now.optics_c)
     np.testing.assert_allclose(GRADIENT.added_dph(swapped), -GRADIENT.added_dph(now))
 
 
-def attitude_dph(conditions, optics_c, convected_w=0.3, effect=ATTITUDE):
+def attitude_dph(optics_c, convected_w=0.3, effect=ATTITUDE):
     return effect.added_dph(conditions(optics_c=optics_c, convected_w=convected_w))
 
 
-def test_well_above_the_onset_the_effect_of_attitude_vanishes(conditions):
-    assert np.abs(attitude_dph(conditions, 70.0)).max() < 1e-6
-    assert np.abs(attitude_dph(conditions, 90.0)).max() < 1e-10
+def test_well_above_the_onset_the_effect_of_attitude_vanishes():
+    assert np.abs(attitude_dph(70.0)).max() < 1e-6
+    assert np.abs(attitude_dph(90.0)).max() < 1e-10
 
 
-def test_below_the_onset_the_effect_of_attitude_grows_the_colder_it_gets(conditions):
-    sizes = [attitude_dph(conditions, optics_c)[0] for optics_c in (60.0, 50.0, 40.0, 20.0, 0.0, -20.0)]
+def test_below_the_onset_the_effect_of_attitude_grows_the_colder_it_gets():
+    sizes = [attitude_dph(optics_c)[0] for optics_c in (60.0, 50.0, 40.0, 20.0, 0.0, -20.0)]
     assert sizes == sorted(sizes)
     assert sizes[1] > 10 * sizes[0]
 
 
-def test_far_below_the_onset_the_effect_of_attitude_is_proportional_to_heat_and_depth(conditions):
+def test_far_below_the_onset_the_effect_of_attitude_is_proportional_to_heat_and_depth():
     # Sensitivity times heat flow times the share (50 - T) / 50 of the onset temperature.
-    np.testing.assert_allclose(
-        attitude_dph(conditions, 10.0), [0.04 * 0.3 * 0.8, -0.02 * 0.3 * 0.8, 0.0], rtol=1e-6
-    )
-    np.testing.assert_allclose(attitude_dph(conditions, -50.0)[0], 0.04 * 0.3 * 2.0, rtol=1e-6)
+    np.testing.assert_allclose(attitude_dph(10.0), [0.04 * 0.3 * 0.8, -0.02 * 0.3 * 0.8, 0.0], rtol=1e-6)
+    np.testing.assert_allclose(attitude_dph(-50.0)[0], 0.04 * 0.3 * 2.0, rtol=1e-6)
 
 
-def test_the_effect_of_attitude_follows_the_sign_of_the_heat_flow_of_its_own_gyro(conditions):
+def test_the_effect_of_attitude_follows_the_sign_of_the_heat_flow_of_its_own_gyro():
     flows_w = np.array([0.2, -0.4, 0.3])
-    forth, back = attitude_dph(conditions, 10.0, flows_w), attitude_dph(conditions, 10.0, -flows_w)
+    forth, back = attitude_dph(10.0, flows_w), attitude_dph(10.0, -flows_w)
     np.testing.assert_allclose(forth, -back)
     np.testing.assert_allclose(forth, [0.04 * 0.2 * 0.8, 0.02 * 0.4 * 0.8, 0.0], rtol=1e-6)
 
 
-def test_each_gyro_has_the_effect_of_attitude_of_its_own_temperature(conditions):
-    bias_dph = attitude_dph(conditions, [-20.0, 80.0, 80.0])
+def test_each_gyro_has_the_effect_of_attitude_of_its_own_temperature():
+    bias_dph = attitude_dph([-20.0, 80.0, 80.0])
     assert bias_dph[0] > 0.01
     assert abs(bias_dph[1]) < 1e-6
 
 
-def test_a_narrower_onset_is_sharper(conditions):
+def test_a_narrower_onset_is_sharper():
     narrow = ATTITUDE.model_copy(update={"onset_width_c": 0.5})
-    assert attitude_dph(conditions, 53.0, effect=narrow)[0] < 0.01 * attitude_dph(conditions, 53.0)[0]
-    np.testing.assert_allclose(
-        attitude_dph(conditions, 20.0, effect=narrow), attitude_dph(conditions, 20.0), rtol=1e-4
-    )
+    assert attitude_dph(53.0, effect=narrow)[0] < 0.01 * attitude_dph(53.0)[0]
+    np.testing.assert_allclose(attitude_dph(20.0, effect=narrow), attitude_dph(20.0), rtol=1e-4)
 
 
 def test_in_a_world_the_effects_are_those_of_its_thermal_network(make_world):
@@ -147,7 +138,7 @@ def test_in_a_world_the_effects_are_those_of_its_thermal_network(make_world):
 
 
 @pytest.fixture(scope="module")
-def position_spread(make_world_file, conditions):
+def position_spread(make_world_file):
     """``position_spread(name, optics_c)``: how far the six positions of a shipped world are apart, deg/h."""
 
     def spread_dph(name, optics_c):
@@ -192,48 +183,43 @@ EFFECT = ThermalHysteresis(
 )
 
 
-@pytest.fixture(scope="module")
-def through(conditions):
-    """``through(temperatures)``: what a fresh effect adds at the last of them."""
-
-    def go(temperatures_c):
-        effect = EFFECT.start()
-        return [effect(conditions(optics_c=optics_c)) for optics_c in temperatures_c][-1]
-
-    return go
+def through(temperatures_c):
+    """What a fresh effect adds at the last of the temperatures."""
+    effect = EFFECT.start()
+    return [effect(conditions(optics_c=optics_c)) for optics_c in temperatures_c][-1]
 
 
-def test_at_the_first_temperature_there_is_no_effect(through):
+def test_at_the_first_temperature_there_is_no_effect():
     assert not through([-30.0]).any()
 
 
-def test_within_the_play_it_goes_back_to_nothing_with_the_temperature(through):
+def test_within_the_play_it_goes_back_to_nothing_with_the_temperature():
     np.testing.assert_allclose(through([20.0, 23.0]), -3.0 * GAIN)
     assert not through([20.0, 23.0, 17.0, 20.0]).any()
 
 
-def test_after_heating_and_after_cooling_the_same_temperature_has_biases_on_both_sides(through):
+def test_after_heating_and_after_cooling_the_same_temperature_has_biases_on_both_sides():
     heated, cooled = through([0.0, 20.0]), through([60.0, 20.0])
     np.testing.assert_allclose(heated, -HALF_WIDTH_C * GAIN)
     np.testing.assert_allclose(cooled, HALF_WIDTH_C * GAIN)
 
 
-def test_it_stays_however_long_the_temperature_rests(through):
+def test_it_stays_however_long_the_temperature_rests():
     np.testing.assert_allclose(through([0.0, *[20.0] * 5000]), through([0.0, 20.0]))
 
 
-def test_a_turn_back_by_twice_the_half_width_closes_the_loop(through):
+def test_a_turn_back_by_twice_the_half_width_closes_the_loop():
     np.testing.assert_allclose(through([0.0, 40.0, 35.0]), 0.0 * GAIN, atol=1e-15)
     np.testing.assert_allclose(through([0.0, 40.0, 30.0]), HALF_WIDTH_C * GAIN)
 
 
-def test_each_gyro_remembers_its_own_temperature(through):
+def test_each_gyro_remembers_its_own_temperature():
     bias_dph = through([[0.0, 60.0, 0.0], [20.0, 20.0, 20.0]])
     np.testing.assert_allclose(bias_dph, [-5.0 * 0.002, 5.0 * -0.001, 0.0])
 
 
 @given(turning_c=st.lists(st.floats(-40.0, 80.0), min_size=2, max_size=8), steps=st.sampled_from([2, 7, 300]))
-def test_the_rate_of_temperature_does_not_matter(through, turning_c, steps):
+def test_the_rate_of_temperature_does_not_matter(turning_c, steps):
     slow = np.concatenate([np.linspace(a, b, steps) for a, b in pairwise(turning_c)])
     np.testing.assert_allclose(through(slow), through(turning_c), atol=1e-12)
     assert np.abs(through(turning_c)).max() <= HALF_WIDTH_C * np.abs(GAIN).max() + 1e-12
@@ -254,13 +240,13 @@ JUMP = BiasJump(kind="bias_jump", bias_dph=SIZE.tolist(), at_h=2.0)
 RIPPLE = SupplyRipple(kind="supply_ripple", amplitude_dph=SIZE.tolist(), period_h=0.5)
 
 
-def test_the_warm_up_dies_away_with_its_time_constant(conditions):
+def test_the_warm_up_dies_away_with_its_time_constant():
     for since_s in (0.0, 1800.0, 5400.0):
         added_dph = WARM_UP.added_dph(conditions(since_power_on_s=since_s))
         np.testing.assert_allclose(added_dph, SIZE * np.exp(-since_s / 1800.0))
 
 
-def test_a_unit_that_is_off_does_not_warm_up(conditions):
+def test_a_unit_that_is_off_does_not_warm_up():
     assert not WARM_UP.added_dph(conditions(since_power_on_s=math.inf)).any()
 
 
@@ -278,7 +264,7 @@ def test_each_power_on_restarts_the_warm_up(make_world):
         assert not world.undeclared_bias().any()
 
 
-def test_the_drift_counts_from_the_start_of_the_world_in_any_state_of_the_unit(conditions, make_world):
+def test_the_drift_counts_from_the_start_of_the_world_in_any_state_of_the_unit(make_world):
     np.testing.assert_allclose(TIME_DRIFT.added_dph(conditions(time_s=43_200.0)), SIZE / 2)
     world = make_world(undeclared_effects=[TIME_DRIFT.model_dump()])
     assert not world.undeclared_bias().any()
@@ -288,18 +274,18 @@ def test_the_drift_counts_from_the_start_of_the_world_in_any_state_of_the_unit(c
 
 
 @pytest.mark.parametrize(("time_s", "share"), [(0.0, 0), (7199.0, 0), (7200.0, 1), (1e6, 1)])
-def test_a_jump_happens_once_and_stays(conditions, time_s, share):
+def test_a_jump_happens_once_and_stays(time_s, share):
     np.testing.assert_allclose(JUMP.added_dph(conditions(time_s=time_s)), share * SIZE)
 
 
 @pytest.mark.parametrize(
     ("time_s", "share"), [(0.0, 0.0), (450.0, 1.0), (900.0, 0.0), (1350.0, -1.0), (2250.0, 1.0)]
 )
-def test_the_ripple_swings_with_its_period(conditions, time_s, share):
+def test_the_ripple_swings_with_its_period(time_s, share):
     np.testing.assert_allclose(RIPPLE.added_dph(conditions(time_s=time_s)), share * SIZE, atol=1e-12)
 
 
-def test_the_ripple_has_its_phase_at_the_beginning_of_the_world(conditions):
+def test_the_ripple_has_its_phase_at_the_beginning_of_the_world():
     shifted = RIPPLE.model_copy(update={"phase_deg": 30.0})
     np.testing.assert_allclose(shifted.added_dph(conditions(time_s=0.0)), 0.5 * SIZE)
 
@@ -313,19 +299,19 @@ def g_sensitivity(values):
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_a_matrix_gives_every_gyro_its_sensitivity_to_the_axis_that_points_up(conditions, axis):
+def test_a_matrix_gives_every_gyro_its_sensitivity_to_the_axis_that_points_up(axis):
     up = np.eye(3)[axis]
     added_dph = g_sensitivity(ROWS).added_dph(conditions(up_body=up))
     np.testing.assert_allclose(added_dph, np.array(ROWS)[:, axis])
     np.testing.assert_allclose(g_sensitivity(ROWS).added_dph(conditions(up_body=-up)), -added_dph)
 
 
-def test_three_values_are_sensitivities_along_each_gyros_own_axis(conditions):
+def test_three_values_are_sensitivities_along_each_gyros_own_axis():
     added_dph = g_sensitivity([0.01, 0.02, 0.03]).added_dph(conditions(up_body=[0.6, -0.8, 0.0]))
     np.testing.assert_allclose(added_dph, [0.006, -0.016, 0.0])
 
 
-def test_temperature_plays_no_part_in_it(conditions):
+def test_temperature_plays_no_part_in_it():
     cold, hot = (conditions(optics_c=optics_c) for optics_c in (-30.0, 70.0))
     assert g_sensitivity(ROWS).added_dph(cold).tolist() == g_sensitivity(ROWS).added_dph(hot).tolist()
 
@@ -350,7 +336,7 @@ def test_in_the_turn_about_the_vertical_gravity_stays_where_it_is(make_world):
         np.testing.assert_allclose(world.undeclared_bias(), before, atol=1e-6 * DPH_TO_RADPS)
 
 
-def test_the_bias_follows_the_share_of_time_that_the_compressor_runs(conditions):
+def test_the_bias_follows_the_share_of_time_that_the_compressor_runs():
     for duty in (0.0, 0.3, 1.0):
         added_dph = CHAMBER.added_dph(conditions(compressor_duty=duty))
         np.testing.assert_allclose(added_dph, duty * np.array([0.012, -0.010, 0.008]))
@@ -383,33 +369,33 @@ CROSSING = DitherCrossing(
 @pytest.mark.parametrize(
     ("optics_c", "share"), [(-18.5, 1), (-10.1, 0), (-9.9, 1), (-2.1, 1), (-1.9, 0), (5.9, 0), (6.1, 1)]
 )
-def test_every_second_mode_has_the_bias(conditions, optics_c, share):
+def test_every_second_mode_has_the_bias(optics_c, share):
     added_dph = HOP.added_dph(conditions(optics_c=optics_c))
     np.testing.assert_allclose(added_dph, share * np.array([0.01, -0.02, 0.0]))
 
 
-def test_a_clamp_is_loose_above_one_temperature(conditions):
+def test_a_clamp_is_loose_above_one_temperature():
     clamp = LooseClamp(kind="loose_clamp", sensitivity_dph_per_c=[0.001, -0.002, 0.0], free_above_c=40.0)
     np.testing.assert_allclose(clamp.added_dph(conditions(optics_c=[50.0, 45.0, 60.0])), [0.01, -0.01, 0.0])
     np.testing.assert_allclose(clamp.added_dph(conditions(optics_c=[39.0, 0.0, -30.0])), 0.0)
 
 
-def test_each_gyro_hops_at_its_own_temperature(conditions):
+def test_each_gyro_hops_at_its_own_temperature():
     added_dph = HOP.added_dph(conditions(optics_c=[-9.0, -1.0, 0.0]))
     np.testing.assert_allclose(added_dph, [0.01, 0.0, 0.0])
 
 
-def test_at_the_crossing_both_gyros_have_all_of_the_bias_and_the_third_has_nothing(conditions):
+def test_at_the_crossing_both_gyros_have_all_of_the_bias_and_the_third_has_nothing():
     np.testing.assert_allclose(CROSSING.added_dph(conditions(optics_c=30.0)), [0.01, 0.0, -0.02])
 
 
 @pytest.mark.parametrize(("away_c", "share"), [(2.0, 0.5), (-2.0, 0.5), (20.0, 1.0 / 101.0)])
-def test_it_falls_off_on_both_sides_as_a_resonance_does(conditions, away_c, share):
+def test_it_falls_off_on_both_sides_as_a_resonance_does(away_c, share):
     added_dph = CROSSING.added_dph(conditions(optics_c=30.0 + away_c))
     np.testing.assert_allclose(added_dph, share * np.array([0.01, 0.0, -0.02]))
 
 
-def test_the_mean_temperature_of_the_two_gyros_decides(conditions):
+def test_the_mean_temperature_of_the_two_gyros_decides():
     np.testing.assert_allclose(
         CROSSING.added_dph(conditions(optics_c=[25.0, 80.0, 35.0])), [0.01, 0.0, -0.02]
     )
@@ -429,11 +415,11 @@ PLAY = ThermalHysteresis(
 )
 
 
-def test_without_effects_there_is_no_undeclared_bias(conditions):
+def test_without_effects_there_is_no_undeclared_bias():
     assert UndeclaredBias([]).added_dph(conditions()).tolist() == [0.0, 0.0, 0.0]
 
 
-def test_effects_add_up_two_of_a_kind_as_well(conditions):
+def test_effects_add_up_two_of_a_kind_as_well():
     bias = UndeclaredBias([DRIFT, PLAY, DRIFT])
     bias.added_dph(conditions(optics_c=20.0))
     np.testing.assert_allclose(
