@@ -120,6 +120,11 @@ def test_accelerometer_biases_and_misalignments_are_found_with_their_uncertainty
     assert total / dof == pytest.approx(1.0, abs=0.4)
 
 
+@pytest.fixture
+def dwells(right_latitude):
+    return right_latitude[1]
+
+
 def test_gyro_errors_larger_than_declared_widen_the_uncertainties_as_data_show(right_latitude):
     unit, dwells = right_latitude
     assert joint_solution_of(dwells, PRIOR).gyro_error_factor == 1.0
@@ -163,26 +168,22 @@ def gain_of(dwells, prior):
         PriorKnowledge.from_datasheet(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
     ],
 )
-def test_joint_solution_is_nowhere_worse_than_dwell_by_dwell(right_latitude, prior):
-    _, dwells = right_latitude
+def test_joint_solution_is_nowhere_worse_than_dwell_by_dwell(dwells, prior):
     assert gain_of(dwells, prior).min() > 1.0 - 1e-6
 
 
-def test_gain_is_small_where_noise_alone_limits(right_latitude):
-    _, dwells = right_latitude
+def test_gain_is_small_where_noise_alone_limits(dwells):
     gain = gain_of(dwells, SURVEYED)
     assert gain.max() < 1.02
 
 
-def test_gain_is_large_for_vertical_gyros_where_the_latitude_is_not_known(right_latitude):
-    _, dwells = right_latitude
+def test_gain_is_large_for_vertical_gyros_where_the_latitude_is_not_known(dwells):
     gain = gain_of(dwells, ANY_LATITUDE)
     assert gain[VERTICAL].min() > 1.4
     assert gain[~VERTICAL].max() < 1.02
 
 
-def test_gain_is_large_for_level_gyros_where_their_axes_are_not_known(right_latitude):
-    _, dwells = right_latitude
+def test_gain_is_large_for_level_gyros_where_their_axes_are_not_known(dwells):
     prior = PriorKnowledge.from_datasheet(
         latitude_arcmin=0.02,
         gyro_misalignment_arcsec=30.0,
@@ -202,8 +203,7 @@ def test_bias_of_one_dwell_does_not_draw_those_of_the_others():
     assert np.abs(errors(solution.together, unit) / solution.together.sigma_radps).max() < 4.0
 
 
-def test_dwells_that_share_what_they_should_agree(right_latitude):
-    _, dwells = right_latitude
+def test_dwells_that_share_what_they_should_agree(dwells):
     assert joint_solution_of(dwells, PRIOR).fit.p_value > 0.01
 
 
@@ -311,8 +311,7 @@ def test_two_pairs_make_a_weaker_statement_and_one_none(wrong_latitude):
     assert math.isnan(none.rate)
 
 
-def test_without_a_pair_there_is_nothing_to_take_away(right_latitude):
-    _, dwells = right_latitude
+def test_without_a_pair_there_is_nothing_to_take_away(dwells):
     solution = joint_solution_of(dwells[::2], PRIOR)
     np.testing.assert_array_equal(solution.corrected().bias_radps, solution.north_free.bias_radps)
 
@@ -327,8 +326,7 @@ def test_repeated_position_counts_as_one_half_of_its_pair(wrong_latitude):
     assert twice.pairs.covariance[2, 2] == pytest.approx(0.75 * once.pairs.covariance[2, 2], rel=0.01)
 
 
-def test_different_temperatures_up_and_down_widen_the_half_difference(right_latitude):
-    _, dwells = right_latitude
+def test_different_temperatures_up_and_down_widen_the_half_difference(dwells):
     warmer = [
         dataclasses.replace(each, gyro_c=(25.0, 25.0, 25.0 + 2.0 * (each.number == 2))) for each in dwells
     ]
@@ -336,16 +334,14 @@ def test_different_temperatures_up_and_down_widen_the_half_difference(right_lati
     np.testing.assert_allclose(wide - plain, np.diag([0.0, 0.0, (1.0 * PRIOR.bias_slope) ** 2]), atol=1e-22)
 
 
-def test_temperatures_that_were_not_measured_count_as_equal(right_latitude):
-    _, dwells = right_latitude
+def test_temperatures_that_were_not_measured_count_as_equal(dwells):
     unknown = [dataclasses.replace(each, gyro_c=(math.nan,) * 3) for each in dwells]
     np.testing.assert_array_equal(
         joint_solution_of(unknown, PRIOR).pairs.covariance, joint_solution_of(dwells, PRIOR).pairs.covariance
     )
 
 
-def test_order_of_the_dwells_does_not_matter(right_latitude):
-    _, dwells = right_latitude
+def test_order_of_the_dwells_does_not_matter(dwells):
     there, back = joint_solution_of(dwells, PRIOR), joint_solution_of(dwells[::-1], PRIOR)
     np.testing.assert_allclose(
         back.together.bias_radps[::-1],

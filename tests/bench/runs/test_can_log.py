@@ -20,8 +20,12 @@ def frames(start, count, period_s=0.02):
     )
 
 
-def test_frames_come_back_in_order_across_parts(tmp_path):
-    log = CanLog(tmp_path)
+@pytest.fixture
+def log(tmp_path):
+    return CanLog(tmp_path)
+
+
+def test_frames_come_back_in_order_across_parts(tmp_path, log):
     log.write(frames(0, 500))
     log.cut()
     log.write(frames(500, 300))
@@ -34,16 +38,14 @@ def test_frames_come_back_in_order_across_parts(tmp_path):
     assert read.timestamp_s == pytest.approx(written.timestamp_s, abs=1e-6)
 
 
-def test_python_cans_own_reader_opens_every_part(tmp_path):
-    log = CanLog(tmp_path)
+def test_python_cans_own_reader_opens_every_part(tmp_path, log):
     log.write(frames(0, 50))
     log.cut()
     with can.LogReader(tmp_path / "part-00001.blf") as reader:
         assert sum(1 for _ in reader) == 50
 
 
-def test_what_was_cut_survives_a_part_that_was_never_ended(tmp_path):
-    log = CanLog(tmp_path)
+def test_what_was_cut_survives_a_part_that_was_never_ended(tmp_path, log):
     log.write(frames(0, 100))
     log.cut()
     log.write(frames(100, 5000))
@@ -83,8 +85,7 @@ def test_every_part_is_read_up_to_its_last_whole_container_and_stands_alone(tmp_
     log.cut()
 
 
-def test_a_part_that_is_being_written_lacks_the_last_seconds_at_most(tmp_path):
-    log = CanLog(tmp_path)
+def test_a_part_that_is_being_written_lacks_the_last_seconds_at_most(tmp_path, log):
     for begin in range(0, 2000, 10):
         log.write(frames(begin, 10))
         read = contents(tmp_path)[1]
@@ -108,16 +109,14 @@ def test_on_virtual_time_containers_are_full_and_the_last_one_alone_can_be_lost(
     assert part.read_bytes().count(b"LOBJ") == math.ceil(40_000 / 2400)
 
 
-def test_frames_that_come_seldom_are_readable_after_some_seconds(tmp_path):
-    log = CanLog(tmp_path)
+def test_frames_that_come_seldom_are_readable_after_some_seconds(tmp_path, log):
     for number in range(100):
         log.write(frames(number, 1, period_s=1.0))
         assert number + 1 - len(contents(tmp_path)[1]) <= 10
     log.cut()
 
 
-def test_frames_that_no_others_follow_are_readable_after_some_seconds_of_the_clock(tmp_path):
-    log = CanLog(tmp_path)
+def test_frames_that_no_others_follow_are_readable_after_some_seconds_of_the_clock(tmp_path, log):
     log.write_waiting(0.0)
     for now_s in (100.0, 105.0, 109.0):
         log.write(frames(0, 1))
@@ -133,8 +132,7 @@ def test_frames_that_no_others_follow_are_readable_after_some_seconds_of_the_clo
     log.cut()
 
 
-def test_what_was_synchronized_is_complete_for_other_programs_while_the_part_continues(tmp_path):
-    log = CanLog(tmp_path)
+def test_what_was_synchronized_is_complete_for_other_programs_while_the_part_continues(tmp_path, log):
     for begin in (0, 50):
         log.write(frames(begin, 50))
         log.sync()
@@ -192,8 +190,7 @@ def test_the_part_after_number_99999_is_read_last(tmp_path):
     assert list(contents(tmp_path)) == [99_999, 100_000]
 
 
-def test_a_write_error_ends_the_part_and_the_next_frames_begin_another(tmp_path, small_files):
-    log = CanLog(tmp_path)
+def test_a_write_error_ends_the_part_and_the_next_frames_begin_another(tmp_path, log, small_files):
     log.write(frames(0, 1000))
     with small_files(1000), pytest.raises(RunFolderError, match=r"part-00001.*can't be written"):
         log.write(frames(1000, 1000))
@@ -208,8 +205,7 @@ def open_descriptors():
     return sum(1 for _ in Path("/proc/self/fd").iterdir())
 
 
-def test_a_part_that_cant_be_ended_is_an_error_and_leaks_no_descriptor(tmp_path, small_files):
-    log = CanLog(tmp_path)
+def test_a_part_that_cant_be_ended_is_an_error_and_leaks_no_descriptor(tmp_path, log, small_files):
     before = open_descriptors()
     log.write(frames(0, 100))
     with small_files(200), pytest.raises(RunFolderError, match="can't be written"):
@@ -219,8 +215,7 @@ def test_a_part_that_cant_be_ended_is_an_error_and_leaks_no_descriptor(tmp_path,
     assert contents(tmp_path) == {1: []}
 
 
-def test_a_disk_that_fails_to_sync_is_an_error(tmp_path, monkeypatch):
-    log = CanLog(tmp_path)
+def test_a_disk_that_fails_to_sync_is_an_error(log, monkeypatch):
     log.write(frames(0, 100))
 
     def broken(descriptor):

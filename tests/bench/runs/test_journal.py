@@ -13,6 +13,11 @@ from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.runs.journal import Journal, RunFacts, broken_links, facts_of, read_journal
 
 
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "journal.jsonl"
+
+
 def test_entries_come_back_in_order_with_their_time(tmp_path):
     clock = VirtualClock()
     with Journal(tmp_path / "journal.jsonl", clock) as journal:
@@ -27,21 +32,18 @@ def test_entries_come_back_in_order_with_their_time(tmp_path):
     assert entries[1]["utc"].startswith("2000-01-01T00:00:02.5")
 
 
-def test_an_entry_is_on_the_disk_before_the_next_thing_happens(tmp_path):
-    path = tmp_path / "journal.jsonl"
+def test_an_entry_is_on_the_disk_before_the_next_thing_happens(path):
     with Journal(path, VirtualClock()) as journal:
         journal.record("step_started", step=1)
         assert len(list(read_journal(path))) == 1
 
 
-def test_a_last_line_that_was_cut_off_is_left_out(tmp_path):
-    path = tmp_path / "journal.jsonl"
+def test_a_last_line_that_was_cut_off_is_left_out(path):
     path.write_text('{"event": "a"}\n{"event": "b", "st')
     assert [entry["event"] for entry in read_journal(path)] == ["a"]
 
 
-def test_a_damaged_line_in_the_middle_is_an_error_with_its_place(tmp_path):
-    path = tmp_path / "journal.jsonl"
+def test_a_damaged_line_in_the_middle_is_an_error_with_its_place(path):
     path.write_text('{"event": "a"}\n{"ev\n{"event": "c"}\n')
     entries = read_journal(path)
     assert next(entries) == {"event": "a"}
@@ -61,8 +63,7 @@ def test_a_damaged_line_in_the_middle_is_an_error_with_its_place(tmp_path):
         b"[" * 100_000 + b"\n",
     ],
 )
-def test_a_journal_that_was_cut_off_is_repaired_and_says_so(tmp_path, tail):
-    path = tmp_path / "journal.jsonl"
+def test_a_journal_that_was_cut_off_is_repaired_and_says_so(path, tail):
     path.write_bytes(b'{"event": "a"}\n' + tail)
     assert [entry["event"] for entry in read_journal(path)] == ["a"]
     with Journal(path, VirtualClock(3.0)) as journal:
@@ -73,24 +74,21 @@ def test_a_journal_that_was_cut_off_is_repaired_and_says_so(tmp_path, tail):
     assert path.read_bytes().count(b"\n") == 3
 
 
-def test_a_whole_journal_is_over_on_with_as_it_is(tmp_path):
-    path = tmp_path / "journal.jsonl"
+def test_a_whole_journal_is_over_on_with_as_it_is(path):
     for event in "ab":
         with Journal(path, VirtualClock()) as journal:
             journal.record(event)
     assert [entry["event"] for entry in read_journal(path)] == ["a", "b"]
 
 
-def test_a_journal_damaged_in_the_middle_is_not_written_to(tmp_path):
-    path = tmp_path / "journal.jsonl"
+def test_a_journal_damaged_in_the_middle_is_not_written_to(path):
     path.write_text('{"ev\n{"event": "c"}\n')
     with pytest.raises(RunFolderError, match=r"journal\.jsonl:1: damaged"):
         Journal(path, VirtualClock())
     assert path.read_text() == '{"ev\n{"event": "c"}\n'
 
 
-def test_a_second_writer_is_refused_until_the_first_is_over(tmp_path):
-    path = tmp_path / "journal.jsonl"
+def test_a_second_writer_is_refused_until_the_first_is_over(path):
     program = (
         "import sys, pathlib; from gyrobench.bench.foundations.clock import VirtualClock;"
         "from gyrobench.bench.runs.journal import Journal;"
@@ -109,8 +107,7 @@ def test_a_second_writer_is_refused_until_the_first_is_over(tmp_path):
     assert [entry["event"] for entry in read_journal(path)] == ["a", "b"]
 
 
-def test_an_entry_that_could_not_be_written_leaves_the_journal_as_it_was(tmp_path, small_files):
-    path = tmp_path / "journal.jsonl"
+def test_an_entry_that_could_not_be_written_leaves_the_journal_as_it_was(path, small_files):
     with Journal(path, VirtualClock()) as journal:
         journal.record("a")
         with small_files(path.stat().st_size + 20), pytest.raises(RunFolderError, match="can't be written"):
@@ -121,9 +118,7 @@ def test_an_entry_that_could_not_be_written_leaves_the_journal_as_it_was(tmp_pat
     assert [entry["event"] for entry in read_journal(path)] == ["a", "c"]
 
 
-def test_an_entry_that_is_not_on_the_disk_is_taken_back(tmp_path, monkeypatch):
-    path = tmp_path / "journal.jsonl"
-
+def test_an_entry_that_is_not_on_the_disk_is_taken_back(path, monkeypatch):
     def broken(descriptor):
         raise OSError(5, "Input/output error")
 
@@ -135,8 +130,7 @@ def test_an_entry_that_is_not_on_the_disk_is_taken_back(tmp_path, monkeypatch):
     assert [entry["event"] for entry in read_journal(path)] == ["a"]
 
 
-def test_a_number_that_is_not_finite_becomes_null(tmp_path):
-    path = tmp_path / "journal.jsonl"
+def test_a_number_that_is_not_finite_becomes_null(path):
     with Journal(path, VirtualClock()) as journal:
         journal.record("trip", value_c=float("nan"), limits_c=(float("-inf"), 70.0), of={"x": float("inf")})
     (entry,) = read_journal(path)
@@ -144,8 +138,7 @@ def test_a_number_that_is_not_finite_becomes_null(tmp_path):
 
 
 @given(text=st.text(max_size=30), share=st.floats(0.0, 1.0))
-def test_cut_anywhere_a_journal_gives_the_entries_that_are_whole(tmp_path, text, share):
-    path = tmp_path / "journal.jsonl"
+def test_cut_anywhere_a_journal_gives_the_entries_that_are_whole(path, text, share):
     path.unlink(missing_ok=True)
     with Journal(path, VirtualClock()) as journal:
         for number in range(4):
@@ -212,8 +205,7 @@ def test_entries_that_are_not_as_they_should_be_are_reported_as_far_as_they_go()
     assert facts == RunFacts(procedure="7", ended="5", safe_state=({"what": "chamber off"},))
 
 
-def test_each_line_carries_the_hash_of_the_line_before_also_after_a_cut(tmp_path):
-    path = tmp_path / "journal.jsonl"
+def test_each_line_carries_the_hash_of_the_line_before_also_after_a_cut(path):
     with Journal(path, VirtualClock()) as journal:
         journal.record("a")
         journal.record("b")
@@ -230,8 +222,7 @@ def test_each_line_carries_the_hash_of_the_line_before_also_after_a_cut(tmp_path
     assert all("previous_sha256" not in entry for entry in read_journal(path))
 
 
-def test_an_old_journal_is_linked_from_where_it_is_continued(tmp_path):
-    path = tmp_path / "journal.jsonl"
+def test_an_old_journal_is_linked_from_where_it_is_continued(path):
     path.write_text('{"event": "a"}\n{"event": "b"}\n')
     assert broken_links(path.read_bytes().splitlines(keepends=True)) == []
     with Journal(path, VirtualClock()) as journal:

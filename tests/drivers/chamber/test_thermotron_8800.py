@@ -17,16 +17,19 @@ def bench(request, make_bench):
     return make_bench(echo=request.param)
 
 
-def test_a_temperature_and_its_ramp_are_commanded_and_read_back(bench):
-    chamber = bench.driver()
+@pytest.fixture
+def chamber(bench):
+    return bench.driver()
+
+
+def test_a_temperature_and_its_ramp_are_commanded_and_read_back(bench, chamber):
     sent = bench.requests_of(lambda: chamber.set_temperature(22.0, 5.0))
     assert sent == [b"MODE?\r", b"MRMP1,5.000\r", b"MRMP1?\r", b"SETP1,22.000\r", b"SETP1?\r"]
     assert (bench.air.set_point_c, bench.air.ramp_rate_c_per_min) == (22.0, 5.0)
     assert chamber.set_point_c() == 22.0
 
 
-def test_a_reading_in_fahrenheit_is_a_fault(bench):
-    chamber = bench.driver()
+def test_a_reading_in_fahrenheit_is_a_fault(bench, chamber):
     chamber.set_temperature(20.0, None)
     bench.chamber.use_fahrenheit(True)
     with pytest.raises(FaultError, match="unit was changed from °C to °F; change it back"):
@@ -34,9 +37,8 @@ def test_a_reading_in_fahrenheit_is_a_fault(bench):
 
 
 def test_a_set_point_whose_confirmation_was_lost_is_not_taken_for_the_one_before_in_fahrenheit(
-    bench, monkeypatch
+    chamber, monkeypatch
 ):
-    chamber = bench.driver()
     chamber.set_temperature(10.0, None)
     command = chamber._command
 
@@ -53,8 +55,7 @@ def test_a_set_point_whose_confirmation_was_lost_is_not_taken_for_the_one_before
     chamber.set_temperature(50.0, None)
 
 
-def test_a_reading_has_air_set_point_and_running_state(bench):
-    chamber = bench.driver()
+def test_a_reading_has_air_set_point_and_running_state(bench, chamber):
     bench.air.air_c = 22.0
     chamber.set_temperature(60.0, 1.0)
     assert b"PVAR1?\r" in bench.requests_of(chamber.read)
@@ -67,8 +68,7 @@ def test_a_reading_has_air_set_point_and_running_state(bench):
     assert chamber.read().is_on is False
 
 
-def test_auxiliaries_are_switched_one_by_one(bench):
-    chamber = bench.driver()
+def test_auxiliaries_are_switched_one_by_one(bench, chamber):
     for number in (1, 2, 4, 5):
         chamber.switch_event(number, True)
     assert b"AUXE1,59\r" in bench.requests_of(lambda: chamber.switch_event(6, True))
@@ -104,8 +104,7 @@ def test_refused_auxiliaries_name_the_need_for_a_running_chamber(make_bench):
         (2, True, ("high deviation alarm (bit 1 of ALRM1?)",)),
     ],
 )
-def test_alarms_are_named(bench, number, high, words):
-    chamber = bench.driver()
+def test_alarms_are_named(bench, chamber, number, high, words):
     chamber.switch(True)
     assert chamber.read().alarms == ()
     bench.chamber.raise_alarm(number, high)
@@ -118,8 +117,7 @@ def test_alarms_are_named(bench, number, high, words):
 
 
 @pytest.mark.parametrize("code", Stop)
-def test_the_stop_code_is_an_alarm_where_a_fault_stopped_it(bench, code):
-    chamber = bench.driver()
+def test_the_stop_code_is_an_alarm_where_a_fault_stopped_it(bench, chamber, code):
     bench.chamber.stop_code = code
     if code == 6:
         with pytest.raises(FaultError, match=r"open temperature input \(SCOD\? 6\); check"):
@@ -130,15 +128,13 @@ def test_the_stop_code_is_an_alarm_where_a_fault_stopped_it(bench, code):
     assert chamber.read().alarms == ()
 
 
-def test_clearing_does_not_stop_a_chamber_that_runs(bench):
-    chamber = bench.driver()
+def test_clearing_does_not_stop_a_chamber_that_runs(bench, chamber):
     chamber.switch(True)
     chamber.clear_alarms()
     assert bench.air.running
 
 
-def test_an_open_input_is_a_fault_until_it_is_repaired_and_cleared(bench):
-    chamber = bench.driver()
+def test_an_open_input_is_a_fault_until_it_is_repaired_and_cleared(bench, chamber):
     chamber.switch(True)
     bench.chamber.break_sensor(1)
     with pytest.raises(FaultError, match="open temperature input"):
@@ -151,8 +147,7 @@ def test_an_open_input_is_a_fault_until_it_is_repaired_and_cleared(bench):
     assert chamber.read().is_on
 
 
-def test_it_comes_back_stopped_from_a_loss_of_power(bench):
-    chamber = bench.driver()
+def test_it_comes_back_stopped_from_a_loss_of_power(bench, chamber):
     chamber.set_temperature(60.0, 5.0)
     chamber.switch(True)
     chamber.switch_event(2, True)

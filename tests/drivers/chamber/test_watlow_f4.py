@@ -28,6 +28,11 @@ FRAMES = {
 }
 
 
+@pytest.fixture
+def chamber(bench):
+    return bench.driver()
+
+
 def requests_of(bench, action) -> list[str]:
     bench.requests.clear()
     action()
@@ -45,8 +50,7 @@ def test_the_air_and_the_state_of_the_sensor_are_read_in_one_exchange(bench):
     assert chamber.read().temperature_c == -40.0
 
 
-def test_a_reading_has_changes_at_the_panel(bench):
-    chamber = bench.driver()
+def test_a_reading_has_changes_at_the_panel(bench, chamber):
     chamber.set_temperature(60.0, 1.0)
     chamber.switch(True)
     assert chamber.read() == ChamberReading(23.0, set_point_c=60.0, is_on=True, alarms=())
@@ -56,8 +60,7 @@ def test_a_reading_has_changes_at_the_panel(bench):
     assert chamber.read().is_on is False
 
 
-def test_a_ramp_to_a_temperature_is_sent_as_in_the_manual(bench):
-    chamber = bench.driver()
+def test_a_ramp_to_a_temperature_is_sent_as_in_the_manual(bench, chamber):
     assert writes_of(bench, lambda: chamber.set_temperature(85.0, 5.0)) == [
         FRAMES["ramp rate 5.0"],
         FRAMES["ramp per minute"],
@@ -68,8 +71,7 @@ def test_a_ramp_to_a_temperature_is_sent_as_in_the_manual(bench):
     assert chamber.set_point_c() == 85.0
 
 
-def test_without_a_rate_the_ramp_is_switched_off(bench):
-    chamber = bench.driver()
+def test_without_a_rate_the_ramp_is_switched_off(bench, chamber):
     chamber.set_temperature(60.0, 1.0)
     assert writes_of(bench, lambda: chamber.set_temperature(-40.0, None))[-1] == FRAMES["set point -40.0"]
     assert (bench.air.set_point_c, bench.air.ramp_rate_c_per_min) == (-40.0, None)
@@ -81,8 +83,7 @@ def test_slow_ramps_use_the_scale_that_fits_better(bench, rate_c_per_min):
     assert bench.air.ramp_rate_c_per_min == pytest.approx(rate_c_per_min, rel=1e-9)
 
 
-def test_the_chamber_and_its_events_are_switched(bench):
-    chamber = bench.driver()
+def test_the_chamber_and_its_events_are_switched(bench, chamber):
     assert writes_of(bench, lambda: chamber.switch(True)) == [FRAMES["event 1 on"]]
     chamber.switch_event(2, True)
     chamber.switch(False)
@@ -118,8 +119,7 @@ def test_two_decimals_give_hundredths(make_bench):
     assert (bench.air.set_point_c, bench.air.ramp_rate_c_per_min) == (-12.34, 0.25)
 
 
-def test_a_broken_sensor_is_a_fault(bench):
-    chamber = bench.driver()
+def test_a_broken_sensor_is_a_fault(bench, chamber):
     bench.chamber.sensor_error = 2
     with pytest.raises(FaultError, match=r"error 2 of input 1 \(register 101\); check"):
         chamber.read()
@@ -128,8 +128,7 @@ def test_a_broken_sensor_is_a_fault(bench):
         chamber.read()
 
 
-def test_alarms_are_listed_and_cleared(bench):
-    chamber = bench.driver()
+def test_alarms_are_listed_and_cleared(bench, chamber):
     assert chamber.read().alarms == ()
     bench.chamber.alarm_1, bench.chamber.alarm_2 = 2, 1
     assert chamber.read().alarms == ("alarm 1 (register 102 reads 2)", "alarm 2 (register 106 reads 1)")
@@ -138,8 +137,9 @@ def test_alarms_are_listed_and_cleared(bench):
 
 
 @pytest.mark.parametrize("temperature_c", [math.nan, math.inf, -math.inf, 3276.8, -3276.9, 1e308])
-def test_a_set_point_that_is_no_register_value_is_refused_before_anything_is_sent(bench, temperature_c):
-    chamber = bench.driver()
+def test_a_set_point_that_is_no_register_value_is_refused_before_anything_is_sent(
+    bench, chamber, temperature_c
+):
     bench.requests.clear()
     with pytest.raises(RefusedError, match="set point"):
         chamber.set_temperature(temperature_c, None)
@@ -147,8 +147,7 @@ def test_a_set_point_that_is_no_register_value_is_refused_before_anything_is_sen
 
 
 @pytest.mark.parametrize("rate_c_per_min", [math.nan, math.inf, 0.0, -1.0, 1e-4, 1e6])
-def test_a_rate_that_is_no_register_value_is_refused_before_anything_is_sent(bench, rate_c_per_min):
-    chamber = bench.driver()
+def test_a_rate_that_is_no_register_value_is_refused_before_anything_is_sent(bench, chamber, rate_c_per_min):
     bench.requests.clear()
     with pytest.raises(RefusedError, match="ramp"):
         chamber.set_temperature(20.0, rate_c_per_min)
@@ -156,8 +155,7 @@ def test_a_rate_that_is_no_register_value_is_refused_before_anything_is_sent(ben
 
 
 @pytest.mark.parametrize("temperature_c", [-60.1, 100.1])
-def test_a_set_point_outside_the_controllers_limits_is_not_written(bench, temperature_c):
-    chamber = bench.driver()
+def test_a_set_point_outside_the_controllers_limits_is_not_written(bench, chamber, temperature_c):
     with pytest.raises(RefusedError, match=r"-60.0 to 100.0 °C"):
         chamber.set_temperature(temperature_c, 1.0)
     assert bench.air.set_point_c == 23.0
@@ -175,8 +173,7 @@ def test_an_f4s_takes_set_points_but_no_ramps(make_bench):
     assert bench.air.set_point_c == 50.0
 
 
-def test_an_exception_names_register_and_value(bench):
-    chamber = bench.driver()
+def test_an_exception_names_register_and_value(bench, chamber):
     bench.respond = lambda _: append_crc(bytes((1, 0x86, 3)))
     with pytest.raises(RefusedError, match=r"write 1 to register 2010 \(event 2\): exception 03, illegal"):
         chamber.switch_event(2, True)
@@ -185,8 +182,7 @@ def test_an_exception_names_register_and_value(bench):
         chamber.read()
 
 
-def test_a_value_that_is_not_kept_is_noticed(bench):
-    chamber = bench.driver()
+def test_a_value_that_is_not_kept_is_noticed(bench, chamber):
     replying = bench.respond
 
     def forgetful(request: bytes) -> bytes:
@@ -208,15 +204,13 @@ def test_a_value_that_is_not_kept_is_noticed(bench):
     ],
     ids=["CRC", "address", "function", "length", "exception of another function"],
 )
-def test_a_reply_to_something_else_is_an_error(bench, reply, problem):
-    chamber = bench.driver()
+def test_a_reply_to_something_else_is_an_error(bench, chamber, reply, problem):
     bench.respond = lambda _: reply
     with pytest.raises(ReplyError, match=problem):
         chamber.read()
 
 
-def test_an_echo_of_another_value_is_an_error(bench):
-    chamber = bench.driver()
+def test_an_echo_of_another_value_is_an_error(bench, chamber):
     bench.respond = lambda _: append_crc(bytes.fromhex("01 06 07 D0 00 00"))
     with pytest.raises(ReplyError, match="another device"):
         chamber.switch_event(1, True)
@@ -327,9 +321,8 @@ def change_unit(bench):
     ],
 )
 def test_after_a_change_of_its_numbers_at_the_panel_nothing_is_commanded_and_the_chamber_is_off(
-    bench, change, message
+    bench, chamber, change, message
 ):
-    chamber = bench.driver()
     chamber.set_temperature(60.0, 1.0)
     chamber.switch(True)
     change(bench)
@@ -339,8 +332,7 @@ def test_after_a_change_of_its_numbers_at_the_panel_nothing_is_commanded_and_the
     assert not bench.air.running
 
 
-def test_a_profile_is_refused_although_the_set_point_reads_back_right(bench):
-    chamber = bench.driver()
+def test_a_profile_is_refused_although_the_set_point_reads_back_right(bench, chamber):
     chamber.set_temperature(23.0, None)
     assert chamber.running_profile() == ""
     bench.chamber.start_profile(85.0)

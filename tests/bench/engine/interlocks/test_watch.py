@@ -11,6 +11,11 @@ from gyrobench.drivers.ins.readout import InsMode
 from tests.bench.engine.interlocks.watched_bench import ALL_WELL, WatchedBench, air, at
 
 
+@pytest.fixture
+def bench(watched):
+    return watched()
+
+
 def set_values(thing, **values):
     for name, value in values.items():
         setattr(thing, name, value)
@@ -62,9 +67,8 @@ WRONG = {
 
 @pytest.mark.parametrize(("make_wrong", "name", "words"), WRONG.values(), ids=WRONG)
 def test_each_interlock_trips_alone_and_names_value_and_limit_until_it_is_good_again(
-    watched, make_wrong, name, words
+    bench, make_wrong, name, words
 ):
-    bench = watched()
     assert bench.poll() == {}
     good = {key: getattr(bench, key) for key in ("table", "chamber")}
     good["ins"] = replace(bench.ins)
@@ -90,8 +94,7 @@ def test_what_is_wrong_before_the_first_step_trips_at_once(watched, case):
     assert list(bench.poll(1.0)) == [name]
 
 
-def test_an_ins_that_was_off_may_have_been_silent_until_now(watched):
-    bench = watched()
+def test_an_ins_that_was_off_may_have_been_silent_until_now(bench):
     bench.expected, bench.ins.age_s = replace(bench.expected, ins_on=False), math.inf
     assert bench.poll() == {}
     bench.expected = ALL_WELL
@@ -103,8 +106,7 @@ def test_an_ins_that_was_off_may_have_been_silent_until_now(watched):
     assert bench.poll(1.0) == {}
 
 
-def test_what_was_not_commanded_yet_trips_nothing(watched):
-    bench = watched()
+def test_what_was_not_commanded_yet_trips_nothing(bench):
     bench.expected = ExpectedState()
     bench.chamber = air(20.0, -40.0, False)
     bench.table = at((0, 0), (0, 0), False, faults=("axis 1: interlock 1",))
@@ -112,8 +114,7 @@ def test_what_was_not_commanded_yet_trips_nothing(watched):
     assert bench.poll() == {}
 
 
-def test_an_instrument_is_held_to_a_command_only_by_readings_that_came_after_it(watched):
-    bench = watched()
+def test_an_instrument_is_held_to_a_command_only_by_readings_that_came_after_it(bench):
     bench.poll()
     bench.expected = replace(bench.expected, chamber_set_c=60.0)
     assert bench.trips() == {}
@@ -125,8 +126,7 @@ def test_an_instrument_is_held_to_a_command_only_by_readings_that_came_after_it(
 
 
 @pytest.mark.parametrize("silent", ["table", "chamber"])
-def test_values_that_are_too_old_trip(watched, silent):
-    bench = watched()
+def test_values_that_are_too_old_trip(bench, silent):
     bench.poll()
     others = [name for name in ("table", "chamber") if name != silent]
     assert bench.poll(40.0, others) == {}
@@ -136,29 +136,25 @@ def test_values_that_are_too_old_trip(watched, silent):
     assert bench.poll(1.0) == {}
 
 
-def test_a_chamber_that_reports_a_faulty_sensor_is_not_called_silent(watched):
-    bench = watched()
+def test_a_chamber_that_reports_a_faulty_sensor_is_not_called_silent(bench):
     bench.poll()
     bench.chamber = replace(bench.chamber, alarms=("error of the sensor",))  # its last temperature
     assert list(bench.poll(100.0, ["table"])) == ["chamber_alarm"]
 
 
-def test_everything_trips_without_polls(watched):
-    bench = watched()
+def test_everything_trips_without_polls(bench):
     bench.poll()
     bench.clock.sleep(60.0)
     assert list(bench.trips()) == ["table_silence", "chamber_silence", "ins_silence"]
 
 
-def test_an_ins_that_is_off_trips_nothing(watched):
-    bench = watched()
+def test_an_ins_that_is_off_trips_nothing(bench):
     bench.expected = replace(bench.expected, ins_on=False)
     bench.ins.age_s, bench.ins.case_c, bench.ins.optics_c = 1e4, math.nan, np.full(3, math.nan)
     assert bench.poll_for(300.0) == {}
 
 
-def test_a_temperature_that_stays_unknown_trips_but_not_at_once_after_power_on(watched):
-    bench = watched()
+def test_a_temperature_that_stays_unknown_trips_but_not_at_once_after_power_on(bench):
     bench.ins.case_c = math.nan
     assert bench.poll(1.0) == {}
     trips = bench.poll(10.0)
@@ -167,8 +163,7 @@ def test_a_temperature_that_stays_unknown_trips_but_not_at_once_after_power_on(w
     assert "-60 and 95 degC" in trips["case_temperature"].text
 
 
-def test_temperatures_that_come_after_the_first_reading_of_an_ins_trip_nothing_before_the_next(watched):
-    bench = watched()
+def test_temperatures_that_come_after_the_first_reading_of_an_ins_trip_nothing_before_the_next(bench):
     bench.ins.case_c = math.nan
     assert bench.poll(1.0) == {}
     bench.clock.sleep(9.0)
@@ -183,8 +178,7 @@ def test_temperatures_that_the_signal_map_has_not_trip_nothing(watched):
     assert bench.poll_for(300.0) == {}
 
 
-def test_an_opened_door_trips_and_is_good_again_a_window_after_the_air_is_steady(watched):
-    bench = watched()
+def test_an_opened_door_trips_and_is_good_again_a_window_after_the_air_is_steady(bench):
     bench.poll_for(120.0)
     bench.chamber = air(35.0, 20.0, True)
     trips = bench.poll()
@@ -216,8 +210,7 @@ def test_resolution_and_noise_of_the_sensors_trip_nothing(watched):
         assert bench.poll(1.0) == {}
 
 
-def test_a_table_that_is_torn_from_its_rate_trips(watched):
-    bench = watched()
+def test_a_table_that_is_torn_from_its_rate_trips(bench):
     bench.table = at((0.0, 0.0), (30.0, 0.0))
     bench.poll(1.0)
     bench.table = at((0.0, 0.0), (-30.0, 0.0))
@@ -226,8 +219,7 @@ def test_a_table_that_is_torn_from_its_rate_trips(watched):
     assert "-60.0 deg/s2, below the limit of -45 deg/s2" in trips["table_acceleration"].text
 
 
-def test_a_stopped_table_trips_as_soon_as_it_moves_after_its_rest(watched):
-    bench = watched()
+def test_a_stopped_table_trips_as_soon_as_it_moves_after_its_rest(bench):
     at_rest, turning = bench.table, replace(bench.table, rate_dps=(0.0, 0.3))
     bench.expected = replace(bench.expected, table_prepared=False, table_stopped=True)
     assert bench.poll() == {}
@@ -241,8 +233,7 @@ def test_a_stopped_table_trips_as_soon_as_it_moves_after_its_rest(watched):
     assert "turns at 0.30 deg/s although the table was stopped" in trips["table_fault"].text
 
 
-def test_a_stopped_table_that_does_not_come_to_rest_in_its_time_trips(watched):
-    bench = watched()
+def test_a_stopped_table_that_does_not_come_to_rest_in_its_time_trips(bench):
     bench.expected = replace(bench.expected, table_prepared=False, table_stopped=True)
     assert bench.poll() == {}
     bench.table = replace(bench.table, rate_dps=(0.0, 0.3))
@@ -262,8 +253,7 @@ def test_the_axes_are_distinguished_by_the_controllers_numbers(station_of, tmp_p
         assert list(bench.poll()) == tripped
 
 
-def test_the_time_since_an_interlock_is_good_is_known(watched):
-    bench = watched()
+def test_the_time_since_an_interlock_is_good_is_known(bench):
     bench.poll(10.0)
     assert bench.watch.untripped_since_s("chamber_alarm") == 10.0
     bench.chamber = air(20.0, 20.0, True, alarms=("alarm 1",))
@@ -288,8 +278,7 @@ def test_the_station_file_sets_the_rules(watched):
     assert trips["chamber_air"].rule.resume == "person"
 
 
-def test_air_that_leaves_a_set_point_that_it_had_reached_trips(watched):
-    bench = watched()
+def test_air_that_leaves_a_set_point_that_it_had_reached_trips(bench):
     bench.poll()
     bench.chamber = air(26.0, 20.0, True)
     assert "chamber_deviation" not in bench.poll()  # on its way
@@ -344,9 +333,8 @@ def test_ticks_between_readings_find_what_a_whole_evaluation_finds(watched, seed
     (46.0, 0.02, False),
 ])  # fmt: skip
 def test_a_case_that_moves_away_from_the_air_that_the_chamber_reads_trips(
-    watched, first_c, c_per_min, is_tripped
+    bench, first_c, c_per_min, is_tripped
 ):
-    bench = watched()
     bench.chamber = air(20.0, 20.0, True)
     for minutes in np.arange(0.0, 3.0, 1.0 / 6.0):
         set_values(bench.ins, case_c=first_c + c_per_min * minutes)
@@ -356,9 +344,8 @@ def test_a_case_that_moves_away_from_the_air_that_the_chamber_reads_trips(
 
 @pytest.mark.parametrize(("air_c", "is_in_fahrenheit"), [(73.4, True), (45.0, False)])
 def test_air_that_is_near_the_unit_if_it_is_in_fahrenheit_asks_for_the_unit_of_the_controller(
-    watched, air_c, is_in_fahrenheit
+    bench, air_c, is_in_fahrenheit
 ):
-    bench = watched()
     bench.chamber = air(air_c, 20.0, True)
     for minutes in np.arange(0.0, 3.0, 1.0 / 6.0):
         set_values(bench.ins, case_c=23.0 - 0.2 * minutes)
@@ -379,8 +366,7 @@ def test_gyros_without_a_case_temperature_may_continue_as_before_a_ramp_for_a_qu
     assert set(trips) == ({"chamber_sensor"} if is_tripped else set())
 
 
-def test_a_unit_whose_temperatures_are_unknown_does_not_contradict_the_chamber(watched):
-    bench = watched()
+def test_a_unit_whose_temperatures_are_unknown_does_not_contradict_the_chamber(bench):
     bench.expected = replace(bench.expected, ins_on=False)
     set_values(bench.ins, case_c=math.nan, optics_c=np.full(3, math.nan), electronics_c=np.full(3, math.nan))
     assert bench.poll_for(300.0) == {}
