@@ -4,7 +4,6 @@ import pytest
 from pydantic import ValidationError
 
 from gyrobench.bench.bias.dwell import MIN_DURATION
-from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.estimate import BenchEstimate, ThermalEstimate
 from gyrobench.bench.procedure.procedure_file import STEP_KINDS
 from gyrobench.bench.procedure.rotation_steps import Rotate, Rotation, Spin
@@ -123,12 +122,9 @@ def test_power_on_and_align_and_go_to_predict_what_they_leave():
     on = PowerOn().after(ROOM, 0.0)
     there = GoTo(position="y_up", azimuth_deg=90).after(on, 20.0)
     aligned = Align(duration_s=300).after(there, 300.0)
-    assert (aligned.powered, aligned.aligned, aligned.position, aligned.azimuth_deg) == (
-        True,
-        True,
-        "y_up",
-        90.0,
-    )
+    assert aligned.powered
+    assert aligned.aligned
+    assert (aligned.position, aligned.azimuth_deg) == ("y_up", 90.0)
     assert not GoTo(position="y_up").after(aligned, 0.0).aligned
     assert not PowerOff().after(aligned, 0.0).aligned
     assert not PowerOff().after(aligned, 0.0).powered
@@ -138,11 +134,6 @@ def test_power_on_and_align_and_go_to_predict_what_they_leave():
 def test_go_to_has_time_to_unwind_two_full_circles(rate_dps):
     step = GoTo(position="z_up", rate_dps=rate_dps, settle_s=5.0)
     assert step.time_limit_s(step.expected_s(ROOM)) > 720.0 / rate_dps + 5.0
-
-
-@pytest.mark.parametrize("name", POSITIONS)
-def test_all_six_positions_are_known(name):
-    assert GoTo(position=name).position == name
 
 
 WRONG = [
@@ -178,22 +169,9 @@ WRONG = [
     (Navigate, {"duration_s": 600, "at_least_s": 60}, "go with until, not with duration_s"),
     (Navigate, {"until": UNTIL}, "needs at_most_s"),
     (Navigate, {"until": UNTIL, "at_least_s": 90}, "needs at_most_s"),
-    (
-        Navigate,
-        {"until": UNTIL, "at_least_s": 90, "at_most_s": 89},
-        r"at_most_s \(89\) is below at_least_s \(90\)",
-    ),
+    (Navigate, {"until": UNTIL, "at_least_s": 90, "at_most_s": 89}, r"\(89\) is below at_least_s \(90\)"),
     (Navigate, {"until": UNTIL, "at_most_s": 50}, r"at_most_s \(50\) is below at_least_s \(60\)"),
-    (
-        Navigate,
-        {"until": {"bias_sigma_below_dph": 0.0}, "at_most_s": 900},
-        "greater than or equal to 0.00001",
-    ),
-    (
-        Navigate,
-        {"until": {"bias_sigma_below_dph": -1.0}, "at_most_s": 900},
-        "greater than or equal to 0.00001",
-    ),
+    (Navigate, {"until": {"bias_sigma_below_dph": 0.0}, "at_most_s": 900}, "or equal to 0.00001"),
     (Navigate, {"until": {"bias_sigma_below_dph": 11.0}, "at_most_s": 900}, "less than or equal to 10"),
     (Navigate, {"until": {"bias_sigma_below_dph": "1"}, "at_most_s": 900}, "valid number"),
     (Navigate, {"until": {}, "at_most_s": 900}, "'bias_sigma_below_dph' is missing"),
@@ -221,6 +199,7 @@ def early(**values):
 def test_a_navigation_lasts_its_duration_or_its_longest_time():
     assert Navigate(duration_s=600).expected_s(ROOM) == Navigate(duration_s=600).max_duration_s == 600.0
     assert early(at_least_s=120).expected_s(ROOM) == early().max_duration_s == 900.0
+    assert Navigate(until=UNTIL, at_least_s=60, at_most_s=60).max_duration_s == 60.0
 
 
 def test_a_navigation_that_may_end_early_has_time_until_its_longest_duration():
@@ -283,7 +262,3 @@ def test_turn_keeps_the_alignment_and_moves_the_azimuth(azimuth_deg, angle_deg, 
 @pytest.mark.parametrize("angle_deg", [180, -180])
 def test_turn_takes_its_angle_over_its_rate_and_settles(angle_deg):
     assert Turn(angle_deg=angle_deg, rate_dps=10, settle_s=5).expected_s(ROOM) == pytest.approx(23.0)
-
-
-def test_an_end_at_the_shortest_time_is_allowed():
-    assert Navigate(until=UNTIL, at_least_s=60, at_most_s=60).max_duration_s == 60.0
