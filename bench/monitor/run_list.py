@@ -31,7 +31,7 @@ from gyrobench.bench.monitor.snapshot import (
     RunState,
     read_snapshot,
 )
-from gyrobench.bench.monitor.snapshot_recorder import (
+from gyrobench.bench.monitor.snapshot_parts import (
     live_bins,
     planned_profile,
     profile_of_telemetry,

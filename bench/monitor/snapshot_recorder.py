@@ -5,14 +5,13 @@ from __future__ import annotations
 import contextlib
 import math
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import astuple, fields
 from typing import Generic, TypeVar
 
 import numpy as np
 
 from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
-from gyrobench.bench.bias.bins import bin_biases
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.observers import RunObserver
@@ -27,7 +26,6 @@ from gyrobench.bench.monitor.snapshot import (
     MAX_ESTIMATES,
     MAX_MEASURED,
     MAX_MESSAGES,
-    MAX_PLANNED,
     MAX_WINDOW_SAMPLES,
     UNKNOWN,
     Alarm,
@@ -39,8 +37,6 @@ from gyrobench.bench.monitor.snapshot import (
     LiveBin,
     MeasuredProfile,
     Note,
-    PlannedProfile,
-    PositionSpan,
     Question,
     RunSnapshot,
     RunState,
@@ -49,10 +45,10 @@ from gyrobench.bench.monitor.snapshot import (
     WindowTrace,
     read_snapshot,
 )
+from gyrobench.bench.monitor.snapshot_parts import live_bins, planned_profile, snapshot_dwells
 from gyrobench.bench.procedure.plan import Plan, PlannedStep
 from gyrobench.bench.procedure.rotation_steps import RotatingStep
 from gyrobench.bench.procedure.steps import Align, GoTo, Navigate, Turn
-from gyrobench.bench.procedure.timeline import position_spans, temperature_profile
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.drivers.ins.ins_status import InsStatus
 
@@ -86,71 +82,14 @@ class ThinnedRows(Generic[_T]):
         return [*self._thinned, self._newest]
 
 
-def planned_profile(plan: Plan) -> PlannedProfile:
-    """Planned temperatures and positions."""
-    time_s, chamber_c, gyro_c = (_evenly_chosen(each, MAX_PLANNED) for each in temperature_profile(plan))
-    spans = tuple(
-        PositionSpan(float(start_s), float(end_s), name, _dwells_between(plan, start_s, end_s))
-        for start_s, end_s, name in position_spans(plan)
-    )
-    return PlannedProfile(time_s, chamber_c, gyro_c, spans)
-
-
-def _dwells_between(plan: Plan, start_s: float, end_s: float) -> tuple[int, ...]:
-    """Numbers of the dwells that the plan begins in a time."""
-    steps = (each for each in plan.steps if start_s <= each.start_s < end_s)
-    return tuple(dict.fromkeys(each.dwell for each in steps if each.dwell))
-
-
-def profile_of_telemetry(telemetry: Mapping[str, FloatArray]) -> MeasuredProfile:
-    """Profile of a run from its telemetry, whose columns have the names of its series."""
-    return MeasuredProfile(
-        *(_evenly_chosen(telemetry[each.name], MAX_MEASURED) for each in fields(MeasuredProfile))
-    )
-
-
-def _evenly_chosen(values: FloatArray, max_count: int) -> tuple[float, ...]:
-    """At most ``max_count`` values, evenly chosen, with the first and the last."""
-    if len(values) > max_count:
-        values = values[np.linspace(0, len(values) - 1, max_count).round().astype(int)]
-    return tuple(map(float, values))
-
-
-def snapshot_dwells(rows: Sequence[DwellRow]) -> tuple[SnapshotDwell, ...]:
-    """Summary of each dwell."""
-    return tuple(
-        SnapshotDwell(
-            row.dwell, row.cycle, row.position, row.gyro_c, row.bias_dph, row.sigma_dph, flag_text(row.flags)
-        )
-        for row in rows
-    )
-
-
-def live_bins(rows: Sequence[DwellRow], width_c: float) -> tuple[LiveBin, ...]:
-    """Bins of the dwells without flags, including empty bins between them."""
-    return tuple(
-        LiveBin(
-            each.gyro,
-            each.position,
-            each.bin_low_c,
-            each.bin_high_c,
-            each.bias_dph,
-            each.sigma_dph,
-            each.count,
-        )
-        for each in bin_biases([row for row in rows if not row.flags], width_c)
-    )
-
-
 def _bench_readings(bench: LiveBench) -> BenchReadings:
     """Last readings of the instruments, and their ages."""
     readings, now_s = bench.readings, bench.clock.now()
     outer_deg, inner_deg = bench.table_angles()
     outer_dps, inner_dps = bench.station.table_axes_of(readings.table.rate_dps)
-    set_c = bench.state.commanded_c
     ins_age_s = readings.ins.age_s + now_s - readings.polled_s
     return BenchReadings(
-        chamber_set_c=math.nan if set_c is None else set_c,
+        chamber_set_c=_set_point_c(bench),
         chamber_c=readings.chamber.temperature_c,
         gyro_c=readings.ins.optics_c,
         electronics_c=readings.ins.electronics_c,
@@ -164,6 +103,12 @@ def _bench_readings(bench: LiveBench) -> BenchReadings:
         chamber_age_s=now_s - readings.chamber_s,
         ins_age_s=ins_age_s if math.isfinite(ins_age_s) else math.nan,
     )
+
+
+def _set_point_c(bench: LiveBench) -> float:
+    """Commanded temperature of the chamber; NaN if there is none."""
+    set_c = bench.state.commanded_c
+    return math.nan if set_c is None else set_c
 
 
 def _attitude_of(bench: LiveBench, position: str, azimuth_deg: float) -> Attitude:
@@ -359,9 +304,8 @@ class SnapshotRecorder(RunObserver):
     def begun(self, folder: RunFolder, bench: LiveBench, outcome: RunOutcome) -> None:
         """Begin with the dwells, readings and messages from before a resumption."""
         self._folder, self._bench, self._outcome = folder, bench, outcome
-        messages = [
-            Note(bench.clock.now(), note.text) for note in self._messages
-        ]  # from before the clock started
+        # Messages from before the clock started.
+        messages = [Note(bench.clock.now(), note.text) for note in self._messages]
         with contextlib.suppress(RunFolderError):  # a new run has none
             previous = read_snapshot(folder.live)
             for row in zip(*astuple(previous.measured), strict=True):
@@ -416,10 +360,8 @@ class SnapshotRecorder(RunObserver):
         readings = bench.readings
         if readings.polled_s > self._last_reading_s:
             self._last_reading_s = readings.polled_s
-            set_c = bench.state.commanded_c
-            set_or_nan_c = math.nan if set_c is None else set_c
             air_c, gyro_c = readings.chamber.temperature_c, readings.ins.optics_c
-            self._readings.add((readings.polled_s, set_or_nan_c, air_c, *gyro_c))
+            self._readings.add((readings.polled_s, _set_point_c(bench), air_c, *gyro_c))
             if self._dwell and self._step and readings.polled_s >= self._step.started_s:
                 self._dwell.add(readings.polled_s, readings.ins)
         if self._wall_clock.now() >= self._next_write_s:
