@@ -3,6 +3,8 @@
 What remains of it in the biases follows the attitude like the Earth's rotation, by the same vector in all
 gyros. The vector shows a wrong azimuth, latitude or scale. Exchanged or reversed axes leave no common vector;
 each possible assignment of axes is tried. Biases that follow gravity differ from gyro to gyro and fit none.
+Each gyro is also compared by itself along Up, which takes fewer positions: of a rate without the Earth's
+rotation all of it remains, of one with the wrong sign twice as much.
 """
 
 from __future__ import annotations
@@ -19,6 +21,8 @@ from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, BoolArray, FloatArr
 from gyrobench.bench.navigation.earth import EARTH_RATE, earth_rate_enu
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
+#: Smallest vertical rate of the Earth for which a gyro is tested by itself, deg/h, and relative tolerance.
+_MIN_VERTICAL_DPH, _TOLERANCE = 1.0, 0.1
 #: Fewest rows, fewest gyros that were up and down, and powers of the temperature in a bias.
 _MIN_ROWS, _MIN_GYROS, _POWERS = 12, 2, 3
 #: Largest share of the scatter of the biases that a mistake leaves: in general, and of one that is vertical
@@ -32,13 +36,14 @@ _MIN_SCALE_ERROR, _MIN_SHARE = 0.02, 0.1
 _EARTH_DPH = EARTH_RATE * RADPS_TO_DPH
 
 
-def sensed_earth_warning(rows: Sequence[DwellRow], rule: EarthRate, is_by_force: bool) -> str:
-    """Warning if the biases contain a part of the Earth's rotation that a mistake in the map explains.
+def earth_warnings(rows: Sequence[DwellRow], rule: EarthRate, is_by_force: bool) -> list[str]:
+    """Warnings if the biases contain a part of the Earth's rotation that a mistake in the map explains.
 
     ``is_by_force``: whether accelerometers gave the positions, so that their axes may be wrong as well.
     """
+    vertical = [*_vertical_warnings(rows, rule.latitude_deg)]
     if len(rows) < _MIN_ROWS:
-        return ""
+        return vertical
     has_azimuth = rule.azimuth_deg is not None
     azimuth = math.radians(rule.azimuth_deg or 0.0)
     C_nb = {name: position.C_nb(azimuth) for name, position in POSITIONS.items()}
@@ -64,7 +69,7 @@ def sensed_earth_warning(rows: Sequence[DwellRow], rule: EarthRate, is_by_force:
         np.ptp(each[chosen, 2]) > 1.0 for each, chosen in zip(axes_enu, used, strict=True) if chosen.any()
     ]
     if sum(turned) < _MIN_GYROS or used.sum(axis=1)[used.any(axis=1)].min() < _MIN_ROWS // 2:
-        return ""
+        return vertical
     data = freed(bias)
     scatter = size(data)
     design = freed(axes_enu)[:, 0 if has_azimuth else 2 :]
@@ -75,22 +80,49 @@ def sensed_earth_warning(rows: Sequence[DwellRow], rule: EarthRate, is_by_force:
     limit = _MAX_LEFT_VERTICAL if is_vertical else _MAX_LEFT
     if size(data - design @ solution) < limit * scatter:
         is_small = float(np.linalg.norm(rest)) < _MIN_RATE * _EARTH_DPH
-        return "" if is_small else _rate_text(earth + rest, rule)
+        return vertical or ([] if is_small else [_rate_text(earth + rest, rule)])
     if not has_azimuth or scatter < _MIN_SCATTER * _EARTH_DPH:
-        return ""
+        return vertical
     names = [row.position for row in rows]
     for text, expected in _other_axes(C_nb, earth, is_by_force):
         if size(data - freed(np.array([expected[name] for name in names]).T)) < _MAX_LEFT * scatter:
-            return text
+            return [text]
     scales = [freed(np.where(np.arange(3)[:, None] == k, axes_enu @ earth, 0.0)) for k in range(3)]
     errors, *_ = np.linalg.lstsq(np.array(scales).T, data, rcond=1e-6)
-    if size(data - errors @ scales) > _MAX_LEFT * scatter:
-        return ""
+    if vertical or size(data - errors @ scales) > _MAX_LEFT * scatter:
+        return vertical
     worst = int(np.argmax(np.abs(errors)))
-    return (
+    return [
         f"the {AXES[worst]} gyro senses {1.0 + errors[worst]:.3g} times the Earth's rotation. Check unit and "
         "scale of its column"
-    )
+    ]
+
+
+def _vertical_warnings(rows: Sequence[DwellRow], latitude_deg: float) -> Iterator[str]:
+    """Warnings about gyros that lack the vertical part of the Earth's rotation, or have its wrong sign."""
+    vertical_dph = _EARTH_DPH * math.sin(math.radians(latitude_deg))
+    if abs(vertical_dph) <= _MIN_VERTICAL_DPH:
+        return
+    for index, axis in enumerate(AXES):
+        biases_by_way = (
+            [sign * row.bias_dph[index] for row in rows if row.position == f"{axis}_{way}"]
+            for way, sign in (("up", 1.0), ("down", -1.0))
+        )
+        means = [float(np.mean(biases)) for biases in biases_by_way if biases]
+        along_up_dph = float(np.mean(means)) if means else 0.0
+        excess = -along_up_dph / vertical_dph  # 1 without rotation in the log, 2 with one of the wrong sign
+        if abs(excess - 1.0) < _TOLERANCE:
+            yield (
+                f"if vertical, the {axis} gyro seems to lack the Earth's rotation: subtracting "
+                f"it leaves {along_up_dph:.1f} deg/h along Up. Check 'unit' and 'scale' of the gyro; "
+                "leave 'earth_rate' out if it was removed from the log"
+            )
+        elif len(means) == 2 and abs(excess - 2.0) < 2.0 * _TOLERANCE:
+            yield (
+                f"the bias of the {axis} gyro differs by {2.0 * abs(along_up_dph):.1f} deg/h with its axis up"
+                " and down: four times the vertical part of the Earth's rotation, as with wrong signs of "
+                "the accelerometers ('position'), of the gyro or of the latitude. Check them"
+            )
 
 
 def _temperature_basis(rows: Sequence[DwellRow], gyro: int, used: BoolArray) -> FloatArray:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow, write_dwells
-from gyrobench.bench.exchange.earth_check import sensed_earth_warning
+from gyrobench.bench.exchange.earth_check import earth_warnings
 from gyrobench.bench.exchange.import_map import LogMap, load_log_map
 from gyrobench.bench.exchange.log_windows import SampleReader, Window, cut_windows
 from gyrobench.bench.exchange.window_checks import (
@@ -127,37 +127,6 @@ def _log_warnings(logs: Sequence[_ReadLog]) -> list[str]:
     return warnings
 
 
-#: Smallest vertical rate of the Earth for which signs are tested, deg/h, and relative tolerance of the test.
-_MIN_EARTH_DPH, _EARTH_TOLERANCE = 1.0, 0.1
-
-
-def _earth_warnings(rows: Sequence[DwellRow], latitude_deg: float) -> Iterator[str]:
-    """Warnings about axes whose log lacks the Earth's rotation, or has it with the wrong sign."""
-    earth_dph = float(earth_rate_enu(math.radians(latitude_deg))[2]) * RADPS_TO_DPH
-    if abs(earth_dph) <= _MIN_EARTH_DPH:
-        return
-    for index, axis in enumerate(AXES):
-        biases_by_way = (
-            [sign * row.bias_dph[index] for row in rows if row.position == f"{axis}_{way}"]
-            for way, sign in (("up", 1.0), ("down", -1.0))
-        )
-        means = [float(np.mean(biases)) for biases in biases_by_way if biases]
-        along_up_dph = float(np.mean(means)) if means else 0.0
-        excess = -along_up_dph / earth_dph  # 1 without rotation in the log, 2 with one of the wrong sign
-        if abs(excess - 1.0) < _EARTH_TOLERANCE:
-            yield (
-                f"if vertical, the {axis} gyro seems to lack the Earth's rotation: subtracting "
-                f"it leaves {along_up_dph:.1f} deg/h along Up. Check 'unit' and 'scale' of the gyro; "
-                "leave 'earth_rate' out if it was removed from the log"
-            )
-        elif len(means) == 2 and abs(excess - 2.0) < 2.0 * _EARTH_TOLERANCE:
-            yield (
-                f"the bias of the {axis} gyro differs by {2.0 * abs(along_up_dph):.1f} deg/h with its axis up"
-                " and down: four times the vertical part of the Earth's rotation, as with wrong signs of "
-                "the accelerometers ('position'), of the gyro or of the latitude. Check them"
-            )
-
-
 def _map_warnings(log_map: LogMap, rows: Sequence[DwellRow]) -> list[str]:
     warnings: list[str] = []
     if log_map.earth_rate is None:
@@ -167,11 +136,8 @@ def _map_warnings(log_map: LogMap, rows: Sequence[DwellRow]) -> list[str]:
                 "Give 'earth_rate' in the import map"
             )
     else:
-        earth_warnings = [*_earth_warnings(rows, log_map.earth_rate.latitude_deg)]
         is_by_force = log_map.averages.position.accelerometers is not None
-        warnings += earth_warnings or filter(
-            None, [sensed_earth_warning(rows, log_map.earth_rate, is_by_force)]
-        )
+        warnings += earth_warnings(rows, log_map.earth_rate, is_by_force)
         if log_map.earth_rate.azimuth_deg is None:
             _, north, _ = earth_rate_enu(math.radians(log_map.earth_rate.latitude_deg))
             horizontal_dph = north * RADPS_TO_DPH

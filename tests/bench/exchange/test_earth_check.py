@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.exchange.earth_check import sensed_earth_warning
+from gyrobench.bench.exchange.earth_check import earth_warnings
 from gyrobench.bench.exchange.import_map import EarthRate
 from gyrobench.bench.exchange.window_checks import earth_rate_dph, nearest_position
 from gyrobench.bench.foundations.arrays import triple
@@ -55,27 +55,26 @@ def rows(
 )
 def test_a_wrong_place_or_azimuth_is_named_with_the_right_one(rule, text):
     rule = EarthRate(**rule)
-    found = sensed_earth_warning(rows(rule), rule, is_by_force=True)
-    assert text in found
-    assert bool(text) == bool(found)
+    found = earth_warnings(rows(rule), rule, is_by_force=True)
+    assert len(found) == bool(text)
+    assert text in "".join(found)
 
 
 def test_a_wrong_scale_of_all_gyros_or_of_one_is_named():
     for factor in (0.2, 0.5, 1.1, 57.3):
-        text = f"the gyros sense {factor:.3g} times the Earth's rotation"
-        assert text in sensed_earth_warning(rows(TRUE, scale=(factor,) * 3), TRUE, is_by_force=True)
-    assert "the y gyro senses 0.5 times" in sensed_earth_warning(
-        rows(TRUE, scale=(1.0, 0.5, 1.0)), TRUE, is_by_force=True
-    )
+        [found] = earth_warnings(rows(TRUE, scale=(factor,) * 3), TRUE, is_by_force=True)
+        assert f"the gyros sense {factor:.3g} times the Earth's rotation" in found
+    [found] = earth_warnings(rows(TRUE, scale=(1.0, 0.5, 1.0)), TRUE, is_by_force=True)
+    assert "the y gyro senses 0.5 times" in found
 
 
 @pytest.mark.parametrize(
     ("columns", "held"), [(np.diag([1, -1, 1]), "x, -y, z"), (np.eye(3)[[1, 0, 2]], "y, x, z")]
 )
 def test_axes_that_are_left_handed_are_named_though_they_agree_with_the_accelerometers(columns, held):
-    both = sensed_earth_warning(rows(TRUE, columns, columns), TRUE, is_by_force=True)
+    [both] = earth_warnings(rows(TRUE, columns, columns), TRUE, is_by_force=True)
     assert f"columns x, y, z of gyros and accelerometers hold {held}." in both
-    gyros = sensed_earth_warning(rows(TRUE, columns), TRUE, is_by_force=False)
+    [gyros] = earth_warnings(rows(TRUE, columns), TRUE, is_by_force=False)
     assert f"columns x, y, z of the gyros hold {held}." in gyros
 
 
@@ -84,8 +83,11 @@ def test_biases_that_follow_gravity_and_few_rows_are_no_mistake_of_the_map():
         for seed in range(20):
             for rule in (TRUE, EarthRate(latitude_deg=45.0)):
                 measured = rows(rule, g_dph=g_dph, seed=seed)
-                assert sensed_earth_warning(measured, rule, is_by_force=True) == ""
+                found = earth_warnings(measured, rule, is_by_force=True)
+                # The bias of a single gyro may follow gravity by just the Earth's rotation.
+                single = ("gyro seems to lack", "gyro differs by") if g_dph == 30.0 else ()
+                assert [each for each in found if not any(text in each for text in single)] == []
     wrong = EarthRate(latitude_deg=10.0, azimuth_deg=20.0)
-    assert sensed_earth_warning(rows(wrong)[:6], wrong, is_by_force=True) == ""
+    assert earth_warnings(rows(wrong)[:6], wrong, is_by_force=True) == []
     upside_down = [row for row in rows(wrong) * 3 if row.position in ("z_up", "z_down")]
-    assert sensed_earth_warning(upside_down, wrong, is_by_force=True) == ""
+    assert earth_warnings(upside_down, wrong, is_by_force=True) == []
