@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
@@ -104,14 +106,12 @@ def turn_fault(dwell: Dwell, setup: MeasurementSetup, noise: NoiseModel) -> str:
     effect. An INS that aligns again changes its heading error by twice the bias East over the Earth rate, and
     starts at rest.
     """
-    for number, (earlier, later) in enumerate(itertools.pairwise(dwell.windows), 2):
-        table = angle_between(dwell.C_nb_table[number - 1], dwell.C_nb_table[number - 2])
-        ins = angle_between(later.C_nb[0], earlier.C_nb[-1])
-        drift = angle_between(earlier.C_nb[-1], earlier.C_nb[0]) / earlier.duration_s
+    for number, turn in enumerate(_turns(dwell), 2):
+        table, ins = (angle_between(rotation, np.eye(3)) for rotation in (turn.table, turn.ins))
         limit = (
             _MAX_TURN_ERROR
             + _TURN_SIGMAS * setup.prior.gyro_scale_factor * table
-            + drift * (later.time_s[0] - earlier.time_s[-1])
+            + turn.drift
             + 2.0 * setup.heading_lsb_rad
         )
         if abs(ins - table) > limit:
@@ -121,7 +121,7 @@ def turn_fault(dwell: Dwell, setup: MeasurementSetup, noise: NoiseModel) -> str:
                 f"on the table, or scale factors of gyros are {1e6 * abs(ins - table) / table:.0f} ppm off. "
                 "Switch its corrections off, check its screws, and calibrate the gyros by rotations"
             )
-        if lost_mps := _lost_velocity(earlier, later, noise):
+        if lost_mps := _lost_velocity(dwell.windows[number - 2], dwell.windows[number - 1], noise):
             return (
                 f"window {number} begins with a velocity of zero, after {1e3 * lost_mps:.2g} mm/s at the end "
                 f"of the one before: {ALIGNED_AGAIN} or corrected its velocity. Switch its corrections off"
@@ -135,31 +135,42 @@ def turn_angles(dwell: Dwell, setup: MeasurementSetup, noise: NoiseModel) -> tup
     Each is the angle by which the INS turned further than the table about the table's axis of rotation.
     """
     rows, data = [], []
-    for k, (path, earlier, later) in enumerate(
-        zip(dwell.turns, dwell.windows, dwell.windows[1:], strict=False)
-    ):
-        table = dwell.C_nb_table[k + 1] @ dwell.C_nb_table[k].T
-        ins = later.C_nb[0] @ earlier.C_nb[-1].T
-        if angle_between(*dwell.C_nb_table[k : k + 2]) < _MIN_TURN:
+    for path, turn in zip(dwell.turns, _turns(dwell), strict=False):
+        if angle_between(turn.table, np.eye(3)) < _MIN_TURN:
             continue
-        axis = _axis(table)
-        ins_axis = _axis(ins)
-        excess = _angle_about(ins, math.copysign(1.0, axis @ ins_axis) * ins_axis) - _angle_about(table, axis)
+        axis, ins_axis = _axis(turn.table), _axis(turn.ins)
+        ins_axis *= math.copysign(1.0, axis @ ins_axis)
+        excess = _angle_about(turn.ins, ins_axis) - _angle_about(turn.table, axis)
         steps = rotation_vectors(path.C_nb[:-1].transpose(0, 2, 1) @ path.C_nb[1:])
         middle = path.C_nb[:-1] @ rotation_matrices(0.5 * steps)
-        gap_s = later.time_s[0] - earlier.time_s[-1]
-        drift = angle_between(earlier.C_nb[-1], earlier.C_nb[0]) / earlier.duration_s
         sigma = math.hypot(
             _TABLE_ACCURACY,
             math.sqrt(2.0) * setup.table_repeatability,
             setup.prior.tilt_step,
-            noise.angle_random_walk * math.sqrt(gap_s),
+            noise.angle_random_walk * math.sqrt(turn.gap_s),
             math.sqrt(2.0) * noise.heading_white,
-            drift * gap_s,
+            turn.drift,
         )
         rows.append(np.einsum("kij,i,kl->jl", middle, axis, steps).ravel() / sigma)
         data.append(math.remainder(excess, math.tau) / sigma)
     return np.reshape(rows, (-1, 9)), np.array(data)
+
+
+class _Turn(NamedTuple):
+    """Rotations (3, 3) of table and INS from the end of a window to the begin of the next."""
+
+    table: FloatArray
+    ins: FloatArray
+    gap_s: float  #: Time between the windows.
+    drift: float  #: Angle in that time at the rate at which the attitude changed in the earlier window, rad.
+
+
+def _turns(dwell: Dwell) -> Iterator[_Turn]:
+    pairs = zip(itertools.pairwise(dwell.C_nb_table), itertools.pairwise(dwell.windows), strict=True)
+    for (before, after), (earlier, later) in pairs:
+        gap_s = float(later.time_s[0] - earlier.time_s[-1])
+        drift = angle_between(earlier.C_nb[-1], earlier.C_nb[0]) / earlier.duration_s * gap_s
+        yield _Turn(after @ before.T, later.C_nb[0] @ earlier.C_nb[-1].T, gap_s, drift)
 
 
 def _axis(rotation: FloatArray) -> FloatArray:
