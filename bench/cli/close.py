@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from gyrobench.bench.cli.options import complete_quantity, complete_run
-from gyrobench.bench.cli.output import JsonOption, console, print_json, print_unfinished
+from gyrobench.bench.cli.output import JsonOption, console, print_damage, print_json, print_unfinished
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
 
 
@@ -89,6 +88,7 @@ def close(
     from gyrobench.bench.closure.quantity import quantity
     from gyrobench.bench.report.closure_page import closure_findings, write_search
     from gyrobench.bench.report.terminal.tables import section_view
+    from gyrobench.bench.runs.folder import RunFolder
 
     try:
         campaign = read_campaign(*tables, quantity=quantity(coefficient))
@@ -106,11 +106,13 @@ def close(
     if as_json:
         outcome = json.loads((folder / "closure.json").read_text(encoding="utf-8"))
         print_json({"folder": folder, "report": page, "closure": outcome})
-        _print_doubts(tables, on_stderr=True)
+    else:
+        console().print(section_view(closure_findings(closure).chapter))
+    print_unfinished(tables, as_json)
+    print_damage(map(RunFolder, tables), as_json)
+    if as_json:
         return
     terminal = console()
-    terminal.print(section_view(closure_findings(closure).chapter))
-    _print_doubts(tables)
     written = "closure.json, predictions.csv, model.yaml"
     if closure.composed and closure.composed.laws:
         written += ", composed_law.yaml"
@@ -118,13 +120,3 @@ def close(
     if report:
         terminal.print(f"Also in  {report}", soft_wrap=True)
     terminal.print(f"Folder   {folder}", soft_wrap=True)
-
-
-def _print_doubts(tables: Sequence[Path], on_stderr: bool = False) -> None:
-    """Print which of the runs are unfinished, or damaged as by an edited dwell table."""
-    from gyrobench.bench.report.run_content import damage_of
-    from gyrobench.bench.runs.folder import RunFolder
-
-    print_unfinished(tables, on_stderr)
-    for text in [text for path in tables for text in damage_of(RunFolder(path)).values()]:
-        console(on_stderr).print(text, soft_wrap=True, style="bold red")

@@ -15,7 +15,7 @@ from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
 from gyrobench.bench.foundations.text import of_units, with_micro_sign
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Iterable
     from pathlib import Path
 
     from rich.console import Console, RenderableType
@@ -156,6 +156,16 @@ def print_unfinished(paths: Iterable[Path], on_stderr: bool = False) -> None:
         )
 
 
+def print_damage(folders: Iterable[RunFolder], on_stderr: bool = False) -> bool:
+    """Print which of the runs are damaged, as by an edited dwell table; returns whether any is."""
+    from gyrobench.bench.report.run_content import damage_of
+
+    texts = [text for folder in folders for text in damage_of(folder).values()]
+    for text in texts:
+        console(on_stderr).print(text, soft_wrap=True, style="bold red")
+    return bool(texts)
+
+
 def print_end(
     console: Console,
     folder: RunFolder,
@@ -169,9 +179,7 @@ def print_end(
     ``station_name``: name of the run's station file in commands. Exits with an error if the run did not
     finish, or meets the condition ``fail_on``.
     """
-    from gyrobench.bench.foundations.documents import read_document
     from gyrobench.bench.foundations.memory import free_memory
-    from gyrobench.bench.report.run_findings import signs_sentence
 
     is_finished, resume = outcome.ended == "finished", _resume_text(folder, outcome)
     safe_state = "\n".join(each.text for each in outcome.safe_state)
@@ -191,24 +199,23 @@ def print_end(
         )
     record = _end_record(folder, outcome)
     shortcoming, skipped = outcome.shortcoming(fail_on), outcome.skipped_text
-    units = outcome.units or {"": outcome}
-    flags = [dwell.flags for unit in units.values() for dwell in unit.results.dwells]
-    repeatable = [name for name, exists in (("flagged", any(flags)), ("skipped", skipped)) if exists]
-    station = read_document(folder.station).data if flags else {}
-    findings = _findings(folder, outcome, station)
+    units = [*outcome.units.values()] or [outcome]
+    is_flagged = any(dwell.flags for unit in units for dwell in unit.results.dwells)
+    repeatable = [name for name, exists in (("flagged", is_flagged), ("skipped", skipped)) if exists]
     outcome.release()
     free_memory()  # reused by the modules imported next
 
     from gyrobench.bench.report.journal_sections import durations_section, step_durations
+    from gyrobench.bench.report.run_findings import signs_sentence
     from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.report.terminal.tables import section_view
     from gyrobench.bench.report.units_report import write_units_report
-    from gyrobench.bench.runs.journal import facts_of, read_journal
+    from gyrobench.bench.runs.journal import read_journal
     from gyrobench.bench.runs.provenance import watermark_of
 
     try:
-        units_section = write_units_report(folder) if outcome.units else None
-        report = folder.report if units_section else write_report(folder).path
+        units_report = write_units_report(folder) if outcome.units else None
+        contents = units_report.units if units_report else [write_report(folder).content]
     except RunFolderError:  # for instance a full disk
         if is_finished:
             console.print(
@@ -217,18 +224,21 @@ def print_end(
                 soft_wrap=True,
             )
         raise
-    if units_section:
-        console.print(section_view(units_section))
+    if units_report:
+        console.print(section_view(units_report.comparison))
     else:
         print_tables(console, folder)
     if word := watermark_of(folder.path):
         console.print(f"{word}: {_EMULATED_BENCH}", soft_wrap=True, style="bold yellow")
+    # By text, as several units often have the same.
+    doubts: dict[str, list[str]] = {}
     notes: dict[str, list[str]] = {}
-    for number in units:
-        journal = folder.unit(number).journal
-        facts = facts_of(read_journal(journal) if journal.is_file() else ())
-        notes.setdefault(signs_sentence(facts, station, station_name), []).append(number)
-    for style, numbers_by_text in (("bold red", findings), ("bold yellow", notes)):
+    for content in contents:
+        number = content.name if units_report else ""
+        for doubt in content.doubts.items():
+            doubts.setdefault(" ".join(doubt), []).append(number)
+        notes.setdefault(signs_sentence(content.facts, content.station, station_name), []).append(number)
+    for style, numbers_by_text in (("bold red", doubts), ("bold yellow", notes)):
         for text, numbers in numbers_by_text.items():
             if text:
                 console.print(with_micro_sign(of_units(numbers, text)), style=style)
@@ -238,7 +248,7 @@ def print_end(
     if is_finished:
         console.print(safe_state, soft_wrap=True)
     figures = "" if outcome.units else f"Figures  {folder.figures}\n"
-    console.print(f"Report   {report}\n{figures}Folder   {folder.path}", soft_wrap=True)
+    console.print(f"Report   {folder.report}\n{figures}Folder   {folder.path}", soft_wrap=True)
     if is_finished and repeatable:
         again = f"gyrobench resume {folder.path} --repeat {','.join(repeatable)} --look"
         console.print(f"Repeat   {again}", soft_wrap=True)
@@ -250,28 +260,6 @@ def print_end(
     if shortcoming:
         console.print(shortcoming, soft_wrap=True, style="bold red")
         raise typer.Exit(EXIT_NOT_FINISHED)
-
-
-def _findings(folder: RunFolder, outcome: RunOutcome, station: Mapping[str, Any]) -> dict[str, list[str]]:
-    """Findings of the end of a run, with the numbers of the units that have them."""
-    from gyrobench.bench.report.run_findings import run_findings
-    from gyrobench.bench.report.temperature_findings import recorded_sensors_sentence
-    from gyrobench.bench.runs.tables.joint_table import read_joint_plateaus
-
-    numbers_by_text: dict[str, list[str]] = {}
-    for number, unit in (outcome.units or {"": outcome}).items():
-        unit_folder = folder.unit(number)
-        findings = run_findings(
-            [dwell.row for dwell in unit.results.dwells],
-            station,
-            unit.results.noise,
-            read_joint_plateaus(unit_folder.joint) if unit_folder.joint.exists() else [],
-            unit.reason or outcome.reason,
-            recorded_sensors_sentence(unit_folder),
-        )
-        for finding in findings.items():
-            numbers_by_text.setdefault(" ".join(finding), []).append(number)
-    return numbers_by_text
 
 
 def _resume_text(folder: RunFolder, outcome: RunOutcome) -> str:

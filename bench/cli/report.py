@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from gyrobench.bench.cli.options import RunArgument, complete_run
-from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, console, print_unfinished
+from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, console, print_damage, print_unfinished
 from gyrobench.bench.foundations.errors import DocumentError
 
 
@@ -58,8 +58,7 @@ def report(
     Example: gyrobench report runs/six_position_fig7-001 --by "A. Smith" --pdf
     """
     from gyrobench.bench.bias.verdicts import read_acceptance
-    from gyrobench.bench.report.bias_sections import acceptance_summary, before_after_section
-    from gyrobench.bench.report.run_content import damage_of, read_run
+    from gyrobench.bench.report.bias_sections import acceptance_summary
     from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.report.terminal.tables import section_view
     from gyrobench.bench.report.units_report import write_units_report
@@ -73,22 +72,20 @@ def report(
         raise DocumentError(f"{before}: is the same run, or a copy of it. Give the run before the change")
     formats = [each.value for each in vectors or ()]
     terminal = console()
-    damage = [text for each in (folder, *folder.unit_folders) for text in damage_of(each).values()]
-    earlier_damage = [*damage_of(earlier).values()] if earlier else []
-    for text in damage + earlier_damage:
-        terminal.print(text, soft_wrap=True, style="bold red")
+    is_damaged = print_damage([folder, *folder.unit_folders])
+    is_earlier_damaged = print_damage([earlier] if earlier else [])
     print_unfinished([folder.path])
     if folder.unit_folders:
-        terminal.print(section_view(write_units_report(folder, by, formats)))
+        terminal.print(section_view(write_units_report(folder, by, formats).comparison))
         page = folder.report
     else:
-        page = write_report(folder, by, out, earlier, mark_temperature or (), formats).path
-        if damage:
+        page, _, comparison = write_report(folder, by, out, earlier, mark_temperature or (), formats)
+        if is_damaged:
             terminal.print("Unit not judged.", style="bold")
         elif folder.acceptance.exists():
             terminal.print(section_view(acceptance_summary(read_acceptance(folder.acceptance))))
-        if earlier:
-            terminal.print(section_view(before_after_section(read_run(earlier), read_run(folder))))
+        if comparison:
+            terminal.print(section_view(comparison))
     terminal.print(f"Report   {page}", soft_wrap=True)
     if by and watermark_of(folder.path):
         terminal.print("--by has no effect: reports of emulated runs have no table to sign.", soft_wrap=True)
@@ -98,5 +95,5 @@ def report(
 
         terminal.print(f"PDF      {write_pdf(page, page.with_suffix('.pdf'))}", soft_wrap=True)
         update_seal(folder)
-    if damage or earlier_damage:
+    if is_damaged or is_earlier_damaged:
         raise typer.Exit(EXIT_NOT_FINISHED)

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -24,7 +25,7 @@ from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import hours_minutes, run_ending
 from gyrobench.bench.report.journal_sections import Entry, KindDuration, add_step_duration
 from gyrobench.bench.report.page import FINDINGS_FILE, Findings, read_findings_file
-from gyrobench.bench.report.temperature_findings import sensors_sentence
+from gyrobench.bench.report.run_findings import run_findings
 from gyrobench.bench.runs.folder import DWELLS, JOURNAL, RunFolder
 from gyrobench.bench.runs.journal import RunFacts, facts_of, read_journal
 from gyrobench.bench.runs.marks import purpose_of
@@ -40,7 +41,7 @@ from gyrobench.bench.runs.tables.joint_table import (
     read_joint_plateaus,
 )
 from gyrobench.bench.runs.tables.noise_file import read_noise
-from gyrobench.bench.runs.telemetry import read_telemetry
+from gyrobench.bench.runs.telemetry import TELEMETRY_COLUMNS, read_telemetry
 
 _T = TypeVar("_T")
 
@@ -57,11 +58,10 @@ class RunContent:
     procedure: Entry
     station: Entry
     #: dwells, bins, telemetry: The tables; empty if missing. Bins are computed from the dwells if only their
-    #: file is missing.
+    #: file is missing; telemetry has the columns that were read.
     dwells: Sequence[DwellRow]
     bins: list[BiasBin]
     telemetry: Mapping[str, FloatArray]
-    sensors: str = ""  #: See :func:`gyrobench.bench.report.temperature_findings.sensors_sentence`.
     #: joint_sigmas, joint_plateaus: Joint solution; empty without one or before :func:`with_joint_solution`.
     joint_sigmas: Mapping[tuple[int, bool], JointSigmas] = field(default_factory=dict)
     joint_plateaus: list[JointPlateauRow] = field(default_factory=list)
@@ -87,6 +87,8 @@ class RunContent:
     #: step_durations, last_step: Durations of the finished steps; last journal entry of a step.
     step_durations: list[KindDuration] = field(default_factory=list)
     last_step: Entry = field(default_factory=dict)
+    #: See :func:`gyrobench.bench.report.temperature_findings.sensors_sentence`; empty before the report.
+    sensors: str = ""
 
     @property
     def ending(self) -> str:
@@ -109,6 +111,14 @@ class RunContent:
     def started(self) -> datetime | None:
         """Calendar time of the start; None if it is not known."""
         return parse_utc(self.provenance.get("started_utc") or self.facts.started_utc)
+
+    @cached_property
+    def doubts(self) -> dict[str, str]:
+        """See :func:`gyrobench.bench.report.run_findings.run_findings`; none if the journal is damaged."""
+        if JOURNAL in self.damage:
+            return {}
+        sources = self.dwells, self.station, self.noise, self.joint_plateaus
+        return run_findings(*sources, self.facts.reason, self.sensors)
 
     @property
     def has_readings(self) -> bool:
@@ -189,7 +199,9 @@ def with_joint_solution(content: RunContent, folder: RunFolder) -> RunContent:
     )
 
 
-def read_run(folder: RunFolder, are_tables_new: bool = False) -> RunContent:
+def read_run(
+    folder: RunFolder, are_tables_new: bool = False, telemetry_columns: Sequence[str] = TELEMETRY_COLUMNS
+) -> RunContent:
     """Read a run folder; missing or damaged files become problems, not errors.
 
     ``are_tables_new``: the tables were recomputed, so they may differ from the sealed ones.
@@ -208,7 +220,6 @@ def read_run(folder: RunFolder, are_tables_new: bool = False) -> RunContent:
     dwells: Sequence[DwellRow] = read(folder.dwells, read_packed_dwells, (), is_optional=is_optional)
     damage = _damage(folder, journal, files.errors, are_tables_new)
     bins: list[BiasBin] = read(folder.bias_bins, read_bins, [])
-    telemetry: dict[str, FloatArray] = read(folder.telemetry, read_telemetry, {})
     return RunContent(
         name=folder.path.resolve().name,
         run_name=folder.run_name,
@@ -222,8 +233,7 @@ def read_run(folder: RunFolder, are_tables_new: bool = False) -> RunContent:
         dwells=dwells,
         dwell_purposes=purposes,
         bins=_bins_with_power_cycles(bins, dwells, procedure, problems),
-        telemetry=telemetry,
-        sensors=sensors_sentence(telemetry),
+        telemetry=read(folder.telemetry, partial(read_telemetry, columns=telemetry_columns), {}),
         budget=read(folder.budget, _read_budget_summary, BudgetSummary(), is_optional=True),
         noise=read(folder.noise, read_noise, None, is_optional=True),
         calibration_check=calibration_check,

@@ -61,8 +61,9 @@ from gyrobench.bench.report.figures.temperatures import DRAWN_COLUMNS, Telemetry
 from gyrobench.bench.report.journal_sections import Entry, durations_section, events_section
 from gyrobench.bench.report.page import Box, Section, SectionFigure, render_page, with_figure_files
 from gyrobench.bench.report.run_content import RunContent, read_run, with_joint_solution
-from gyrobench.bench.report.run_findings import run_findings, signs_sentence
+from gyrobench.bench.report.run_findings import signs_sentence
 from gyrobench.bench.report.run_text import VERDICT_COLOURS
+from gyrobench.bench.report.temperature_findings import SENSOR_COLUMNS, sensors_sentence
 from gyrobench.bench.runs.folder import JOURNAL, RunFolder
 from gyrobench.bench.runs.provenance import DataHash, data_hashes, record_preparer
 from gyrobench.bench.runs.seal import update_seal
@@ -87,10 +88,11 @@ _HASHES_TEXT = (
 
 
 class WrittenReport(NamedTuple):
-    """The page of a report, and the content that it shows."""
+    """The page of a report, the content that it shows, and the comparison with an earlier run, if any."""
 
     path: Path
     content: RunContent
+    comparison: Section | None = None
 
 
 def write_report(
@@ -127,12 +129,12 @@ def write_report(
     target = RunFolder(out or folder.path)
     if prepared_by:
         record_preparer(folder, prepared_by)
-    content = read_run(folder, are_tables_new)
+    content = read_run(folder, are_tables_new, tuple(dict.fromkeys((*DRAWN_COLUMNS, *SENSOR_COLUMNS))))
     preparer = prepared_by or str(content.provenance.get("prepared_by", ""))
     make_folder(target.figures)
     marked_c = [*content.marked_temperatures_c, *mark_temperatures_c]
-    earlier = read_run(before) if before else None
-    comparison = [before_after_section(earlier, content, marked_c)] if earlier else []
+    earlier = read_run(before, telemetry_columns=()) if before else None
+    comparison = before_after_section(earlier, content, marked_c) if earlier else None
     key = _figures_key(content, earlier, marked_c)
     readings = partial(read_telemetry, folder.telemetry, DRAWN_COLUMNS) if content.has_readings else None
     content = _without_unused_data(content)
@@ -142,7 +144,11 @@ def write_report(
         figures += budget_figures(content.budget)
     [drawn_figures, *sections] = with_figure_files(
         target.figures,
-        [Section("", figures=figures), *comparison, *_analysis_sections(content, marked_c)],
+        [
+            Section("", figures=figures),
+            *([comparison] if comparison else []),
+            *_analysis_sections(content, marked_c),
+        ],
         content.watermark,
         key,
         vectors,
@@ -154,15 +160,16 @@ def write_report(
     if out is None:
         sha256_by_path = {path: digest for each in hashes for path, digest in each.parts.items()}
         update_seal(folder, sha256_by_path, are_tables_new)
-    return WrittenReport(target.report, content)
+    return WrittenReport(target.report, content, comparison)
 
 
 def _without_unused_data(content: RunContent) -> RunContent:
     """Content without telemetry and without tables that the report does not show, to free memory."""
+    content = replace(content, telemetry={}, sensors=sensors_sentence(content.telemetry))
     if has_rotations(content.coefficients) or plateau_findings(content.coefficients):
-        return replace(content, telemetry={})
+        return content
     stated = [row for row in content.budget.stated if row.result == "bin"]
-    return replace(content, telemetry={}, coefficients=[], budget=replace(content.budget, stated=stated))
+    return replace(content, coefficients=[], budget=replace(content.budget, stated=stated))
 
 
 def _figures_key(content: RunContent, before: RunContent | None, marked_c: Sequence[float]) -> str:
@@ -307,9 +314,7 @@ def doubt_boxes(content: RunContent) -> list[Box]:
     """One box for each doubt about results; none if the journal is damaged."""
     if JOURNAL in content.damage:
         return []
-    sources = content.dwells, content.station, content.noise, content.joint_plateaus
-    run_problems = run_findings(*sources, content.reason, content.sensors)
-    boxes = [Box("failed", title, text) for title, text in run_problems.items()]
+    boxes = [Box("failed", title, text) for title, text in content.doubts.items()]
     if text := signs_sentence(content.facts, content.station, Path("RUN", RunFolder.station)):
         boxes.append(Box(VERDICT_COLOURS["marginal"], "Signal map not tested.", text))
     return boxes

@@ -22,11 +22,8 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.foundations.arrays import S_PER_H, BoolArray, FloatArray
-from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.text import listed, plural
 from gyrobench.bench.navigation.positions import AXES
-from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.runs.telemetry import read_telemetry
 
 #: Rate, K/h, below which the temperature of a gyro has settled; least number and temperature range of settled
 #: dwells; plausible change of a gyro temperature for each kelvin of the chamber (0.86 to 1.06 in simulated
@@ -138,14 +135,6 @@ def sensors_sentence(readings: Mapping[str, FloatArray]) -> str:
                 "its scale and offset in the DBC file, and the sensor: bins are at wrong temperatures."
             )
     return _ramps_sentence(time_s, gyro_c, is_on, time_s[power_ons])
-
-
-def recorded_sensors_sentence(folder: RunFolder) -> str:
-    """:func:`sensors_sentence` of a run folder; empty if its telemetry is damaged, which reports state."""
-    try:
-        return sensors_sentence(read_telemetry(folder.telemetry, SENSOR_COLUMNS))
-    except RunFolderError:
-        return ""
 
 
 def _cold_unit_sentence(gyro_c: FloatArray, case_c: float, air_c: float) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import PurePosixPath
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,13 +27,22 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.seal import update_seal
 
 
-def write_units_report(folder: RunFolder, prepared_by: str = "", vectors: Sequence[str] = ()) -> Section:
-    """Write the report of each unit and the ``report.html`` of the run; returns the comparison of the units.
+class WrittenUnitsReport(NamedTuple):
+    """The comparison of the units, and the content of each."""
+
+    comparison: Section
+    units: list[RunContent]
+
+
+def write_units_report(
+    folder: RunFolder, prepared_by: str = "", vectors: Sequence[str] = ()
+) -> WrittenUnitsReport:
+    """Write the report of each unit and the ``report.html`` of the run.
 
     A run that has ended is sealed with it. Raises RunFolderError if a file can't be written.
     """
     units = [write_report(unit, prepared_by, vectors=vectors).content for unit in folder.unit_folders]
-    content = read_run(folder)
+    content = read_run(folder, telemetry_columns=())
     comparison = _section_of_units(content, units)
     facts = head_facts(content)
     facts["unit"] = ", ".join(unit.name for unit in units)
@@ -57,7 +67,7 @@ def write_units_report(folder: RunFolder, prepared_by: str = "", vectors: Sequen
     text = render_page(page, f"Run {content.name}, {procedure}", content.watermark, sign_off=prepared_by)
     write_whole(folder.report, map(str.encode, text))
     update_seal(folder)
-    return comparison
+    return WrittenUnitsReport(comparison, units)
 
 
 def _doubts_of_units(units: Sequence[RunContent]) -> list[Box]:

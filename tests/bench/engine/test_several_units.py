@@ -397,7 +397,7 @@ def test_the_units_stand_side_by_side_and_each_folder_is_read_once(without_1102,
     folder, *_ = without_1102
     reads = []
 
-    def read(read_folder):
+    def read(read_folder, **_):
         reads.append(read_folder.path.name)
         return read_run(read_folder)
 
@@ -405,7 +405,7 @@ def test_the_units_stand_side_by_side_and_each_folder_is_read_once(without_1102,
         units_report, "write_report", lambda each, *_, **__: WrittenReport(each.report, read(each))
     )
     monkeypatch.setattr(units_report, "read_run", read)
-    (table,) = write_units_report(folder).tables
+    (table,) = write_units_report(folder).comparison.tables
     assert reads == [*NUMBERS, folder.path.name]
     assert [row[:2] for row in table.rows] == [
         [number, "dropped" if number == "1102" else "not judged"] for number in NUMBERS

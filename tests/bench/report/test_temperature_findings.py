@@ -13,11 +13,8 @@ from scipy.signal import lfilter
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.report.run_findings import run_findings
-from gyrobench.bench.report.temperature_findings import (
-    recorded_sensors_sentence,
-    sensors_sentence,
-    temperatures_sentence,
-)
+from gyrobench.bench.report.run_report import write_report
+from gyrobench.bench.report.temperature_findings import sensors_sentence, temperatures_sentence
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.telemetry import TELEMETRY_COLUMNS, Telemetry
 from gyrobench.drivers.emulators.world.thermal import ThermalNetwork
@@ -156,9 +153,10 @@ def test_the_sensors_of_a_run_folder_are_tested_by_its_telemetry(tmp_path: Path)
         row = {name: values[index] for name, values in readings.items()} | {"gyro_z_c": 35.0}
         telemetry.add(tuple(row.get(name, math.nan) for name in TELEMETRY_COLUMNS))
     telemetry.flush()
-    assert "the sensor of the z gyro read 35.0 degC" in recorded_sensors_sentence(folder)
+    doubts = write_report(folder).content.doubts
+    assert "the sensor of the z gyro read 35.0 degC" in doubts["Temperatures of the gyros."]
     next(folder.telemetry.iterdir()).write_bytes(b"damaged")
-    assert recorded_sensors_sentence(folder) == ""
+    assert write_report(folder).content.doubts == {}
 
 
 @pytest.mark.long
