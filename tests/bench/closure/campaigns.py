@@ -1,7 +1,6 @@
 """Whole campaigns over bytes and frames, in seconds: quick worlds with any undeclared effects."""
 
 import io
-from pathlib import Path
 
 import numpy as np
 import yaml
@@ -14,7 +13,6 @@ from gyrobench.bench.foundations.arrays import DPH_TO_RADPS
 from gyrobench.bench.foundations.documents import read_document
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.monitor.terminal_view import LinesView
-from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
 
@@ -79,7 +77,7 @@ class TruthRecorder(LinesView):
         self._now = []
 
 
-def write_world(folder: Path, effects=(), **sections) -> Path:
+def write_world(folder, effects=(), **sections):
     """Write the quick world with undeclared effects and changed sections: ``gyro={"pulse_arcsec": 0.1}``."""
     data = read_document(find_document("worlds", WORLD)).data
     for section, changed in sections.items():
@@ -89,7 +87,7 @@ def write_world(folder: Path, effects=(), **sections) -> Path:
     return path
 
 
-def write_procedure(folder: Path, power_on_each_cycle=False, cycles=3) -> Path:
+def write_procedure(folder, power_on_each_cycle=False, cycles=3):
     """Write the quick campaign, with all cycles in one power-on or with one power-on for each."""
     data = read_document(find_document("procedures", PROCEDURE)).data
     data["steps"] = [
@@ -111,9 +109,7 @@ def _powered_on_again(steps):
         yield step
 
 
-def watched_campaign(
-    folder: Path, effects=(), *, power_on_each_cycle=False, cycles=3, seed=0, **sections
-) -> tuple[RunFolder, TruthRecorder]:
+def watched_campaign(folder, effects=(), *, power_on_each_cycle=False, cycles=3, seed=0, **sections):
     """Run the quick campaign as the command line does; ``folder`` is an empty folder for its files."""
     world = write_world(folder, effects, **sections)
     procedure = write_procedure(folder, power_on_each_cycle, cycles)
@@ -124,6 +120,6 @@ def watched_campaign(
     return run, truth
 
 
-def run_campaign(folder: Path, effects=(), **options) -> RunFolder:
+def run_campaign(folder, effects=(), **options):
     """The same without the truth: what an analysis may see."""
     return watched_campaign(folder, effects, **options)[0]

@@ -2,24 +2,23 @@
 
 from pathlib import Path
 
-from gyrobench.bench.foundations.documents import Document, parse_document
+from gyrobench.bench.foundations.documents import parse_document
 from gyrobench.bench.foundations.shipped import find_document
-from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.station.station import Station
 
 
-def station(name: str = "emulated") -> Station:
+def station(name="emulated"):
     return Station(find_document("stations", name))
 
 
-def shipped(procedure: str, on: str = "emulated") -> tuple[Document, Plan]:
+def shipped(procedure, on="emulated"):
     """A shipped procedure and its plan."""
     document, _ = load_procedure(find_document("procedures", procedure))
     return document, station(on).plan_document(document)
 
 
-def planned(steps: str, on: str = "emulated") -> tuple[Document, Plan]:
+def planned(steps, on="emulated"):
     """Steps in YAML and their plan."""
     document = parse_document(f"procedure: test\nsteps:\n{steps}", Path("test.yaml"))
     return document, station(on).plan_document(document)
@@ -35,5 +34,5 @@ DWELL = """\
 """
 
 
-def dwell(position: str) -> str:
+def dwell(position):
     return DWELL.replace("POSITION", position)

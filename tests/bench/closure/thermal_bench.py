@@ -6,7 +6,6 @@ here comes from the search that is tried on it.
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -72,7 +71,7 @@ class Measured:
     course: Course
 
 
-def set_points(profile, start_c: float = 20.0) -> np.ndarray:
+def set_points(profile, start_c=20.0):
     """Set point of one cycle at the middle of each step."""
     parts = []
     for to_c, rate_c_per_min, hold_h in profile:
@@ -166,25 +165,25 @@ def _lag(temperature_c):
     return lagged - temperature_c
 
 
-def _neighbours(c: Course):
+def _neighbours(c):
     heat = np.zeros_like(c.neighbours_on)
     for at in range(1, len(heat)):
         heat[at] = heat[at - 1] + (c.neighbours_on[at] - heat[at - 1]) * STEP_S / 3600.0 / NEIGHBOUR_LAG_H
     return heat[:, None]
 
 
-def _cooling(c: Course):
+def _cooling(c):
     falling = np.diff(c.set_c, prepend=c.set_c[0]) < 0.0
     return (falling * 1.0 + (c.set_c < COLD_C) * 1.5)[:, None]
 
 
-def jump(at: float) -> Callable[[Course], np.ndarray]:
+def jump(at):
     """A jump at a part of the whole time."""
     return lambda c: (c.time_h >= at * (c.time_h[-1] + STEP_S / 3600.0))[:, None] * 1.0
 
 
 #: Undeclared effects, (m, 3) or (m, 1) without scale. The last two are not among the candidates.
-EFFECTS: Mapping[str, Callable[[Course], np.ndarray]] = {
+EFFECTS = {
     "temperature_rate": lambda c: np.gradient(c.optics_c, axis=0),
     "thermal_gradient": lambda c: c.board_c - c.optics_c,
     "attitude_thermal": lambda c: (
@@ -211,22 +210,22 @@ EFFECTS: Mapping[str, Callable[[Course], np.ndarray]] = {
 
 
 def measure(
-    effects: Mapping[str | Callable[[Course], np.ndarray], float] | None = None,
+    effects=None,
     *,
-    seed: int = 0,
-    cycles: int = 3,
+    seed=0,
+    cycles=3,
     profile=PROFILE,
-    dwell_s: float = 1800.0,
-    pause_s: float = 0.0,
-    power_on_each_cycle: bool = False,
-    positions: Sequence[str] | None = None,
-    headings_deg: Sequence[float] = (0.0,),
-    power_steps_h: float | None = None,
-    attitude_convection: float = 0.0,
-    sigma_dph: float = SIGMA_DPH,
-    noise: float = 1.0,
-    sensors: Sequence[str] = ("set", "air", "board"),
-) -> Measured:
+    dwell_s=1800.0,
+    pause_s=0.0,
+    power_on_each_cycle=False,
+    positions=None,
+    headings_deg=(0.0,),
+    power_steps_h=None,
+    attitude_convection=0.0,
+    sigma_dph=SIGMA_DPH,
+    noise=1.0,
+    sensors=("set", "air", "board"),
+):
     """Measure one dwell after the other.
 
     Parameters

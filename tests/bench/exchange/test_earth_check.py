@@ -1,7 +1,5 @@
 """What the Earth's rotation in the biases of a log reveals about its import map."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

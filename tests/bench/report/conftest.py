@@ -3,21 +3,16 @@
 The paper's method reads level gyros wrong by 0.004 deg/h, up or down by the position.
 """
 
-from __future__ import annotations
-
 import json
 import math
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.special import chdtrc
 
-from gyrobench.bench.bias.bins import BiasBin, bin_biases, write_bins
+from gyrobench.bench.bias.bins import bin_biases, write_bins
 from gyrobench.bench.bias.dwell_table import DwellRow, write_dwells
-from gyrobench.bench.foundations.arrays import Triple
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.report.run_report import write_report
@@ -34,10 +29,10 @@ SIGMA_DPH = 0.0009
 LEAK_DPH = 0.004
 FREEDOM = 50
 SERIAL_NUMBER = "1001"
-NOTHING: Triple = (math.nan, math.nan, math.nan)
+NOTHING = (math.nan, math.nan, math.nan)
 
 
-def made_up_dwells(parting_dph: float = 0.008, cycles: int = 2) -> list[DwellRow]:
+def made_up_dwells(parting_dph=0.008, cycles=2):
     """Six temperatures in each cycle, six positions at each; below 50 degC the biases part."""
     random, paper_random = np.random.default_rng(1), np.random.default_rng(2)
     rows = []
@@ -82,18 +77,18 @@ def made_up_dwells(parting_dph: float = 0.008, cycles: int = 2) -> list[DwellRow
     return rows
 
 
-def without_paper(row: DwellRow) -> DwellRow:
+def without_paper(row):
     """Make the dwell one that the paper's method does not apply to."""
     return replace(row, paper_bias_dph=NOTHING, paper_sigma_dph=NOTHING)
 
 
-def flagged(row: DwellRow, *reasons: str) -> DwellRow:
+def flagged(row, *reasons):
     """Make the dwell one that gave no bias."""
     nothing = {"bias_dph": NOTHING, "sigma_dph": NOTHING, "fit_ratio": math.nan, "fit_p_value": math.nan}
     return replace(without_paper(row), **nothing, flags=reasons)
 
 
-def made_up_joint(rows: list[DwellRow]) -> tuple[list[JointBiasRow], list[JointPlateauRow]]:
+def made_up_joint(rows):
     """Biases a tenth better known together, and what each stop and all of them share."""
     stops = sorted({(row.cycle, row.chamber_set_c) for row in rows}, key=lambda key: (key[0], -key[1]))
     biases = [
@@ -130,7 +125,7 @@ def made_up_joint(rows: list[DwellRow]) -> tuple[list[JointBiasRow], list[JointP
     return biases, [*shared, last]
 
 
-def made_up_telemetry(duration_s: float, step_s: float = 60.0) -> dict[str, np.ndarray]:
+def made_up_telemetry(duration_s, step_s=60.0):
     """A chamber that ramps from stop to stop, and gyros that follow."""
     time_s = np.arange(0.0, duration_s, step_s)
     temperatures = [*CHAMBER_C, *reversed(CHAMBER_C)]
@@ -148,7 +143,7 @@ def made_up_telemetry(duration_s: float, step_s: float = 60.0) -> dict[str, np.n
     return columns
 
 
-def write_journal(folder: RunFolder, *, ended: str = "finished", reason: str = "", problem: str = "") -> None:
+def write_journal(folder, *, ended="finished", reason="", problem=""):
     """Write a short journal with every kind of entry; without an end if ``ended`` is empty."""
     clock = VirtualClock()
     with Journal(folder.journal, clock) as journal:
@@ -175,7 +170,7 @@ def write_journal(folder: RunFolder, *, ended: str = "finished", reason: str = "
             journal.record("run_ended", ended=ended, reason=reason, safe_state=safe_state)
 
 
-def write_run(folder: RunFolder, rows: list[DwellRow]) -> RunFolder:
+def write_run(folder, rows):
     """Write a whole run folder."""
     folder.path.mkdir(parents=True, exist_ok=True)
     write_journal(folder)
@@ -210,13 +205,13 @@ def write_run(folder: RunFolder, rows: list[DwellRow]) -> RunFolder:
     return folder
 
 
-def _triple(values: list[float]) -> Triple:
+def _triple(values):
     x, y, z = (float(value) for value in values)
     return x, y, z
 
 
 @pytest.fixture(scope="session")
-def dwells() -> list[DwellRow]:
+def dwells():
     """A run whose positions part, its seventh dwell flagged."""
     rows = made_up_dwells()
     rows[6] = flagged(rows[6], "the INS left navigation during the dwell", "chamber <door> open")
@@ -224,40 +219,40 @@ def dwells() -> list[DwellRow]:
 
 
 @pytest.fixture(scope="session")
-def equal_dwells() -> list[DwellRow]:
+def equal_dwells():
     """A run whose positions agree."""
     return made_up_dwells(parting_dph=0.0)
 
 
 @pytest.fixture(scope="session")
-def old_dwells(dwells: list[DwellRow]) -> list[DwellRow]:
+def old_dwells(dwells):
     """The first run as a table states it that knows nothing of estimators."""
     return [replace(without_paper(row), fit_ratio=math.nan, fit_p_value=math.nan) for row in dwells]
 
 
 @pytest.fixture(scope="session")
-def bins(dwells: list[DwellRow]) -> list[BiasBin]:
+def bins(dwells):
     """Bins of the run whose positions part."""
     return bin_biases([row for row in dwells if not row.flags])
 
 
 @pytest.fixture(scope="session")
-def equal_bins(equal_dwells: list[DwellRow]) -> list[BiasBin]:
+def equal_bins(equal_dwells):
     """Bins of the run whose positions agree."""
     return bin_biases(equal_dwells)
 
 
 @pytest.fixture(scope="session")
-def telemetry() -> dict[str, np.ndarray]:
+def telemetry():
     """Readings that go with the dwells."""
     return made_up_telemetry(162_000.0)
 
 
 @pytest.fixture(scope="session")
-def run_folder(made_once: Callable[..., Path], dwells: list[DwellRow]) -> RunFolder:
+def run_folder(made_once, dwells):
     """A run folder with everything in it, which tests only read."""
 
-    def make(path: Path) -> None:
+    def make(path):
         folder = write_run(RunFolder(path / "six_position_fig7-001"), dwells)
         write_report(folder).path.unlink()  # its figures are drawn once for all tests
 
@@ -265,12 +260,12 @@ def run_folder(made_once: Callable[..., Path], dwells: list[DwellRow]) -> RunFol
 
 
 @pytest.fixture
-def journal_writer() -> Callable[..., None]:
+def journal_writer():
     """``journal_writer(folder, ended="failed", reason="...", problem="...")``."""
     return write_journal
 
 
 @pytest.fixture
-def empty_folder(tmp_path: Path) -> RunFolder:
+def empty_folder(tmp_path):
     """A run folder without anything."""
     return RunFolder(tmp_path)

@@ -2,10 +2,10 @@
 
 import io
 
-from rich.console import Console, RenderableType
+from rich.console import Console
 
 
-def printed_lines(view: RenderableType, width: int = 80) -> list[str]:
+def printed_lines(view, width=80):
     """Lines of a view."""
     stream = io.StringIO()
     Console(width=width, file=stream, force_terminal=False, color_system=None).print(view)
@@ -15,6 +15,6 @@ def printed_lines(view: RenderableType, width: int = 80) -> list[str]:
     return lines
 
 
-def printed(view: RenderableType) -> str:
+def printed(view):
     """Text of a view."""
     return "\n".join(printed_lines(view))

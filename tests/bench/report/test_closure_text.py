@@ -250,16 +250,5 @@ def test_a_clean_search_states_its_sensitivity():
     assert "is detectable from about" not in sentences(explained())
 
 
-def test_the_chain_goes_from_the_residual_to_the_lack_of_fit():
-    titles = [section.title for section in closure_sections(explained())]
-    assert titles == [
-        "Residual of the declared model",
-        "Effect",
-        "Alternatives",
-        "Held-out error",
-        "Lack of fit",
-    ]
-
-
 def sentences(closure):
     return " ".join(text for section in closure_sections(closure) for text in section.paragraphs)

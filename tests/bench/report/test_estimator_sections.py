@@ -1,15 +1,10 @@
 """What the report says of the estimators."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
-from typing import Any
 
 import pytest
 
-from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.noise_estimate import NoiseEstimate
 from gyrobench.bench.report.estimator_sections import (
     estimators_note,
     estimators_section,
@@ -18,16 +13,14 @@ from gyrobench.bench.report.estimator_sections import (
     noise_section,
 )
 from gyrobench.bench.report.figures.style import png_bytes
-from gyrobench.bench.report.page import Section
 from gyrobench.bench.runs.tables.joint_table import JointBiasRow, JointPlateauRow, JointSigmas
 from tests.bench.report.made_up_noise import made_up_noise
 
 
-def test_table_names_the_dwell_in_which_the_estimators_differ_most(dwells: list[DwellRow]) -> None:
+def test_table_names_the_dwell_in_which_the_estimators_differ_most(dwells):
     x, y, z = dwells[20].bias_dph
     apart = replace(dwells[20], paper_bias_dph=(x, y - 0.05, z))
     section = estimators_section([*dwells[:20], apart])
-    assert section is not None
     (table,) = section.tables
     assert [row[0] for row in table.rows] == ["X gyro", "Y gyro", "Z gyro"]
     assert table.rows[1][1] == f"Y-Up, {apart.gyro_c[1]:.0f} °C, dwell 21"
@@ -35,34 +28,28 @@ def test_table_names_the_dwell_in_which_the_estimators_differ_most(dwells: list[
     assert all(len(row) == len(table.header) for row in table.rows)
 
 
-def test_rms_is_that_of_the_leaks(dwells: list[DwellRow]) -> None:
+def test_rms_is_that_of_the_leaks(dwells):
     section = estimators_section(dwells)
-    assert section is not None
     assert [float(row[2]) for row in section.tables[0].rows] == pytest.approx([3.3] * 3, abs=0.3)
 
 
-def test_single_dwell_has_a_table_and_no_picture(dwells: list[DwellRow]) -> None:
+def test_single_dwell_has_a_table_and_no_picture(dwells):
     section = estimators_section(dwells[:1])
-    assert section is not None
     assert section.figures == []
     assert section.tables[0].caption.endswith("over 1 dwell")
     both = estimators_section(dwells[:2])
-    assert both is not None
     assert len(both.figures) == 1
 
 
 @pytest.mark.parametrize(("count", "has_band"), [(4, False), (5, True)])
-def test_caption_of_the_fit_states_what_is_drawn(dwells: list[DwellRow], count: int, has_band: bool) -> None:
+def test_caption_of_the_fit_states_what_is_drawn(dwells, count, has_band):
     section = fit_section(dwells[:count])
-    assert section is not None
     (drawn,) = section.figures
     assert ("a probability of 1 %" in drawn.caption) is has_band
     assert ("Right:" in drawn.caption) is has_band
 
 
-def test_sections_are_there_where_there_is_something_to_say(
-    dwells: list[DwellRow], old_dwells: list[DwellRow]
-) -> None:
+def test_sections_are_there_where_there_is_something_to_say(dwells, old_dwells):
     assert estimators_section(old_dwells) is None
     assert fit_section(old_dwells) is None
     assert fit_section(dwells) is not None
@@ -70,7 +57,7 @@ def test_sections_are_there_where_there_is_something_to_say(
     assert estimators_note([]) == ""
 
 
-def plateau_row(plateau: int = 1, finding: str = "different", **changed: float) -> JointPlateauRow:
+def plateau_row(plateau=1, finding="different", **changed):
     values = {
         "chamber_set_c": 57.0,
         "accelerometer_x_ug": 2.4,
@@ -92,12 +79,12 @@ def plateau_row(plateau: int = 1, finding: str = "different", **changed: float) 
     return JointPlateauRow(plateau=plateau, cycle=1, dwells=4, finding=finding, **{**values, **changed})
 
 
-def bias_row(position: str, gyro: str, single_dph: float, joint_dph: float, plateau: int = 1) -> JointBiasRow:
+def bias_row(position, gyro, single_dph, joint_dph, plateau=1):
     """One whose uncertainties are these."""
     return JointBiasRow(plateau, 1, position, gyro, 25.0, 0.0, single_dph, 0.0, joint_dph, math.nan, math.nan)
 
 
-def bias_rows(plateau: int = 1, level: float = 0.002, vertical: float = 0.0012) -> list[JointBiasRow]:
+def bias_rows(plateau=1, level=0.002, vertical=0.0012):
     """Z up and y down: level gyros gain a quarter by the joint solution, vertical ones a fifth."""
     return [
         bias_row(position, gyro, single, joint, plateau)
@@ -107,13 +94,11 @@ def bias_rows(plateau: int = 1, level: float = 0.002, vertical: float = 0.0012) 
     ]
 
 
-def joint_section_of(plateaus: list[JointPlateauRow], biases: list[JointBiasRow] | None = None) -> Section:
-    section = joint_section(JointSigmas.of(bias_rows() if biases is None else biases), plateaus)
-    assert section is not None
-    return section
+def joint_section_of(plateaus, biases=None):
+    return joint_section(JointSigmas.of(bias_rows() if biases is None else biases), plateaus)
 
 
-def test_gain_of_level_and_vertical_gyros_is_distinguished() -> None:
+def test_gain_of_level_and_vertical_gyros_is_distinguished():
     section = joint_section_of([plateau_row()])
     assert "level gyros by 25.0 % and of vertical gyros by 20.0 %" in section.paragraphs[0]
     gains, _ = section.tables
@@ -122,7 +107,7 @@ def test_gain_of_level_and_vertical_gyros_is_distinguished() -> None:
 
 
 @pytest.mark.parametrize("joint", [0.00199999, 0.002, 0.0021])
-def test_a_solution_that_gains_nothing_says_so(joint: float) -> None:
+def test_a_solution_that_gains_nothing_says_so(joint):
     rows = [replace(row, single_sigma_dph=0.002, joint_sigma_dph=joint) for row in bias_rows()]
     text = joint_section_of([plateau_row()], rows).paragraphs[0]
     assert text.endswith("The joint solution does not reduce the uncertainties (medians).")
@@ -137,7 +122,7 @@ def test_a_solution_that_gains_nothing_says_so(joint: float) -> None:
     )
 
 
-def test_rate_of_all_plateaus_is_stated_in_words() -> None:
+def test_rate_of_all_plateaus_is_stated_in_words():
     section = joint_section_of([plateau_row(), plateau_row(2), plateau_row(0, up_rate_p_value=1.4e-6)])
     assert (
         "Over all plateaus the half-difference is (-3.28 ± 0.49) · 10⁻³ deg/h (p = 1e-6): the "
@@ -147,13 +132,13 @@ def test_rate_of_all_plateaus_is_stated_in_words() -> None:
 
 
 @pytest.mark.parametrize("finding", ["latitude", "not_contradicted"])
-def test_a_rate_that_may_be_a_latitude_error_says_how_large_that_would_be(finding: str) -> None:
+def test_a_rate_that_may_be_a_latitude_error_says_how_large_that_would_be(finding):
     text = joint_section_of([plateau_row(finding=finding)]).paragraphs[1]
     assert "At this plateau the half-difference is" in text
     assert "Equivalent latitude error: +0.61 ± 0.11 arcmin; joint_biases.csv also has" in text
 
 
-def test_without_a_pair_no_rate_is_stated() -> None:
+def test_without_a_pair_no_rate_is_stated():
     nothing = {"up_rate_dph": math.nan, "up_rate_sigma_dph": math.nan, "up_rate_p_value": math.nan}
     section = joint_section_of([plateau_row(finding="no_pair", **nothing)])
     assert section.paragraphs[1].endswith("At this plateau: no gyro was vertical both up and down.")
@@ -161,12 +146,12 @@ def test_without_a_pair_no_rate_is_stated() -> None:
     assert "nan" not in str(section)
 
 
-def test_one_gyro_has_nothing_to_be_compared_with() -> None:
+def test_one_gyro_has_nothing_to_be_compared_with():
     text = joint_section_of([plateau_row(finding="one_gyro", up_rate_p_value=math.nan)]).paragraphs[1]
     assert "10⁻³ deg/h: only one gyro was vertical both up and down" in text
 
 
-def test_plateaus_whose_dwells_do_not_agree_are_named() -> None:
+def test_plateaus_whose_dwells_do_not_agree_are_named():
     wrong = plateau_row(2, fit_p_value=1e-12, any_north_p_value=1e-12)
     section = joint_section_of([plateau_row(), wrong, plateau_row(3, fit_p_value=2e-4)])
     assert [text[: text.index(":")] for text in section.paragraphs[2:]] == [
@@ -177,7 +162,7 @@ def test_plateaus_whose_dwells_do_not_agree_are_named() -> None:
     assert "the latitude error exceeds the declared uncertainty" in section.paragraphs[3]
 
 
-def test_table_of_plateaus_has_values_with_uncertainties_and_a_row_of_all() -> None:
+def test_table_of_plateaus_has_values_with_uncertainties_and_a_row_of_all():
     last = {"chamber_set_c": math.nan, "north_rate_dph": math.nan, "fit_p_value": math.nan}
     last |= {f"accelerometer_{axis}_ug": math.nan for axis in "xyz"}
     _, table = joint_section_of([plateau_row(), plateau_row(0, **last)]).tables
@@ -188,54 +173,48 @@ def test_table_of_plateaus_has_values_with_uncertainties_and_a_row_of_all() -> N
     assert len(table.header) == len(table.rows[0])
 
 
-def test_accelerometers_that_the_dwells_do_not_show_are_empty() -> None:
+def test_accelerometers_that_the_dwells_do_not_show_are_empty():
     unknown = plateau_row(accelerometer_y_sigma_ug=100.0, accelerometer_z_sigma_ug=99.0)
     _, table = joint_section_of([unknown]).tables
     assert table.rows[0][3:6] == ["+2.4 ± 1.8", "", "+1.5 ± 99.0"]
 
 
-def test_zero_has_no_minus() -> None:
+def test_zero_has_no_minus():
     _, table = joint_section_of([plateau_row(accelerometer_x_ug=-0.01, north_rate_dph=-1e-7)]).tables
     assert table.rows[0][3] == "+0.0 ± 1.8"
     assert table.rows[0][6] == "+0.00 ± 0.83"
 
 
-def test_each_plateau_has_its_gains() -> None:
+def test_each_plateau_has_its_gains():
     biases = [*bias_rows(1), *bias_rows(2, level=0.004)]
     gains, _ = joint_section_of([plateau_row(), plateau_row(2), plateau_row(0)], biases).tables
     assert [row[:3] for row in gains.rows] == [["1", "2.00", "1.50"], ["2", "4.00", "3.00"]]
 
 
-def test_there_is_no_section_without_either_table() -> None:
+def test_there_is_no_section_without_either_table():
     assert joint_section({}, []) is None
     assert joint_section({}, [plateau_row()]) is None
     assert joint_section(JointSigmas.of(bias_rows()), []) is None
 
 
 @pytest.fixture(scope="module")
-def noise() -> NoiseEstimate:
+def noise():
     """Random walks of 0.001 deg/sqrt(h) and 20 ug/sqrt(Hz)."""
     return made_up_noise()
 
 
-def station(**noise: float) -> dict[str, Any]:
+def station(**noise):
     return {"ins": {"noise": noise}}
 
 
-def noise_section_of(noise: NoiseEstimate, station: dict[str, Any]) -> Section:
-    section = noise_section(noise, station)
-    assert section is not None
-    return section
-
-
-def verdicts(section: Section) -> dict[str, str]:
+def verdicts(section):
     (table,) = section.tables
     assert all(len(row) == len(table.header) for row in table.rows)
     return dict(table.rows)
 
 
-def test_measured_noise_stands_beside_the_declared_one(noise: NoiseEstimate) -> None:
-    section = noise_section_of(
+def test_measured_noise_stands_beside_the_declared_one(noise):
+    section = noise_section(
         noise, station(angle_random_walk_deg_per_sqrt_h=0.001, velocity_random_walk_ug_per_sqrt_hz=5.0)
     )
     found = verdicts(section)
@@ -248,15 +227,15 @@ def test_measured_noise_stands_beside_the_declared_one(noise: NoiseEstimate) -> 
     assert found["velocity random walk"].endswith("declared 5 ug/sqrt(Hz): larger than declared")
 
 
-def test_what_the_station_does_not_declare_has_no_row(noise: NoiseEstimate) -> None:
-    found = verdicts(noise_section_of(noise, station(angle_random_walk_deg_per_sqrt_h=0.001)))
+def test_what_the_station_does_not_declare_has_no_row(noise):
+    found = verdicts(noise_section(noise, station(angle_random_walk_deg_per_sqrt_h=0.001)))
     assert "velocity random walk" not in found
     assert "noise of the velocity output" not in found
 
 
-def test_declared_noise_of_the_output_is_compared_in_its_own_units(noise: NoiseEstimate) -> None:
+def test_declared_noise_of_the_output_is_compared_in_its_own_units(noise):
     found = verdicts(
-        noise_section_of(
+        noise_section(
             noise,
             station(
                 angle_random_walk_deg_per_sqrt_h=0.01, velocity_output_mps=0.002, heading_output_deg=0.001
@@ -268,21 +247,19 @@ def test_declared_noise_of_the_output_is_compared_in_its_own_units(noise: NoiseE
     assert "declared 17.5 urad" in found["noise of the attitude output"]
 
 
-def test_without_a_declared_noise_the_text_says_whose_was_used(noise: NoiseEstimate) -> None:
-    section = noise_section_of(noise, {"ins": {"noise": "estimated"}})
+def test_without_a_declared_noise_the_text_says_whose_was_used(noise):
+    section = noise_section(noise, {"ins": {"noise": "estimated"}})
     assert section.tables == []
     assert section.paragraphs[0].endswith(
         "each dwell was evaluated with the noise estimated from its windows."
     )
-    declared = noise_section_of(noise, station(angle_random_walk_deg_per_sqrt_h=0.001))
+    declared = noise_section(noise, station(angle_random_walk_deg_per_sqrt_h=0.001))
     assert "declares no noise" not in declared.paragraphs[0]
 
 
 @pytest.mark.parametrize("content", [{}, {"ins": {}}])
-def test_a_station_that_is_missing_still_gives_the_figure(
-    noise: NoiseEstimate, content: dict[str, Any]
-) -> None:
-    section = noise_section_of(noise, content)
+def test_a_station_that_is_missing_still_gives_the_figure(noise, content):
+    section = noise_section(noise, content)
     (drawn,) = section.figures
     assert drawn.name == "noise"
     figure = drawn.figure()
@@ -290,5 +267,5 @@ def test_a_station_that_is_missing_still_gives_the_figure(
     assert png_bytes(figure).startswith(b"\x89PNG")
 
 
-def test_there_is_no_section_without_an_estimate() -> None:
+def test_there_is_no_section_without_an_estimate():
     assert noise_section(None, station(angle_random_walk_deg_per_sqrt_h=0.001)) is None

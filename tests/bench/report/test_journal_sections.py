@@ -1,10 +1,7 @@
 """Planned against real duration, and the events of a run."""
 
-from __future__ import annotations
-
 from gyrobench.bench.report.journal_sections import (
     MAX_ROWS,
-    KindDuration,
     durations_by_kind,
     durations_section,
     events_section,
@@ -13,15 +10,15 @@ from gyrobench.bench.report.journal_sections import (
 )
 
 
-def finished(step: int, kind: str, planned_s: float, took_s: float) -> dict[str, object]:
+def finished(step, kind, planned_s, took_s):
     return {"event": "step_finished", "step": step, "kind": kind, "planned_s": planned_s, "took_s": took_s}
 
 
-def kinds_of(*journal: dict[str, object]) -> list[KindDuration]:
+def kinds_of(*journal):
     return durations_by_kind(step_durations(journal))
 
 
-def test_longest_comes_first_and_all_of_them_last() -> None:
+def test_longest_comes_first_and_all_of_them_last():
     kinds = kinds_of(
         finished(1, "go_to", 20.0, 25.0),
         finished(2, "soak", 3600.0, 3000.0),
@@ -35,7 +32,7 @@ def test_longest_comes_first_and_all_of_them_last() -> None:
     assert [kind.difference for kind in kinds[:2]] == ["-0:10:00 (-16.7 %)", "+0:00:06 (+15.0 %)"]
 
 
-def test_step_that_is_done_again_is_planned_once() -> None:
+def test_step_that_is_done_again_is_planned_once():
     journal = [finished(number, "navigate", 600.0, 610.0) for number in (1, 2, 1, 2, 3)]
     *_, total = kinds_of(*journal)
     assert (total.count, total.planned_s, total.actual_s, total.repeats) == (3, 1800.0, 3050.0, 2)
@@ -45,11 +42,11 @@ def test_step_that_is_done_again_is_planned_once() -> None:
     assert table.caption == ""
 
 
-def test_step_planned_for_no_time_has_no_percentage() -> None:
+def test_step_planned_for_no_time_has_no_percentage():
     assert kinds_of(finished(1, "power_off", 0.0, 1.0))[0].difference == "+0:00:01"
 
 
-def test_other_and_damaged_entries_of_a_journal_are_passed_over() -> None:
+def test_other_and_damaged_entries_of_a_journal_are_passed_over():
     unfinished = {"event": "step_started", "step": 1, "kind": "soak", "what": "soak 1 min"}
     damaged = {"event": "step_finished", "step": 2, "kind": "soak", "took_s": 2.0}
     without_kind = {"event": "step_finished", "planned_s": 3.0, "took_s": 4.0}

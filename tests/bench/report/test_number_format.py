@@ -1,7 +1,5 @@
 """Numbers and names in words."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
@@ -20,12 +18,12 @@ from gyrobench.bench.report.number_format import (
 )
 
 
-def a_bin(low_c: float, **changes: object) -> BiasBin:
+def a_bin(low_c, **changes):
     base = BiasBin("x", "z_up", low_c, low_c + 5.0, low_c + 2.0, 0.004, 0.0009, 2, 1.0, 0.4)
     return replace(base, **changes)
 
 
-def test_names_are_written_as_in_the_paper() -> None:
+def test_names_are_written_as_in_the_paper():
     assert (position_label("z_up"), gyro_label("x")) == ("Z-Up", "X gyro")
 
 
@@ -38,49 +36,49 @@ def test_names_are_written_as_in_the_paper() -> None:
         (2.5, 0.0051, "2.500 ± 0.005"),
     ],
 )
-def test_uncertainty_decides_the_decimals(bias_dph: float, sigma_dph: float, expected: str) -> None:
+def test_uncertainty_decides_the_decimals(bias_dph, sigma_dph, expected):
     assert BiasScale.of([bias_dph], [sigma_dph]).with_sigma(bias_dph, sigma_dph) == expected
 
 
-def test_bias_with_its_unit_is_in_degrees_per_hour() -> None:
+def test_bias_with_its_unit_is_in_degrees_per_hour():
     assert dph_with_sigma(0.01234, 0.0009) == "0.0123 ± 0.0009 deg/h"
 
 
-def test_zero_has_no_minus() -> None:
+def test_zero_has_no_minus():
     assert BiasScale.of([0.01], [0.0009]).text(-1e-6) == "0.0"
     assert dph_with_sigma(-1e-9, 0.0009) == "0.0000 ± 0.0009 deg/h"
 
 
-def test_one_has_no_plural() -> None:
+def test_one_has_no_plural():
     assert [counted(number, "dwell") for number in (0, 1, 2)] == ["0 dwells", "1 dwell", "2 dwells"]
 
 
-def test_unit_follows_the_size_and_nan_is_passed_over() -> None:
+def test_unit_follows_the_size_and_nan_is_passed_over():
     assert BiasScale.of([float("nan"), 0.02], [float("nan"), 0.001]).unit == "0.001 deg/h"
     assert BiasScale.of([float("nan"), -2.0], [0.001]).unit == "deg/h"
 
 
 @given(st.floats(min_value=1e-7, max_value=10.0))
-def test_uncertainty_never_shows_as_zero_before_the_last_decimal_allowed(sigma_dph: float) -> None:
+def test_uncertainty_never_shows_as_zero_before_the_last_decimal_allowed(sigma_dph):
     scale = BiasScale.of([0.01], [sigma_dph])
     assert float(scale.text(sigma_dph)) > 0.0 or scale.decimals == 4
 
 
 @given(st.floats(min_value=0.0, max_value=1.0))
-def test_p_values_are_short_and_near(p_value: float) -> None:
+def test_p_values_are_short_and_near(p_value):
     text = p_text(p_value)
     assert len(text) <= 7
     if not text.startswith("<"):
         assert float(text) == pytest.approx(p_value, rel=0.5)
 
 
-def test_neighbouring_ranges_are_joined() -> None:
+def test_neighbouring_ranges_are_joined():
     ranges = [a_bin(low) for low in (10.0, -5.0, 0.0, 20.0)]
     assert temperature_ranges(ranges) == "-5 to 5 °C, 10 to 15 °C and 20 to 25 °C"
     assert temperature_ranges(ranges[:1]) == "10 to 15 °C"
 
 
-def test_empty_neighbours_become_one_range() -> None:
+def test_empty_neighbours_become_one_range():
     bins = [
         a_bin(0.0),
         a_bin(5.0, count=0),
@@ -105,7 +103,7 @@ def test_empty_neighbours_become_one_range() -> None:
         (1.234e-4, 2.1e-6, "(1.234 ± 0.021)e-4"),
     ],
 )
-def test_a_value_has_the_decimals_of_its_uncertainty(value: float, sigma: float, text: str) -> None:
+def test_a_value_has_the_decimals_of_its_uncertainty(value, sigma, text):
     assert with_sigma(value, sigma) == text
 
 
@@ -113,7 +111,7 @@ def test_a_value_has_the_decimals_of_its_uncertainty(value: float, sigma: float,
     ("limit_dph", "sigma_dph", "expected"),
     [(0.006, 0.0012, "6.0"), (0.0001, 0.005, "0.1"), (0.0055, 0.005, "5.5"), (0.01, 0.005, "10")],
 )
-def test_limit_is_never_rounded(limit_dph: float, sigma_dph: float, expected: str) -> None:
+def test_limit_is_never_rounded(limit_dph, sigma_dph, expected):
     assert BiasScale.of([limit_dph], [sigma_dph]).limit_text(limit_dph) == expected
 
 

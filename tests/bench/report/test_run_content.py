@@ -1,23 +1,19 @@
 """Reading whole and partial run folders."""
 
-from __future__ import annotations
-
 import shutil
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
-from gyrobench.bench.bias.bins import BiasBin, bin_biases, compare_positions, write_bins
-from gyrobench.bench.bias.dwell_table import DwellRow, write_dwells
+from gyrobench.bench.bias.bins import bin_biases, compare_positions, write_bins
+from gyrobench.bench.bias.dwell_table import write_dwells
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.report.run_content import read_run
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
 
 
-def test_whole_folder_is_read_without_complaint(run_folder: RunFolder, bins: list[BiasBin]) -> None:
+def test_whole_folder_is_read_without_complaint(run_folder, bins):
     content = read_run(run_folder)
     assert content.problems == ["station.yaml is missing."]
     assert content.name == content.run_name == "six_position_fig7-001"
@@ -32,7 +28,7 @@ def test_whole_folder_is_read_without_complaint(run_folder: RunFolder, bins: lis
     assert content.last("no such event") == {}
 
 
-def test_empty_folder_gives_empty_content(empty_folder: RunFolder) -> None:
+def test_empty_folder_gives_empty_content(empty_folder):
     content = read_run(empty_folder)
     assert not content.journal
     assert not content.dwells
@@ -41,14 +37,12 @@ def test_empty_folder_gives_empty_content(empty_folder: RunFolder) -> None:
     assert len(content.problems) == 7
 
 
-def test_a_folder_without_parts_has_no_readings(empty_folder: RunFolder) -> None:
+def test_a_folder_without_parts_has_no_readings(empty_folder):
     empty_folder.telemetry.mkdir()
     assert not read_run(empty_folder).has_readings
 
 
-def test_bins_are_worked_out_where_their_file_is_missing(
-    empty_folder: RunFolder, dwells: list[DwellRow]
-) -> None:
+def test_bins_are_worked_out_where_their_file_is_missing(empty_folder, dwells):
     write_dwells(empty_folder.dwells, dwells)
     empty_folder.procedure.write_text("procedure: p\nbin_width_c: 10\n", encoding="utf-8")
     bins = read_run(empty_folder).bins
@@ -56,9 +50,7 @@ def test_bins_are_worked_out_where_their_file_is_missing(
     assert sum(each.count for each in bins if each.gyro == "x") == 71
 
 
-def test_bins_of_the_file_are_compared_with_a_constant_for_each_power_cycle(
-    empty_folder: RunFolder, dwells: list[DwellRow]
-) -> None:
+def test_bins_of_the_file_are_compared_with_a_constant_for_each_power_cycle(empty_folder, dwells):
     rows = [replace(row, run=row.position[:1]) for row in dwells if not row.flags]
     write_dwells(empty_folder.dwells, rows)
     write_bins(empty_folder.bias_bins, bin_biases(rows))
@@ -68,9 +60,7 @@ def test_bins_of_the_file_are_compared_with_a_constant_for_each_power_cycle(
     assert all(high[0] == low[0] for each in found for high, low in [each.largest_pair])
 
 
-def test_damaged_files_are_named_and_the_rest_is_read(
-    empty_folder: RunFolder, journal_writer: Callable[..., None]
-) -> None:
+def test_damaged_files_are_named_and_the_rest_is_read(empty_folder, journal_writer):
     journal_writer(empty_folder)
     lines = empty_folder.journal.read_text(encoding="utf-8").splitlines()
     empty_folder.journal.write_text("\n".join([*lines[:3], "{damaged", *lines[3:]]), encoding="utf-8")
@@ -92,14 +82,14 @@ def test_damaged_files_are_named_and_the_rest_is_read(
     assert "can't be binned by temperature" in said
 
 
-def test_reading_a_run_does_not_read_its_raw_log(run_folder: RunFolder, tmp_path: Path) -> None:
+def test_reading_a_run_does_not_read_its_raw_log(run_folder, tmp_path):
     folder = RunFolder(tmp_path / "run")
     shutil.copytree(run_folder.path, folder.path)
     (folder.can / "part-00001.blf").mkdir(parents=True)  # what can't be read
     assert read_run(folder).problems == read_run(run_folder).problems
 
 
-def test_approvals_of_an_investigation_are_read_from_its_folder(empty_folder: RunFolder) -> None:
+def test_approvals_of_an_investigation_are_read_from_its_folder(empty_folder):
     assert read_run(empty_folder).approvals == []
     (empty_folder.path / "investigation").mkdir()
     with Journal(empty_folder.path / "investigation" / "journal.jsonl", VirtualClock()) as journal:
@@ -111,7 +101,7 @@ def test_approvals_of_an_investigation_are_read_from_its_folder(empty_folder: Ru
     assert second.startswith("Block 2 declined by B. Jones, ")
 
 
-def test_dwells_without_biases_need_no_table_of_dwells(empty_folder: RunFolder) -> None:
+def test_dwells_without_biases_need_no_table_of_dwells(empty_folder):
     with Journal(empty_folder.journal, VirtualClock()) as journal:
         journal.record("dwell_finished", marks={"dwell": 1, "is_rotated": True}, flags="")
         journal.record("dwell_finished", marks={"dwell": 1, "is_rotated": True}, flags="")
@@ -121,7 +111,7 @@ def test_dwells_without_biases_need_no_table_of_dwells(empty_folder: RunFolder) 
     assert "dwells.csv is missing." not in content.problems
 
 
-def test_a_dwell_for_biases_needs_a_table_of_dwells(empty_folder: RunFolder) -> None:
+def test_a_dwell_for_biases_needs_a_table_of_dwells(empty_folder):
     with Journal(empty_folder.journal, VirtualClock()) as journal:
         journal.record("dwell_finished", marks={"dwell": 1}, flags="")
         journal.record("dwell_finished", marks={"dwell": 2, "is_rotated": True}, flags="")

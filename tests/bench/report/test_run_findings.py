@@ -1,7 +1,5 @@
 """What makes the results of a run doubtful."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace
@@ -9,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.noise_estimate import estimate_noise
 from gyrobench.bench.report.run_findings import (
     accelerometers_sentence,
@@ -25,7 +22,7 @@ from tests.bench.bias.test_noise_estimate import GRAVITY, simulated
 from tests.bench.report.made_up_noise import made_up_noise
 
 
-def test_the_flag_that_keeps_half_of_the_dwells_out_is_stated(dwells: list[DwellRow]) -> None:
+def test_the_flag_that_keeps_half_of_the_dwells_out_is_stated(dwells):
     assert flags_sentence(dwells) == ""
     assert flags_sentence([]) == ""
     half = [replace(row, flags=("no signal",) if number % 2 else ()) for number, row in enumerate(dwells)]
@@ -47,16 +44,14 @@ def test_the_flag_that_keeps_half_of_the_dwells_out_is_stated(dwells: list[Dwell
         ("not_contradicted", (1e-9, 1e-5), ["Dwells contradict one another."]),
     ],
 )
-def test_what_the_joint_solution_finds_wrong_with_the_bench_is_stated(
-    finding: str, p_values: tuple[float, float], titles: list[str]
-) -> None:
+def test_what_the_joint_solution_finds_wrong_with_the_bench_is_stated(finding, p_values, titles):
     numbers = [0.0] * 6 + [0.0, 0.001, 0.006, 0.001, 10.0, 0.1, 0.5]
     row = JointPlateauRow(1, 1, 6, 25.0, *numbers, finding, *p_values)
     assert list(joint_solution_sentences([row])) == titles
     assert joint_solution_sentences([]) == {}
 
 
-def test_gyro_errors_larger_than_declared_are_stated_with_their_size() -> None:
+def test_gyro_errors_larger_than_declared_are_stated_with_their_size():
     row = JointPlateauRow(1, 1, 6, 25.0, *[math.nan] * 13, "latitude", 0.3, 0.3, 1.0)
     larger = replace(row, gyro_error_factor=6.53)
     (text,) = joint_solution_sentences([row, larger, row]).values()
@@ -78,8 +73,8 @@ def test_gyro_errors_larger_than_declared_are_stated_with_their_size() -> None:
     ],
 )
 def test_declared_noise_that_the_data_contradict_is_named_with_what_to_declare(
-    declared_arw: float, declared_vrw: float, texts: list[str]
-) -> None:
+    declared_arw, declared_vrw, texts
+):
     declared = {
         "angle_random_walk_deg_per_sqrt_h": declared_arw,
         "velocity_random_walk_ug_per_sqrt_hz": declared_vrw,
@@ -91,7 +86,7 @@ def test_declared_noise_that_the_data_contradict_is_named_with_what_to_declare(
     assert found.get("Declared noise.", "") == text
 
 
-def test_noise_that_is_estimated_or_not_measured_contradicts_no_declaration() -> None:
+def test_noise_that_is_estimated_or_not_measured_contradicts_no_declaration():
     assert noise_sentence(made_up_noise(), {"ins": {"noise": "estimated"}}) == ""
     declared = {"ins": {"noise": {"angle_random_walk_deg_per_sqrt_h": 0.06}}}
     assert noise_sentence(None, declared) == ""
@@ -115,8 +110,8 @@ def test_noise_that_is_estimated_or_not_measured_contradicts_no_declaration() ->
     ],
 )
 def test_accelerometers_that_follow_the_temperature_more_than_declared_are_named(
-    dwells: list[DwellRow], ug_per_k: float, declared: dict[str, float], count: int
-) -> None:
+    dwells, ug_per_k, declared, count
+):
     random = np.random.default_rng(5)
     rows = [
         replace(
@@ -155,9 +150,7 @@ def test_accelerometers_that_follow_the_temperature_more_than_declared_are_named
         (True, -8, "At -8 deg of latitude"),
     ],
 )
-def test_what_no_dwell_tested_of_the_signal_map_is_stated(
-    are_tested: bool | None, latitude_deg: float, stated: str
-) -> None:
+def test_what_no_dwell_tested_of_the_signal_map_is_stated(are_tested, latitude_deg, stated):
     station = {"location": {"latitude_deg": latitude_deg}}
     text = signs_sentence(RunFacts(are_signs_tested=are_tested), station, "mine.yaml")
     assert text.startswith(stated)

@@ -8,17 +8,15 @@ import json
 import re
 import shutil
 import weakref
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-from matplotlib.figure import Figure
 
 from gyrobench.bench.bias.acceptance import judge
-from gyrobench.bench.bias.bins import BiasBin, bin_biases, write_bins
-from gyrobench.bench.bias.dwell_table import DwellRow, write_dwells
+from gyrobench.bench.bias.bins import bin_biases, write_bins
+from gyrobench.bench.bias.dwell_table import write_dwells
 from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, write_acceptance
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.shipped import find_document
@@ -51,10 +49,10 @@ class Page(HTMLParser):
     in_style: bool = False
     style: str = ""
 
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         super().__init__()
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_starttag(self, tag, attrs):
         self.tags.append(tag)
         if tag not in ("meta", "img", "br"):
             self.open_tags.append(tag)
@@ -63,21 +61,21 @@ class Page(HTMLParser):
         self.links += [value[1:] for value in named if value.startswith("#")]
         self.anchors += [value or "" for name, value in attrs if name == "id"]
 
-    def handle_endtag(self, tag: str) -> None:
+    def handle_endtag(self, tag):
         assert self.open_tags.pop() == tag
 
-    def handle_data(self, data: str) -> None:
+    def handle_data(self, data):
         if self.open_tags[-1:] == ["style"]:
             self.style += data
         else:
             self.words += data.split()
 
     @property
-    def text(self) -> str:
+    def text(self):
         return " ".join(self.words)
 
 
-def page_with(html: str) -> Page:
+def page_with(html):
     page = Page()
     page.feed(html)
     page.close()
@@ -85,24 +83,24 @@ def page_with(html: str) -> Page:
     return page
 
 
-def page_of(folder: RunFolder) -> Page:
+def page_of(folder):
     return page_with(write_report(folder).path.read_text(encoding="utf-8"))
 
 
-def text_of(folder: RunFolder, prepared_by: str = "") -> str:
+def text_of(folder, prepared_by=""):
     """Text of the report without figures, which take most of the time."""
     content = with_joint_solution(read_run(folder), folder)
     return page_with("".join(render(content, [], prepared_by=prepared_by))).text
 
 
 @pytest.fixture(scope="module")
-def run_folder(run_folder: RunFolder, tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+def run_folder(run_folder, tmp_path_factory):
     """A copy that these tests write reports into."""
     return RunFolder(shutil.copytree(run_folder.path, tmp_path_factory.mktemp("run") / run_folder.path.name))
 
 
 @pytest.fixture
-def copy(run_folder: RunFolder, tmp_path: Path) -> RunFolder:
+def copy(run_folder, tmp_path):
     """A copy of the run to change."""
     folder = RunFolder(tmp_path / "run")
     shutil.copytree(run_folder.path, folder.path)
@@ -110,11 +108,11 @@ def copy(run_folder: RunFolder, tmp_path: Path) -> RunFolder:
 
 
 @pytest.fixture(scope="module")
-def page(run_folder: RunFolder) -> Page:
+def page(run_folder):
     return page_of(run_folder)
 
 
-def test_report_needs_nothing_from_outside(page: Page, run_folder: RunFolder) -> None:
+def test_report_needs_nothing_from_outside(page, run_folder):
     assert len(page.loads) == 9
     for load in page.loads:
         assert load.startswith("data:image/png;base64,")
@@ -125,7 +123,7 @@ def test_report_needs_nothing_from_outside(page: Page, run_folder: RunFolder) ->
     assert "@import" not in page.style
 
 
-def test_head_says_what_was_run_and_how_it_ended(page: Page) -> None:
+def test_head_says_what_was_run_and_how_it_ended(page):
     assert page.text.count("Gyro bias of unit 1001") == 2
     for words in (
         "The run finished.",
@@ -139,17 +137,17 @@ def test_head_says_what_was_run_and_how_it_ended(page: Page) -> None:
         assert words in page.text
 
 
-def test_contents_lead_to_every_part(page: Page) -> None:
+def test_contents_lead_to_every_part(page):
     assert len(page.links) > 10
     assert page.links == page.anchors
 
 
-def test_sign_off_has_blank_lines_but_for_the_name_given(empty_folder: RunFolder) -> None:
+def test_sign_off_has_blank_lines_but_for_the_name_given(empty_folder):
     text = text_of(empty_folder, "A. <Smith>")
     assert "name date signature prepared by A. <Smith> checked by released by Contents" in text
 
 
-def test_report_can_go_elsewhere(empty_folder: RunFolder, equal_dwells: list[DwellRow]) -> None:
+def test_report_can_go_elsewhere(empty_folder, equal_dwells):
     write_dwells(empty_folder.dwells, equal_dwells[:2])
     out = empty_folder.path / "elsewhere"
     assert write_report(empty_folder, out=out).path == out / "report.html"
@@ -157,7 +155,7 @@ def test_report_can_go_elsewhere(empty_folder: RunFolder, equal_dwells: list[Dwe
     assert not empty_folder.figures.exists()
 
 
-def test_operator_host_and_local_time_are_given(copy: RunFolder) -> None:
+def test_operator_host_and_local_time_are_given(copy):
     own = json.loads(copy.provenance.read_text())
     own |= {"operator": "smith", "host": "bench-3", "utc_offset_s": 19_800.0}
     copy.provenance.write_text(json.dumps(own))
@@ -167,9 +165,7 @@ def test_operator_host_and_local_time_are_given(copy: RunFolder) -> None:
     assert "ended 2000-01-01 01:01:27 UTC, 2000-01-01 06:31:27 local time" in text
 
 
-def test_a_verdict_stands_in_the_head_with_its_judgements_below(
-    copy: RunFolder, dwells: list[DwellRow]
-) -> None:
+def test_a_verdict_stands_in_the_head_with_its_judgements_below(copy, dwells):
     limits = AcceptanceLimits(position_difference_dph=0.006, bias_dph=0.1)
     write_acceptance(copy.acceptance, judge(dwells, limits))
     text = text_of(copy)
@@ -178,9 +174,7 @@ def test_a_verdict_stands_in_the_head_with_its_judgements_below(
     assert re.search(r"X gyro -25 to -20 X-Down above Z-Up fail \S+ ± \S+ \S+ \S+ 6\.0", text)
 
 
-def test_acceptance_and_results_state_what_the_uncertainty_of_a_difference_is_of(
-    dwells: list[DwellRow],
-) -> None:
+def test_acceptance_and_results_state_what_the_uncertainty_of_a_difference_is_of(dwells):
     acceptance = judge(dwells, AcceptanceLimits(position_difference_dph=0.006))
     drawn = {"position_differences": Path("position_differences.png")}
     [figure] = comparison_section(bin_biases(dwells), acceptance, drawn).figures
@@ -201,19 +195,17 @@ def test_acceptance_and_results_state_what_the_uncertainty_of_a_difference_is_of
     assert "include that of the correction, which those of bin means in the section Results do not" in how
 
 
-def test_without_limits_the_report_says_that_nothing_was_judged(copy: RunFolder) -> None:
+def test_without_limits_the_report_says_that_nothing_was_judged(copy):
     write_acceptance(copy.acceptance, Acceptance())
     assert "Unit not judged. The procedure has no acceptance limits." in text_of(copy)
 
 
-def test_the_report_is_tied_to_its_data(page: Page, run_folder: RunFolder) -> None:
+def test_the_report_is_tied_to_its_data(page, run_folder):
     assert hashlib.sha256(run_folder.dwells.read_bytes()).hexdigest() in page.text
     assert "telemetry/*.parquet" in page.text
 
 
-def test_what_search_and_proof_found_is_taken_in_while_it_is_of_these_dwells(
-    empty_folder: RunFolder, equal_dwells: list[DwellRow]
-) -> None:
+def test_what_search_and_proof_found_is_taken_in_while_it_is_of_these_dwells(empty_folder, equal_dwells):
     folder = empty_folder
     write_dwells(folder.dwells, equal_dwells[:1])
     folder.closure.mkdir()
@@ -231,7 +223,7 @@ def test_what_search_and_proof_found_is_taken_in_while_it_is_of_these_dwells(
     assert "closure: left out because dwells.csv has changed since." in changed
 
 
-def test_a_damaged_finding_is_named(empty_folder: RunFolder) -> None:
+def test_a_damaged_finding_is_named(empty_folder):
     for place in (empty_folder.closure, empty_folder.verify):
         place.mkdir()
     (empty_folder.closure / "findings.json").write_text("{}")
@@ -241,7 +233,7 @@ def test_a_damaged_finding_is_named(empty_folder: RunFolder) -> None:
     assert "verify/findings.json is missing" in text
 
 
-def test_instruments_versions_and_assumptions_are_there(page: Page) -> None:
+def test_instruments_versions_and_assumptions_are_there(page):
     for words in (
         "rate table Acutrol3000 rev 2.1",
         "INS made-up INS, serial number 1001",
@@ -254,19 +246,19 @@ def test_instruments_versions_and_assumptions_are_there(page: Page) -> None:
         assert words in page.text
 
 
-def test_results_are_stated_in_sentences(page: Page) -> None:
+def test_results_are_stated_in_sentences(page):
     assert page.text.count("The bias differs between positions in") == 3
     assert "X-Down above Z-Up by 0.01" in page.text
 
 
-def test_tables_hold_biases_counts_and_empty_bins(page: Page) -> None:
+def test_tables_hold_biases_counts_and_empty_bins(page):
     assert "-20 to 5 empty in all positions" in page.text
     assert re.search(r"-25 to -20 -6\.8 ± 0\.6 \(2\) \S+ ± 0\.8 -5\.0 ± 0\.6 \(2\) \S+ ± 0\.8", page.text)
     assert page.text.count("Comparison of positions;") == 3
     assert "<1e-9" in page.text
 
 
-def test_both_estimates_of_a_dwell_and_its_fit_stand_in_one_row(page: Page, dwells: list[DwellRow]) -> None:
+def test_both_estimates_of_a_dwell_and_its_fit_stand_in_one_row(page, dwells):
     first = dwells[0]
     pairs = zip(first.bias_dph, first.sigma_dph, first.paper_bias_dph, first.paper_sigma_dph, strict=True)
     cells = " ".join(
@@ -276,7 +268,7 @@ def test_both_estimates_of_a_dwell_and_its_fit_stand_in_one_row(page: Page, dwel
     assert f"{cells} {first.fit_p_value:.3f}" in page.text
 
 
-def test_estimators_are_explained_and_compared(page: Page) -> None:
+def test_estimators_are_explained_and_compared(page):
     for words in (
         "Biases are those of the state-space estimator",
         "Results of the paper's method from the same data are in grey",
@@ -289,14 +281,12 @@ def test_estimators_are_explained_and_compared(page: Page) -> None:
     assert page.text.count("The paper's method disagrees") == 3
 
 
-def test_comparison_names_the_estimators_that_find_a_difference(page: Page) -> None:
+def test_comparison_names_the_estimators_that_find_a_difference(page):
     for verdict in ("both methods", "paper's method only"):
         assert verdict in page.text
 
 
-def test_table_that_knows_no_estimators_gives_a_report_without_them(
-    empty_folder: RunFolder, old_dwells: list[DwellRow]
-) -> None:
+def test_table_that_knows_no_estimators_gives_a_report_without_them(empty_folder, old_dwells):
     write_dwells(empty_folder.dwells, old_dwells)
     page = page_of(empty_folder)
     assert "The estimator of these biases is unknown" in page.text
@@ -304,9 +294,7 @@ def test_table_that_knows_no_estimators_gives_a_report_without_them(
     assert len(page.loads) == 6
 
 
-def test_run_that_the_papers_method_does_not_apply_to_says_so(
-    empty_folder: RunFolder, dwells: list[DwellRow], old_dwells: list[DwellRow]
-) -> None:
+def test_run_that_the_papers_method_does_not_apply_to_says_so(empty_folder, dwells, old_dwells):
     tested = [
         replace(old, fit_ratio=row.fit_ratio, fit_p_value=row.fit_p_value)
         for old, row in zip(old_dwells, dwells, strict=True)
@@ -318,7 +306,7 @@ def test_run_that_the_papers_method_does_not_apply_to_says_so(
     assert "Goodness of fit" in text
 
 
-def test_dwells_solved_together_and_noise_have_their_sections(page: Page) -> None:
+def test_dwells_solved_together_and_noise_have_their_sections(page):
     for words in (
         "Joint solution of each plateau",
         "level gyros by 10.0 % and of vertical gyros by 10.0 %",
@@ -337,9 +325,7 @@ def test_dwells_solved_together_and_noise_have_their_sections(page: Page) -> Non
     )
 
 
-def test_noise_is_held_against_what_the_station_declares(
-    empty_folder: RunFolder, run_folder: RunFolder
-) -> None:
+def test_noise_is_held_against_what_the_station_declares(empty_folder, run_folder):
     shutil.copy(run_folder.noise, empty_folder.noise)
     shutil.copy(find_document("stations", "emulated"), empty_folder.station)
     page = page_of(empty_folder)
@@ -350,9 +336,7 @@ def test_noise_is_held_against_what_the_station_declares(
     assert (empty_folder.figures / "noise.png").exists()
 
 
-def test_damaged_results_are_named_and_leave_their_sections_out(
-    empty_folder: RunFolder, run_folder: RunFolder
-) -> None:
+def test_damaged_results_are_named_and_leave_their_sections_out(empty_folder, run_folder):
     for path in (run_folder.dwells, run_folder.joint_biases):
         shutil.copy(path, empty_folder.path)
     empty_folder.joint.write_text("stop\n1\n", encoding="utf-8")
@@ -364,10 +348,10 @@ def test_damaged_results_are_named_and_leave_their_sections_out(
     assert "Noise of the INS" not in text
 
 
-def test_a_figure_is_freed_before_the_next_one_is_drawn(empty_folder: RunFolder) -> None:
-    drawn: list[weakref.ref[Figure]] = []
+def test_a_figure_is_freed_before_the_next_one_is_drawn(empty_folder):
+    drawn = []
 
-    def draw() -> Figure:
+    def draw():
         assert all(each() is None for each in drawn)
         figure = new_figure(2.0)
         drawn.append(weakref.ref(figure))
@@ -378,9 +362,7 @@ def test_a_figure_is_freed_before_the_next_one_is_drawn(empty_folder: RunFolder)
     assert len(drawn) == 3
 
 
-def test_sections_stand_before_the_dwells(
-    empty_folder: RunFolder, dwells: list[DwellRow], bins: list[BiasBin]
-) -> None:
+def test_sections_stand_before_the_dwells(empty_folder, dwells, bins):
     write_dwells(empty_folder.dwells, dwells)
     drawn = SectionFigure("made_up", "the caption", lambda: bias_figure("x", dwells, bins))
     section = Section(
@@ -398,21 +380,19 @@ def test_sections_stand_before_the_dwells(
     assert len(page.loads) == 1
 
 
-def test_single_position_without_a_dwell_in_a_bin_is_empty(
-    empty_folder: RunFolder, dwells: list[DwellRow]
-) -> None:
+def test_single_position_without_a_dwell_in_a_bin_is_empty(empty_folder, dwells):
     two = [row for row in dwells if row.position in ("y_up", "z_up")]
     write_dwells(empty_folder.dwells, [row for row in two if row.position == "z_up" or row.chamber_c < 60.0])
     text = text_of(empty_folder)
     assert text.count("empty") - text.count("empty in all positions") == 3
 
 
-def test_flagged_dwell_is_marked_with_its_reason_as_text(page: Page) -> None:
+def test_flagged_dwell_is_marked_with_its_reason_as_text(page):
     assert "flagged: the INS left navigation during the dwell; chamber <door> open" in page.text
     assert "door" not in page.tags
 
 
-def test_durations_and_safe_state_are_there(page: Page) -> None:
+def test_durations_and_safe_state_are_there(page):
     assert "chamber 1 0:40:00 0:49:10 +0:09:10 (+22.9 %)" in page.text
     assert "ask operator 1 0:01:00 0:00:05" in page.text
     assert "all 5 0:53:00 1:01:27" in page.text
@@ -420,20 +400,18 @@ def test_durations_and_safe_state_are_there(page: Page) -> None:
     assert "not fully reached" not in page.text
 
 
-def test_equal_runs_give_equal_reports(page: Page, run_folder: RunFolder) -> None:
+def test_equal_runs_give_equal_reports(page, run_folder):
     first = run_folder.report.read_bytes()
     assert write_report(run_folder).path.read_bytes() == first
 
 
-def test_run_whose_positions_agree_says_so(empty_folder: RunFolder, equal_dwells: list[DwellRow]) -> None:
+def test_run_whose_positions_agree_says_so(empty_folder, equal_dwells):
     write_dwells(empty_folder.dwells, equal_dwells)
     write_bins(empty_folder.bias_bins, bin_biases(equal_dwells))
     assert text_of(empty_folder).count("No significant difference between positions") == 3
 
 
-def test_failed_run_states_reason_step_and_unsafe_outputs(
-    empty_folder: RunFolder, journal_writer: Callable[..., None]
-) -> None:
+def test_failed_run_states_reason_step_and_unsafe_outputs(empty_folder, journal_writer):
     journal_writer(empty_folder, ended="failed", reason="chamber: no <reply>", problem="table: no reply")
     text = text_of(empty_folder)
     assert (
@@ -447,9 +425,7 @@ def test_failed_run_states_reason_step_and_unsafe_outputs(
     assert "dwells.csv is missing." in text
 
 
-def test_run_of_calibration_checks_is_no_failure(
-    empty_folder: RunFolder, run_folder: RunFolder, journal_writer: Callable[..., None]
-) -> None:
+def test_run_of_calibration_checks_is_no_failure(empty_folder, run_folder, journal_writer):
     journal_writer(empty_folder)
     shutil.copytree(run_folder.telemetry, empty_folder.telemetry)
     write_calibration_check(empty_folder.calibration_check, [ROW, ALIGNMENT])
@@ -464,23 +440,19 @@ def test_run_of_calibration_checks_is_no_failure(
     assert len(page.loads) == 1
 
 
-def test_unit_is_known_from_the_journal_before_anything_is_measured(empty_folder: RunFolder) -> None:
+def test_unit_is_known_from_the_journal_before_anything_is_measured(empty_folder):
     with Journal(empty_folder.journal, VirtualClock()) as journal:
         journal.record("ins_identified", unit="1007", identity="made-up INS")
     assert "Gyro bias of unit 1007" in text_of(empty_folder)
 
 
-def test_run_in_one_position_says_once_that_there_is_nothing_to_compare(
-    empty_folder: RunFolder, dwells: list[DwellRow]
-) -> None:
+def test_run_in_one_position_says_once_that_there_is_nothing_to_compare(empty_folder, dwells):
     write_dwells(empty_folder.dwells, [row for row in dwells if row.position == "y_up"])
     text = text_of(empty_folder)
     assert text.count("Nothing to compare") == 1
 
 
-def test_a_dwell_that_was_skipped_is_counted_on_the_first_page(
-    empty_folder: RunFolder, dwells: list[DwellRow]
-) -> None:
+def test_a_dwell_that_was_skipped_is_counted_on_the_first_page(empty_folder, dwells):
     write_dwells(empty_folder.dwells, dwells[:1])
     with Journal(empty_folder.journal, VirtualClock()) as journal:
         for dwell in (dwells[0].dwell, 70, 71):  # the first was resumed and measured after all
@@ -488,39 +460,35 @@ def test_a_dwell_that_was_skipped_is_counted_on_the_first_page(
     assert "1 measured, 0 of them flagged; 2 skipped" in page_of(empty_folder).text
 
 
-def test_killed_run_is_reported_as_such(empty_folder: RunFolder, journal_writer: Callable[..., None]) -> None:
+def test_killed_run_is_reported_as_such(empty_folder, journal_writer):
     journal_writer(empty_folder, ended="")
     text = text_of(empty_folder)
     assert "The run has not ended. It was killed or is still running" in text
     assert "The journal has no safe state." in text
 
 
-def test_empty_folder_still_gives_a_report(empty_folder: RunFolder) -> None:
+def test_empty_folder_still_gives_a_report(empty_folder):
     page = page_of(empty_folder)
     assert "serial number unknown" in page.text
     assert page.loads == []
     assert "No step was finished." in page.text
 
 
-def test_dwells_that_are_all_flagged_still_give_a_report(
-    empty_folder: RunFolder, dwells: list[DwellRow]
-) -> None:
+def test_dwells_that_are_all_flagged_still_give_a_report(empty_folder, dwells):
     write_dwells(empty_folder.dwells, [row for row in dwells if row.flags])
     page = page_of(empty_folder)
     assert "1 measured, 1 of them flagged" in page.text
     assert len(page.loads) == 1
 
 
-def test_data_that_can_not_be_hashed_are_reported(copy: RunFolder) -> None:
+def test_data_that_can_not_be_hashed_are_reported(copy):
     (copy.can / "part-00001.blf").mkdir(parents=True)
     text = page_of(copy).text
     assert "The data can't be hashed" in text
     assert "Data of this report" not in text
 
 
-def test_figures_are_drawn_again_only_if_what_they_show_has_changed(
-    copy: RunFolder, dwells: list[DwellRow]
-) -> None:
+def test_figures_are_drawn_again_only_if_what_they_show_has_changed(copy, dwells):
     write_report(copy)
     figures = sorted(copy.figures.glob("*.png"))
     drawn = {path: path.stat().st_mtime_ns for path in figures}

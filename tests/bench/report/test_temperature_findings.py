@@ -1,17 +1,12 @@
 """Which temperatures of a run contradict one another."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.report.run_findings import run_findings
 from gyrobench.bench.report.run_report import write_report
 from gyrobench.bench.report.temperature_findings import sensors_sentence, temperatures_sentence
@@ -36,9 +31,7 @@ from gyrobench.drivers.emulators.world.world_file import GyroThermal, Thermal
         (1.0, 5.0, ""),
     ],
 )
-def test_temperatures_in_a_wrong_scale_or_with_an_offset_are_named(
-    dwells: list[DwellRow], factor: float, offset_c: float, named: str
-) -> None:
+def test_temperatures_in_a_wrong_scale_or_with_an_offset_are_named(dwells, factor, offset_c, named):
     station = {"unit": {"thermal": {"self_heating_c": 9}}}
     settled = [
         replace(
@@ -57,8 +50,8 @@ def test_temperatures_in_a_wrong_scale_or_with_an_offset_are_named(
     assert temperatures_sentence(moving, station) == ""
 
 
-def test_exchanged_temperatures_of_optics_and_electronics_are_named(dwells: list[DwellRow]) -> None:
-    def settled(board_c: tuple[float, float, float]) -> list[DwellRow]:
+def test_exchanged_temperatures_of_optics_and_electronics_are_named(dwells):
+    def settled(board_c):
         still = {"chamber_c": 25.0, "gyro_c": (35.0,) * 3, "gyro_rate_c_per_h": (1.0,) * 3}
         return [replace(row, board_c=board_c, **still) for row in dwells]
 
@@ -73,7 +66,7 @@ def test_exchanged_temperatures_of_optics_and_electronics_are_named(dwells: list
 _STEP_S = 10.0
 
 
-def _readings(scatter: float = 0.0, seed: int = 0, off_s: float = 0.0) -> dict[str, FloatArray]:
+def _readings(scatter=0.0, seed=0, off_s=0.0):
     """Telemetry of a run that takes the emulated unit from 23 to 62, 20 and -36 degC; it is cold at first.
 
     ``scatter``: of the logarithms of the gyros' heat capacities, powers and conductances.
@@ -105,12 +98,12 @@ def _readings(scatter: float = 0.0, seed: int = 0, off_s: float = 0.0) -> dict[s
     return {"time_s": time_s, "chamber_c": air_c, "case_c": nodes_c[:, 0], **gyro_c}
 
 
-def _lagging(values_c: FloatArray, time_constant_s: float) -> FloatArray:
+def _lagging(values_c, time_constant_s):
     share = 1.0 - np.exp(-_STEP_S / time_constant_s)
     return np.asarray(lfilter([share], [1.0, share - 1.0], values_c - 23.0)) + 23.0
 
 
-def test_sensors_of_a_cold_unit_must_agree_with_one_another_and_with_the_air() -> None:
+def test_sensors_of_a_cold_unit_must_agree_with_one_another_and_with_the_air():
     readings = _readings(scatter=0.1)
     assert sensors_sentence(readings) == ""
     found = sensors_sentence(readings | {"gyro_x_c": readings["gyro_x_c"] + 5.0})
@@ -124,7 +117,7 @@ def test_sensors_of_a_cold_unit_must_agree_with_one_another_and_with_the_air() -
     assert sensors_sentence({name: values[:0] for name, values in readings.items()}) == ""
 
 
-def test_an_offset_of_all_gyros_shows_after_the_unit_was_off_in_steady_air() -> None:
+def test_an_offset_of_all_gyros_shows_after_the_unit_was_off_in_steady_air():
     for off_s, text in ((3600.0, ""), (9000.0, "off for more than 2 h in air of 23.0 degC")):
         readings = _readings(off_s=off_s)
         assert sensors_sentence(readings) == ""
@@ -135,7 +128,7 @@ def test_an_offset_of_all_gyros_shows_after_the_unit_was_off_in_steady_air() -> 
 
 
 @pytest.mark.parametrize("scatter", [0.0, 0.1])
-def test_a_sensor_that_lags_or_has_another_scale_is_named(scatter: float) -> None:
+def test_a_sensor_that_lags_or_has_another_scale_is_named(scatter):
     readings = _readings(scatter, seed=3)
     assert sensors_sentence(readings) == ""
     lagging = sensors_sentence(readings | {"gyro_y_c": _lagging(readings["gyro_y_c"], 1800.0)})
@@ -145,7 +138,7 @@ def test_a_sensor_that_lags_or_has_another_scale_is_named(scatter: float) -> Non
     assert "Temperatures of the gyros." in run_findings([], {}, None, [], sensors=lagging)
 
 
-def test_the_sensors_of_a_run_folder_are_tested_by_its_telemetry(tmp_path: Path) -> None:
+def test_the_sensors_of_a_run_folder_are_tested_by_its_telemetry(tmp_path):
     folder = RunFolder(tmp_path)
     telemetry = Telemetry(folder.telemetry)
     readings = _readings()
@@ -160,6 +153,6 @@ def test_the_sensors_of_a_run_folder_are_tested_by_its_telemetry(tmp_path: Path)
 
 
 @pytest.mark.long
-def test_hardly_any_sound_unit_whose_gyros_follow_the_chamber_unequally_is_doubted() -> None:
+def test_hardly_any_sound_unit_whose_gyros_follow_the_chamber_unequally_is_doubted():
     doubted = [seed for seed in range(500) if sensors_sentence(_readings(scatter=0.1, seed=seed))]
     assert len(doubted) <= 1, doubted

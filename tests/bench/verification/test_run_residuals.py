@@ -1,7 +1,5 @@
 """Residual biases of a plateau, and a day of navigation with them."""
 
-from __future__ import annotations
-
 import io
 
 import numpy as np

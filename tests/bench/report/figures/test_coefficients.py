@@ -1,7 +1,5 @@
 """Figures of coefficients and of characteristic tests."""
 
-from __future__ import annotations
-
 from math import nan
 
 import numpy as np
@@ -14,7 +12,7 @@ from gyrobench.bench.report.figures.coefficients import coefficients_figure
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow
 
 
-def curve(parts: list[str]) -> Curve:
+def curve(parts):
     x = np.arange(6.0)
     return Curve.of("x", x, x, np.ones(6), x, parts)
 
@@ -28,14 +26,14 @@ def drawn(axes):
     ]
 
 
-def test_the_drift_of_scale_factors_ends_with_its_power_cycle() -> None:
+def test_the_drift_of_scale_factors_ends_with_its_power_cycle():
     figure = characteristics_figure("scale_factor_stability", [curve(["r1"] * 2 + ["r2"] * 4)])
     lines = drawn(figure.axes[0])
     assert [(label, x) for label, x, _ in lines] == [("drift", [0.0, 1.0]), ("drift", [2.0, 3.0, 4.0, 5.0])]
     assert len({style for *_, style in lines}) == 1
 
 
-def test_heating_and_cooling_have_a_line_and_a_label_each() -> None:
+def test_heating_and_cooling_have_a_line_and_a_label_each():
     parts = ["heating, cycle 1"] * 2 + ["cooling, cycle 1"] * 2 + ["heating, cycle 1"] * 2
     figure = characteristics_figure("thermal_sensitivity", [curve(parts)])
     (first, first_x, up), (second, _, down), (third, _, again) = drawn(figure.axes[0])
@@ -45,7 +43,7 @@ def test_heating_and_cooling_have_a_line_and_a_label_each() -> None:
 
 
 @pytest.mark.parametrize("test", ["scale_factor_stability", "thermal_sensitivity", "warm_up"])
-def test_the_legend_covers_no_panel_and_a_fit_without_parts_is_one_line(test) -> None:
+def test_the_legend_covers_no_panel_and_a_fit_without_parts_is_one_line(test):
     figure = characteristics_figure(test, [curve([])])
     figure.canvas.draw()
     [legend], [axes] = figure.legends, figure.axes
@@ -56,7 +54,7 @@ def test_the_legend_covers_no_panel_and_a_fit_without_parts_is_one_line(test) ->
     assert label == {"scale_factor_stability": "drift"}.get(test, "fit")
 
 
-def test_plateaus_at_one_temperature_have_an_axis_with_distinct_ticks() -> None:
+def test_plateaus_at_one_temperature_have_an_axis_with_distinct_ticks():
     rows = [
         PlateauCoefficientRow(
             number, 1, 25.0, 29.19 + 5e-5 * number, "gyro_bias", "x", 0.001, 1e-4, "deg/h", "", nan, nan
@@ -76,7 +74,7 @@ def row(plateau, coefficient, axis, value, sigma):
     )
 
 
-def test_the_overview_has_the_values_of_all_axes_and_the_largest_change_and_uncertainty() -> None:
+def test_the_overview_has_the_values_of_all_axes_and_the_largest_change_and_uncertainty():
     rows = [
         row(1, "gyro_bias", "x", 0.0139, 0.0004),
         row(1, "gyro_bias", "y", -0.0101, 0.0005),
@@ -88,7 +86,7 @@ def test_the_overview_has_the_values_of_all_axes_and_the_largest_change_and_unce
     assert table.rows[0] == ["gyro bias", "deg/h", "-0.0101 to 0.0139", "0.0083 (x)", "0.0005"]
 
 
-def test_the_overview_names_what_is_not_observable_and_states_no_change_of_one_plateau() -> None:
+def test_the_overview_names_what_is_not_observable_and_states_no_change_of_one_plateau():
     rows = [
         row(1, "gyro_scale_factor", "x", nan, nan),
         row(1, "gyro_scale_factor", "y", 12.5, 0.4),

@@ -1,19 +1,14 @@
 """The difference of the two estimators as a picture."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
 from gyrobench.bench.bias.dwell import NavigationWindow
-from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.noise_estimate import NoiseEstimate, estimate_noise
+from gyrobench.bench.bias.noise_estimate import estimate_noise
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.statistics import uniformity_p_value
 from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, RADPS_TO_DPH, UG_PER_SQRT_HZ_TO_SI
@@ -29,7 +24,7 @@ from gyrobench.bench.report.figures.style import png_bytes
 from gyrobench.bench.report.run_text import POSITION_SIGNIFICANCE
 
 
-def test_every_good_dwell_shows_the_paper_minus_the_state_space_estimate(dwells: list[DwellRow]) -> None:
+def test_every_good_dwell_shows_the_paper_minus_the_state_space_estimate(dwells):
     figure = estimators_figure(dwells)
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["X gyro", "Y gyro", "Z gyro"]
     for axis, axes in enumerate(figure.axes):
@@ -39,26 +34,24 @@ def test_every_good_dwell_shows_the_paper_minus_the_state_space_estimate(dwells:
         assert sorted(drawn) == pytest.approx(sorted(expected))
 
 
-def test_bars_are_both_uncertainties_combined(dwells: list[DwellRow]) -> None:
+def test_bars_are_both_uncertainties_combined(dwells):
     row = dwells[0]
     assert differences_dph(row)[1] == pytest.approx(
         (row.paper_bias_dph[1] - row.bias_dph[1], math.hypot(row.sigma_dph[1], row.paper_sigma_dph[1]))
     )
 
 
-def test_dwells_with_flags_or_one_estimate_are_left_out(
-    dwells: list[DwellRow], old_dwells: list[DwellRow]
-) -> None:
+def test_dwells_with_flags_or_one_estimate_are_left_out(dwells, old_dwells):
     both = [row.dwell for row in (*dwells[:8], *old_dwells[:8]) if has_both_estimates(row)]
     assert both == [1, 2, 3, 4, 5, 6, 8]
 
 
-def test_run_without_the_papers_method_says_so(old_dwells: list[DwellRow]) -> None:
+def test_run_without_the_papers_method_says_so(old_dwells):
     texts = [text.get_text() for axes in estimators_figure(old_dwells).axes for text in axes.texts]
     assert texts == ["the paper's method gave no bias"]
 
 
-def ratios_by_label(axes: Axes) -> dict[str, dict[float, float]]:
+def ratios_by_label(axes):
     return {
         str(line.get_label()): dict(zip(line.get_xdata(), line.get_ydata(), strict=True))
         for line in axes.lines
@@ -66,28 +59,28 @@ def ratios_by_label(axes: Axes) -> dict[str, dict[float, float]]:
     }
 
 
-def test_ratio_of_every_tested_dwell_is_drawn_in_the_style_of_its_position(dwells: list[DwellRow]) -> None:
+def test_ratio_of_every_tested_dwell_is_drawn_in_the_style_of_its_position(dwells):
     shown = ratios_by_label(fit_figure(dwells).axes[0])
     assert list(shown) == ["Z-Up", "Z-Down", "Y-Up", "Y-Down", "X-Up", "X-Down"]
     assert shown["X-Up"] == {row.dwell: row.fit_ratio for row in dwells if row.position == "x_up"}
     assert 7 not in shown["Z-Up"]  # flagged, and not tested
 
 
-def test_tested_dwell_with_a_flag_is_crossed_out(dwells: list[DwellRow]) -> None:
+def test_tested_dwell_with_a_flag_is_crossed_out(dwells):
     bad = replace(dwells[3], flags=("the model does not fit",), fit_ratio=4.0)
     shown = ratios_by_label(fit_figure([*dwells[:3], bad]).axes[0])
     assert shown["flagged"] == {4: 4.0}
     assert shown["Y-Down"] == {4: 4.0}
 
 
-def test_distribution_rises_by_equal_steps_at_the_p_values(dwells: list[DwellRow]) -> None:
+def test_distribution_rises_by_equal_steps_at_the_p_values(dwells):
     tested = dwells[:6]
     curve = fit_figure(tested).axes[1].lines[-1]
     assert list(curve.get_xdata()) == [0.0, *sorted(row.fit_p_value for row in tested), 1.0]
     assert np.asarray(curve.get_ydata()) == pytest.approx([*np.arange(7) / 6, 1.0])
 
 
-def test_band_ends_where_the_test_of_the_text_rejects(dwells: list[DwellRow]) -> None:
+def test_band_ends_where_the_test_of_the_text_rejects(dwells):
     axes = fit_figure(dwells[:6]).axes[1]
     band = float(axes.collections[0].get_paths()[0].vertices[:, 1].max()) - 1.0
     # Six p-values whose distribution is nowhere below uniform, and above it by the band at most.
@@ -96,9 +89,7 @@ def test_band_ends_where_the_test_of_the_text_rejects(dwells: list[DwellRow]) ->
 
 
 @pytest.mark.parametrize("count", [1, 2, 4])
-def test_few_dwells_have_whole_numbers_a_wide_range_and_no_distribution(
-    dwells: list[DwellRow], count: int
-) -> None:
+def test_few_dwells_have_whole_numbers_a_wide_range_and_no_distribution(dwells, count):
     figure = fit_figure(dwells[:count])
     png_bytes(figure)
     (axes,) = figure.axes
@@ -110,13 +101,13 @@ def test_few_dwells_have_whole_numbers_a_wide_range_and_no_distribution(
     assert has_distribution(dwells[:5])
 
 
-def test_ratios_far_from_one_are_all_in_the_picture(dwells: list[DwellRow]) -> None:
+def test_ratios_far_from_one_are_all_in_the_picture(dwells):
     low, high = fit_figure([*dwells[:3], replace(dwells[3], fit_ratio=4.0)]).axes[0].get_ylim()
     assert low < 0.8
     assert high > 4.0
 
 
-def test_run_without_tests_says_so(old_dwells: list[DwellRow]) -> None:
+def test_run_without_tests_says_so(old_dwells):
     figure = fit_figure(old_dwells)
     assert [text.get_text() for text in figure.axes[0].texts] == ["no dwell tested"]
     assert figure.legends == []
@@ -127,9 +118,7 @@ DECLARED = NoiseModel.from_datasheet(0.0006, 5.0)
 GRAVITY = 9.8
 
 
-def made_up(
-    attitude_step: float = 1e-9, velocity_step: float = 1e-7, dead: tuple[int, ...] = ()
-) -> NoiseEstimate:
+def made_up(attitude_step=1e-9, velocity_step=1e-7, dead=()):
     """Random walks of 300 s at 10 Hz; the dead axes do not move."""
     random = np.random.default_rng(1)
     angles, velocities = (
@@ -143,28 +132,26 @@ def made_up(
 
 
 @pytest.fixture(scope="module")
-def estimate() -> NoiseEstimate:
+def estimate():
     return made_up()
 
 
-def panels(figure: Figure) -> tuple[Axes, Axes]:
+def panels(figure):
     gyros, accelerometers = figure.axes
     return gyros, accelerometers
 
 
-def labels(axes: Axes) -> list[str]:
+def labels(axes):
     legend = axes.get_legend()
     return [] if legend is None else [text.get_text() for text in legend.get_texts()]
 
 
-def line(axes: Axes, beginning: str) -> tuple[np.ndarray, np.ndarray]:
+def line(axes, beginning):
     (found,) = [one for one in axes.get_lines() if str(one.get_label()).startswith(beginning)]
     return np.asarray(found.get_xdata()), np.asarray(found.get_ydata())
 
 
-def test_deviations_of_each_gyro_are_drawn_in_degrees_per_hour_with_error_bars(
-    estimate: NoiseEstimate,
-) -> None:
+def test_deviations_of_each_gyro_are_drawn_in_degrees_per_hour_with_error_bars(estimate):
     axes, _ = panels(noise_figure(estimate, DECLARED))
     assert axes.get_xscale() == axes.get_yscale() == "log"
     assert [one.get_label() for one in axes.containers] == ["X gyro", "Y gyro", "Z gyro"]
@@ -176,7 +163,7 @@ def test_deviations_of_each_gyro_are_drawn_in_degrees_per_hour_with_error_bars(
         assert heights[-1] / drawn.get_ydata()[-1] > 5.0 * heights[0] / drawn.get_ydata()[0] > 0.0
 
 
-def test_random_walks_are_lines_of_their_size_at_one_second(estimate: NoiseEstimate) -> None:
+def test_random_walks_are_lines_of_their_size_at_one_second(estimate):
     for axes, size, declared in zip(
         panels(noise_figure(estimate, DECLARED)), (0.06, 20.0), (0.036, 5.0), strict=True
     ):
@@ -185,7 +172,7 @@ def test_random_walks_are_lines_of_their_size_at_one_second(estimate: NoiseEstim
             np.testing.assert_allclose(level * np.sqrt(tau), expected, rtol=tolerance)
 
 
-def test_legend_states_the_values(estimate: NoiseEstimate) -> None:
+def test_legend_states_the_values(estimate):
     gyros, accelerometers = panels(noise_figure(estimate, DECLARED))
     assert labels(gyros)[0].startswith("random walk\n0.00")
     assert "±" in labels(gyros)[0]
@@ -194,12 +181,12 @@ def test_legend_states_the_values(estimate: NoiseEstimate) -> None:
     assert labels(gyros)[2] == labels(accelerometers)[2] == "complete fit"
 
 
-def test_without_a_declared_noise_there_is_no_line_of_it(estimate: NoiseEstimate) -> None:
+def test_without_a_declared_noise_there_is_no_line_of_it(estimate):
     for axes in panels(noise_figure(estimate, None)):
         assert not any("declared" in label for label in labels(axes))
 
 
-def test_legend_stands_beside_the_data(estimate: NoiseEstimate) -> None:
+def test_legend_stands_beside_the_data(estimate):
     figure = noise_figure(estimate, DECLARED)
     png_bytes(figure)  # places everything
     for axes in figure.axes:
@@ -209,7 +196,7 @@ def test_legend_stands_beside_the_data(estimate: NoiseEstimate) -> None:
         assert legend.get_window_extent().x1 < figure.bbox.x1
 
 
-def test_noise_that_the_resolution_hides_is_faint_and_has_a_limit() -> None:
+def test_noise_that_the_resolution_hides_is_faint_and_has_a_limit():
     gyros, accelerometers = panels(noise_figure(made_up(attitude_step=5e-6, velocity_step=0.01), DECLARED))
     assert [one.get_label() for one in gyros.containers] == [
         "X gyro (below resolution)",
@@ -224,18 +211,18 @@ def test_noise_that_the_resolution_hides_is_faint_and_has_a_limit() -> None:
         )
 
 
-def test_a_gyro_that_never_moves_is_left_out() -> None:
+def test_a_gyro_that_never_moves_is_left_out():
     figure = noise_figure(made_up(dead=(1,)), DECLARED)
     assert [one.get_label() for one in panels(figure)[0].containers] == ["X gyro", "Z gyro"]
     png_bytes(figure)
 
 
-def test_output_that_never_changes_is_said_so() -> None:
+def test_output_that_never_changes_is_said_so():
     figure = noise_figure(made_up(attitude_step=1.0, velocity_step=10.0), DECLARED)
     for axes in panels(figure):
         assert [text.get_text() for text in axes.texts] == ["constant output: noise below resolution"]
     png_bytes(figure)
 
 
-def test_equal_estimates_give_equal_files(estimate: NoiseEstimate) -> None:
+def test_equal_estimates_give_equal_files(estimate):
     assert png_bytes(noise_figure(estimate, DECLARED)) == png_bytes(noise_figure(made_up(), DECLARED))

@@ -1,31 +1,24 @@
 """Figures: what is in them, and that equal data give equal files."""
 
-from __future__ import annotations
-
 import io
 import subprocess
 import sys
 from dataclasses import replace
 from itertools import combinations, pairwise
-from pathlib import Path
 
 import matplotlib
 import numpy as np
 import pytest
-from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
-from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from gyrobench.bench.bias.bins import BiasBin, bin_biases, compare_positions
-from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.verdicts import AcceptanceLimits
-from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.bench.procedure.plan import Plan, expand
+from gyrobench.bench.procedure.plan import expand
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.procedure.timeline import position_spans
 from gyrobench.bench.report.figures.bias import bias_figure, position_difference_figure, position_pair_figure
@@ -39,39 +32,37 @@ from gyrobench.bench.report.figures.style import (
 from gyrobench.bench.report.figures.temperatures import plan_figure, temperature_figure
 from gyrobench.bench.report.run_report import run_figures
 
-Telemetry = dict[str, np.ndarray]
-
 
 @pytest.fixture(scope="module")
-def plan() -> Plan:
+def plan():
     return expand(*load_procedure(find_document("procedures", "six_position_fig7")))
 
 
-def series(axes: Axes, labelled: bool) -> list[ErrorbarContainer]:
+def series(axes, labelled):
     """Error-bar series with or without an entry in the legend."""
     return [one for one in axes.containers if one.get_label().startswith("_") is not labelled]
 
 
-def points(container: ErrorbarContainer) -> tuple[list[float], list[float]]:
+def points(container):
     line = container.lines[0]
     return list(line.get_xdata()), list(line.get_ydata())
 
 
-def texts(figure: Figure) -> list[str]:
+def texts(figure):
     return [text.get_text() for axes in figure.axes for text in axes.texts]
 
 
-def legend_labels(figure: Figure) -> list[str]:
+def legend_labels(figure):
     return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
 
 
-def test_positions_differ_without_their_colours() -> None:
+def test_positions_differ_without_their_colours():
     assert set(POSITION_STYLES) == set(POSITIONS)
     assert len({(style.marker, style.is_filled) for style in POSITION_STYLES.values()}) == 6
     assert len({style.colour for style in POSITION_STYLES.values()}) == 6
 
 
-def test_bias_figure_joins_the_bins_of_each_position(dwells: list[DwellRow], bins: list[BiasBin]) -> None:
+def test_bias_figure_joins_the_bins_of_each_position(dwells, bins):
     axes = bias_figure("y", dwells, bins).axes[0]
     lines = series(axes, labelled=True)
     assert [one.get_label() for one in lines] == ["Z-Up", "Z-Down", "Y-Up", "Y-Down", "X-Up", "X-Down"]
@@ -79,7 +70,7 @@ def test_bias_figure_joins_the_bins_of_each_position(dwells: list[DwellRow], bin
     assert points(lines[0]) == ([each.temperature_c for each in mine], [1e3 * each.bias_dph for each in mine])
 
 
-def test_bias_figure_shows_both_estimators_on_one_scale(dwells: list[DwellRow], bins: list[BiasBin]) -> None:
+def test_bias_figure_shows_both_estimators_on_one_scale(dwells, bins):
     left, right = bias_figure("y", dwells, bins).axes
     assert left.get_title(loc="left") == "Y gyro, state-space estimator"
     assert right.get_title(loc="left") == "paper's method"
@@ -93,9 +84,7 @@ def test_bias_figure_shows_both_estimators_on_one_scale(dwells: list[DwellRow], 
         assert points(line)[1] == pytest.approx([1e3 * bias for bias in biases])
 
 
-def test_the_temperatures_of_two_panels_do_not_run_into_one_another(
-    dwells: list[DwellRow], bins: list[BiasBin]
-) -> None:
+def test_the_temperatures_of_two_panels_do_not_run_into_one_another(dwells, bins):
     figure = bias_figure("y", dwells, bins)
     left, right = figure.axes
     left.set(xlim=(32.5, 35.0), xticks=[32.5, 35.0])  # labels at both ends
@@ -104,15 +93,13 @@ def test_the_temperatures_of_two_panels_do_not_run_into_one_another(
     assert last.get_window_extent().x1 < first.get_window_extent().x0
 
 
-def test_bias_figure_without_the_papers_method_has_one_panel(old_dwells: list[DwellRow]) -> None:
+def test_bias_figure_without_the_papers_method_has_one_panel(old_dwells):
     (axes,) = bias_figure("y", old_dwells, bin_biases([row for row in old_dwells if not row.flags])).axes
     assert axes.get_title(loc="left") == "Y gyro"
     assert len(series(axes, labelled=True)) == 6
 
 
-def test_bias_figure_shows_every_good_dwell_with_its_uncertainty(
-    dwells: list[DwellRow], bins: list[BiasBin]
-) -> None:
+def test_bias_figure_shows_every_good_dwell_with_its_uncertainty(dwells, bins):
     good = [row for row in dwells if not row.flags]
     lines = bias_figure("x", dwells, bins).axes[0].lines
     faint = [line for line in lines if line.get_alpha() == 0.35]
@@ -128,7 +115,7 @@ def test_bias_figure_shows_every_good_dwell_with_its_uncertainty(
     assert np.array(sorted(map(tuple, np.concatenate(ends)))) == pytest.approx(np.array(sorted(expected)))
 
 
-def test_bias_figure_marks_temperatures_inside_its_axis(dwells: list[DwellRow], bins: list[BiasBin]) -> None:
+def test_bias_figure_marks_temperatures_inside_its_axis(dwells, bins):
     marked = texts(bias_figure("x", dwells, bins, marked_c=[50.0, 20.0]))
     assert {"50 °C", "20 °C"} <= set(marked)
     assert "50 °C" not in texts(bias_figure("x", dwells, bins))
@@ -138,25 +125,23 @@ def test_bias_figure_marks_temperatures_inside_its_axis(dwells: list[DwellRow], 
     assert cold.axes[0].get_xlim()[1] < 50.0
 
 
-def test_bias_figure_without_dwells_says_so() -> None:
+def test_bias_figure_without_dwells_says_so():
     assert texts(bias_figure("x", [], [])) == ["no dwell gave a bias"]
 
 
-def test_large_biases_are_drawn_in_degrees_per_hour(bins: list[BiasBin]) -> None:
+def test_large_biases_are_drawn_in_degrees_per_hour(bins):
     large = [replace(each, bias_dph=each.bias_dph + 3.0) for each in bins]
     assert bias_figure("x", [], large).axes[0].get_ylabel() == "bias / (deg/h)"
     assert bias_figure("x", [], bins).axes[0].get_ylabel() == "bias / (0.001 deg/h)"
 
 
-def spans_h(axes: Axes) -> list[tuple[float, float]]:
+def spans_h(axes):
     """Begin and end of each bar or band."""
     paths = axes.collections[0].get_paths()
     return [(path.get_extents().x0, path.get_extents().x1) for path in paths]
 
 
-def test_temperature_figure_has_a_band_and_a_bar_for_each_dwell(
-    telemetry: Telemetry, dwells: list[DwellRow]
-) -> None:
+def test_temperature_figure_has_a_band_and_a_bar_for_each_dwell(telemetry, dwells):
     figure = temperature_figure(telemetry, dwells)
     bands, bars = (axes.collections[0] for axes in figure.axes)
     known_h = np.array([(row.start_s, row.end_s) for row in dwells]) / 3600.0
@@ -168,7 +153,7 @@ def test_temperature_figure_has_a_band_and_a_bar_for_each_dwell(
     assert [each[3] for each in bars.get_facecolor()] == [0.0 if row.flags else 1.0 for row in dwells]
 
 
-def test_temperature_figure_draws_what_was_recorded(telemetry: Telemetry) -> None:
+def test_temperature_figure_draws_what_was_recorded(telemetry):
     nan = np.full(len(telemetry["time_s"]), np.nan)
     without_boards = {**telemetry, **{f"board_{axis}_c": nan for axis in "xyz"}}
     assert len(legend_labels(temperature_figure(telemetry, []))) == 8
@@ -184,7 +169,7 @@ def test_temperature_figure_draws_what_was_recorded(telemetry: Telemetry) -> Non
     assert "50 °C" in texts(figure)
 
 
-def test_long_runs_are_drawn_by_few_readings_with_every_spike_and_gap(telemetry: Telemetry) -> None:
+def test_long_runs_are_drawn_by_few_readings_with_every_spike_and_gap(telemetry):
     places = np.arange(200_000)
     long = {name: np.interp(places, 100.0 * np.arange(len(each)), each) for name, each in telemetry.items()}
     long["chamber_c"] += np.random.default_rng(1).normal(0.0, 0.3, len(places))
@@ -203,27 +188,27 @@ def test_long_runs_are_drawn_by_few_readings_with_every_spike_and_gap(telemetry:
         assert (shown_c[0], shown_c[-1]) == (read_c[0], read_c[-1])
 
 
-def test_temperature_figure_without_telemetry_shows_the_dwells(dwells: list[DwellRow]) -> None:
+def test_temperature_figure_without_telemetry_shows_the_dwells(dwells):
     figure = temperature_figure({}, dwells)
     assert len(spans_h(figure.axes[1])) == len(dwells)
     assert texts(figure) == ["no temperatures recorded"]
 
 
-def test_short_runs_are_drawn_in_minutes(telemetry: Telemetry) -> None:
+def test_short_runs_are_drawn_in_minutes(telemetry):
     first = {name: values[:10] for name, values in telemetry.items()}
     figure = temperature_figure(first, [])
     assert figure.axes[-1].get_xlabel() == "time / min"
     assert figure.axes[-1].get_xlim() == (0.0, 9.0)
 
 
-def test_without_dwells_there_are_no_lanes_of_positions(telemetry: Telemetry, dwells: list[DwellRow]) -> None:
+def test_without_dwells_there_are_no_lanes_of_positions(telemetry, dwells):
     (axes,) = temperature_figure(telemetry, []).axes
     assert axes.get_xlabel() == "time / h"
     assert len(axes.lines) > 5
     assert len(temperature_figure(telemetry, dwells).axes) == 2
 
 
-def test_plan_figure_shows_every_stay_in_a_position(plan: Plan) -> None:
+def test_plan_figure_shows_every_stay_in_a_position(plan):
     figure = plan_figure(plan)
     spans = position_spans(plan)
     begins_h = [begin_h for begin_h, _ in spans_h(figure.axes[1])]
@@ -232,7 +217,7 @@ def test_plan_figure_shows_every_stay_in_a_position(plan: Plan) -> None:
     assert legend_labels(figure) == ["chamber, ramped set point", "gyros, predicted"]
 
 
-def test_difference_figure_fills_the_markers_of_what_differs(bins: list[BiasBin]) -> None:
+def test_difference_figure_fills_the_markers_of_what_differs(bins):
     comparisons = compare_positions(bins)
     axes = position_difference_figure(comparisons).axes[0]
     for one in series(axes, labelled=True):
@@ -244,20 +229,18 @@ def test_difference_figure_fills_the_markers_of_what_differs(bins: list[BiasBin]
     assert sorted(drawn) == pytest.approx(sorted(1e3 * each.largest_difference_dph for each in comparisons))
 
 
-def test_difference_figure_has_the_acceptance_limits_within_its_range(bins: list[BiasBin]) -> None:
+def test_difference_figure_has_the_acceptance_limits_within_its_range(bins):
     limits = AcceptanceLimits(position_difference_dph=1.0, vertical_difference_dph=0.5)
     figure = position_difference_figure(compare_positions(bins), limits)
     assert {"acceptance limit", "with the gyro up and down"} <= set(texts(figure))
     assert figure.axes[0].get_ylim()[1] > 1e3
 
 
-def test_difference_figure_without_comparisons_says_so() -> None:
+def test_difference_figure_without_comparisons_says_so():
     assert texts(position_difference_figure([])) == ["no bin has dwells in two positions"]
 
 
-def test_equal_data_give_equal_files_regardless_of_user_settings(
-    dwells: list[DwellRow], bins: list[BiasBin]
-) -> None:
+def test_equal_data_give_equal_files_regardless_of_user_settings(dwells, bins):
     first = png_bytes(bias_figure("x", dwells, bins))
     with matplotlib.rc_context({"font.size": 22.0, "savefig.dpi": 30, "axes.grid": False}):
         second = png_bytes(bias_figure("x", dwells, bins))
@@ -267,18 +250,12 @@ def test_equal_data_give_equal_files_regardless_of_user_settings(
     assert b"tEXt" not in first
 
 
-def pixels(figure: Figure) -> FloatArray:
+def pixels(figure):
     return np.asarray(imread(io.BytesIO(png_bytes(figure))))
 
 
 @pytest.mark.parametrize("every", [3, pytest.param(1, marks=pytest.mark.long)])
-def test_ticks_are_those_of_matplotlib(
-    monkeypatch: pytest.MonkeyPatch,
-    telemetry: Telemetry,
-    dwells: list[DwellRow],
-    bins: list[BiasBin],
-    every: int,
-) -> None:
+def test_ticks_are_those_of_matplotlib(monkeypatch, telemetry, dwells, bins, every):
     figures = list(run_figures(lambda: telemetry, dwells, bins))[::every]
     drawn = {name: pixels(draw()) for name, draw in figures}
     monkeypatch.setattr("gyrobench.bench.report.figures.style._QuickFigure", Figure)
@@ -286,11 +263,11 @@ def test_ticks_are_those_of_matplotlib(
         np.testing.assert_array_equal(pixels(draw()), drawn[name], name)
 
 
-def test_other_data_give_another_file(dwells: list[DwellRow], bins: list[BiasBin]) -> None:
+def test_other_data_give_another_file(dwells, bins):
     assert png_bytes(bias_figure("x", dwells, bins)) != png_bytes(bias_figure("y", dwells, bins))
 
 
-def is_cut(figure: Figure) -> bool:
+def is_cut(figure):
     """Whether anything reaches beyond the edge of a figure."""
     box = figure.get_tightbbox()
     width, height = figure.get_size_inches()
@@ -298,9 +275,7 @@ def is_cut(figure: Figure) -> bool:
 
 
 @pytest.mark.parametrize("every", [2, pytest.param(1, marks=pytest.mark.long)])
-def test_figures_have_room_for_their_labels(
-    telemetry: Telemetry, dwells: list[DwellRow], bins: list[BiasBin], every: int
-) -> None:
+def test_figures_have_room_for_their_labels(telemetry, dwells, bins, every):
     figures = list(run_figures(lambda: telemetry, dwells, bins))[::every]
     cut = {name: is_cut(draw()) for name, draw in figures}
     wide = [replace(each, bias_dph=100.0 * each.bias_dph) for each in bins]
@@ -309,9 +284,7 @@ def test_figures_have_room_for_their_labels(
     assert cut == dict.fromkeys(cut, False)
 
 
-def test_there_are_figures_for_what_there_are_data_for(
-    tmp_path: Path, telemetry: Telemetry, dwells: list[DwellRow], bins: list[BiasBin]
-) -> None:
+def test_there_are_figures_for_what_there_are_data_for(tmp_path, telemetry, dwells, bins):
     figures = dict(run_figures(lambda: telemetry, dwells, bins))
     biases = ["bias_x", "bias_y", "bias_z"]
     assert list(figures) == ["temperature", *biases, "position_pair", "position_differences"]
@@ -323,7 +296,7 @@ def test_there_are_figures_for_what_there_are_data_for(
     assert list(dict(run_figures(None, [], one_position))) == biases
 
 
-def test_z_up_and_y_up_stand_side_by_side_for_all_gyros(bins: list[BiasBin]) -> None:
+def test_z_up_and_y_up_stand_side_by_side_for_all_gyros(bins):
     figure = position_pair_figure(bins)
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["Z-Up", "Y-Up"]
     for axes, position in zip(figure.axes, ("z_up", "y_up"), strict=True):
@@ -333,7 +306,7 @@ def test_z_up_and_y_up_stand_side_by_side_for_all_gyros(bins: list[BiasBin]) -> 
     assert legend_labels(figure) == ["X gyro", "Y gyro", "Z gyro"]
 
 
-def test_each_bar_has_its_number_of_dwells_and_the_legend_its_coverage_factor(bins: list[BiasBin]) -> None:
+def test_each_bar_has_its_number_of_dwells_and_the_legend_its_coverage_factor(bins):
     for figure, shown in (
         (position_pair_figure(bins), [each for each in bins if each.position in ("z_up", "y_up")]),
         (bias_figure("x", [], bins), 2 * [each for each in bins if each.gyro == "x"]),
@@ -343,7 +316,7 @@ def test_each_bar_has_its_number_of_dwells_and_the_legend_its_coverage_factor(bi
         assert "standard uncertainty (k = 1)" in legend.get_title().get_text()
 
 
-def test_figures_are_written_as_vectors_twice_alike(tmp_path: Path, bins: list[BiasBin]) -> None:
+def test_figures_are_written_as_vectors_twice_alike(tmp_path, bins):
     for folder in ("one", "other"):
         (tmp_path / folder).mkdir()
         save_vectors(position_pair_figure(bins), tmp_path / folder / "pair.png", ["svg", "pdf"])
@@ -354,12 +327,12 @@ def test_figures_are_written_as_vectors_twice_alike(tmp_path: Path, bins: list[B
     assert "Z-Up" in (tmp_path / "one" / "pair.svg").read_text()
 
 
-def test_figure_that_cannot_be_written_is_a_run_folder_error(tmp_path: Path) -> None:
+def test_figure_that_cannot_be_written_is_a_run_folder_error(tmp_path):
     with pytest.raises(RunFolderError, match="can't be written"):
         save_figure(bias_figure("x", [], []), tmp_path / "missing" / "figure.png")
 
 
-def test_global_state_of_matplotlib_is_left_alone() -> None:
+def test_global_state_of_matplotlib_is_left_alone():
     code = (
         "import sys, matplotlib\n"
         "from gyrobench.bench.report.figures.bias import bias_figure\n"

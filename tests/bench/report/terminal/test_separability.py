@@ -1,18 +1,15 @@
 """What a planned campaign could distinguish, in a terminal of 80 columns without colour."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from rich.console import RenderableType
 
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.planned_campaign import UnitProperties, planned_campaign
 from gyrobench.bench.closure.procedure_changes import Advice
-from gyrobench.bench.closure.separability import Separability, searched_dwells, separability
+from gyrobench.bench.closure.separability import searched_dwells, separability
 from gyrobench.bench.report.terminal.separability import pairs_text, separability_summary
 from tests.bench.closure.plans import shipped
 from tests.bench.report.plain_terminal import printed
@@ -22,17 +19,17 @@ TARGET_DPH = 0.002
 
 
 @pytest.fixture(scope="module")
-def result() -> Separability:
+def result():
     _, plan = shipped("six_position_fig7")
     return separability(searched_dwells(planned_campaign(plan, UNIT)), all_effects())
 
 
-def one_line(view: RenderableType) -> str:
+def one_line(view):
     """Text as a plain terminal of 80 columns shows it, in one line."""
     return " ".join(printed(view).split())
 
 
-def test_every_effect_has_its_sizes_and_nearest_alternative(result: Separability) -> None:
+def test_every_effect_has_its_sizes_and_nearest_alternative(result):
     text = one_line(separability_summary(result, 60, UNIT, TARGET_DPH, []))
     shown = [each for each in result.detections if each.missing_input is None]
     assert len(shown) > 8
@@ -46,7 +43,7 @@ def test_every_effect_has_its_sizes_and_nearest_alternative(result: Separability
         assert re.search(row, text), row
 
 
-def test_it_states_dwells_and_uncertainty(result: Separability) -> None:
+def test_it_states_dwells_and_uncertainty(result):
     text = one_line(separability_summary(result, 60, UNIT, TARGET_DPH, []))
     assert "The search uses 30 of 60 dwells; the last cycle is held out." in text
     assert (
@@ -62,7 +59,7 @@ def test_it_states_dwells_and_uncertainty(result: Separability) -> None:
     )
 
 
-def test_it_states_where_there_are_too_few_dwells_to_search(result: Separability) -> None:
+def test_it_states_where_there_are_too_few_dwells_to_search(result):
     campaign = result.campaign
     few = replace(result, campaign=campaign.part(np.arange(len(campaign)) < 6))
     text = one_line(separability_summary(few, 12, UNIT, TARGET_DPH, []))
@@ -70,7 +67,7 @@ def test_it_states_where_there_are_too_few_dwells_to_search(result: Separability
     assert "Too few" not in one_line(separability_summary(result, 60, UNIT, TARGET_DPH, []))
 
 
-def test_it_lists_effects_not_found_and_not_distinguished(result: Separability) -> None:
+def test_it_lists_effects_not_found_and_not_distinguished(result):
     text = one_line(separability_summary(result, 60, UNIT, TARGET_DPH, []))
     assert "Not found at 2.00: chamber state." in text
     assert "Not distinguished at 2.00: " in text
@@ -86,7 +83,7 @@ def test_it_lists_effects_not_found_and_not_distinguished(result: Separability) 
     )
 
 
-def test_effects_not_observable_are_grouped_by_missing_input(result: Separability) -> None:
+def test_effects_not_observable_are_grouped_by_missing_input(result):
     blind = replace(result.campaign, set_c=np.full(len(result.campaign), np.nan))
     text = one_line(separability_summary(separability(blind, all_effects()), 60, UNIT, TARGET_DPH, []))
     assert "Not observable: chamber state. Missing input: the chamber's set point." in text
@@ -115,10 +112,10 @@ def test_effects_not_observable_are_grouped_by_missing_input(result: Separabilit
         ),
     ],
 )
-def test_advice_is_a_sentence(result: Separability, advice: Advice, sentence: str) -> None:
+def test_advice_is_a_sentence(result, advice, sentence):
     assert sentence in one_line(separability_summary(result, 60, UNIT, TARGET_DPH, [advice]))
 
 
-def test_pairs_are_gathered_by_the_effect_that_most_of_them_have() -> None:
+def test_pairs_are_gathered_by_the_effect_that_most_of_them_have():
     assert pairs_text([("a", "c"), ("b", "c"), ("c", "d"), ("e", "f")], str) == "c from a, b and d; e from f"
     assert pairs_text([], str) == ""

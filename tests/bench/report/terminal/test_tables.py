@@ -1,7 +1,5 @@
 """Tables for a terminal of 80 columns without colour."""
 
-from __future__ import annotations
-
 import base64
 import math
 import re
@@ -12,7 +10,6 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.bias.acceptance import judge
-from gyrobench.bench.bias.bins import BiasBin
 from gyrobench.bench.bias.plateaus import PlannedDwell
 from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits
 from gyrobench.bench.foundations.shipped import find_document
@@ -28,17 +25,17 @@ from gyrobench.bench.station.check_result import Check
 from tests.bench.report.plain_terminal import printed, printed_lines
 
 
-def coldest_of_x(bins: list[BiasBin]) -> list[BiasBin]:
+def coldest_of_x(bins):
     return [each for each in bins if each.gyro == "x" and each.bin_low_c == -25.0]
 
 
-def test_papers_method_is_explained_where_it_is_shown(bins: list[BiasBin]) -> None:
+def test_papers_method_is_explained_where_it_is_shown(bins):
     lines = printed_lines(section_view(bins_summary(bins)))
     assert sum(line.startswith("Second line: result of the paper's method") for line in lines) == 1
     assert sum(line.startswith("The paper's method disagrees") for line in lines) == 3
 
 
-def test_run_without_the_papers_method_says_why(bins: list[BiasBin]) -> None:
+def test_run_without_the_papers_method_says_why(bins):
     alone = [replace(each, paper_bias_dph=math.nan, paper_sigma_dph=math.nan) for each in bins]
     lines = printed_lines(section_view(bins_summary(alone)))
     assert not any(line.startswith("Second line") for line in lines)
@@ -47,7 +44,7 @@ def test_run_without_the_papers_method_says_why(bins: list[BiasBin]) -> None:
     )
 
 
-def test_bins_table_shows_bias_and_p_value(bins: list[BiasBin]) -> None:
+def test_bins_table_shows_bias_and_p_value(bins):
     lines = [line.replace(" ± ", "±") for line in printed_lines(section_view(bins_summary(bins)))]
     assert lines[0] == "X gyro"
     head = lines.index("Bias±standard uncertainty in 0.001 deg/h by gyro temperature") + 1
@@ -73,7 +70,7 @@ def test_bins_table_shows_bias_and_p_value(bins: list[BiasBin]) -> None:
     assert sum(line.startswith("The bias differs between positions") for line in lines) == 3
 
 
-def test_sentences_of_a_run_without_differences_say_so(equal_bins: list[BiasBin]) -> None:
+def test_sentences_of_a_run_without_differences_say_so(equal_bins):
     lines = printed_lines(section_view(bins_summary(equal_bins)))
     assert sum(line.startswith("No significant difference between positions") for line in lines) == 3
     assert all(line.startswith(" ") for line in lines if line.endswith("*"))
@@ -81,9 +78,7 @@ def test_sentences_of_a_run_without_differences_say_so(equal_bins: list[BiasBin]
 
 
 @pytest.mark.parametrize(("bias_dph", "narrowing"), [(0.9, 30.0), (123.0, 1000.0), (0.0, 0.01)])
-def test_wide_numbers_put_the_uncertainty_below(
-    bins: list[BiasBin], bias_dph: float, narrowing: float
-) -> None:
+def test_wide_numbers_put_the_uncertainty_below(bins, bias_dph, narrowing):
     wide = [
         replace(each, bias_dph=each.bias_dph - bias_dph, sigma_dph=each.sigma_dph / narrowing)
         for each in bins
@@ -94,7 +89,7 @@ def test_wide_numbers_put_the_uncertainty_below(
 
 
 @pytest.mark.parametrize("width", [60, 50])
-def test_a_narrow_terminal_shows_the_bin_of_each_row_of_biases(bins: list[BiasBin], width: int) -> None:
+def test_a_narrow_terminal_shows_the_bin_of_each_row_of_biases(bins, width):
     lines = printed_lines(section_view(bins_summary(bins)), width)
     first_words = [line.split(" ")[0] for line in lines if line and not line.startswith(" ")]
     assert "bin" in first_words
@@ -104,34 +99,32 @@ def test_a_narrow_terminal_shows_the_bin_of_each_row_of_biases(bins: list[BiasBi
     assert lows[:2] == ["-25", "-20"]
 
 
-def test_p_values_are_beside_the_biases_that_they_are_of_where_uncertainties_are_below(
-    bins: list[BiasBin],
-) -> None:
+def test_p_values_are_beside_the_biases_that_they_are_of_where_uncertainties_are_below(bins):
     lines = printed_lines(section_view(bins_summary(bins)), 60)
     first = next(number for number, line in enumerate(lines) if line.startswith("-25..-20"))
     assert [line.endswith("<1e-9*") for line in lines[first : first + 4]] == [True, False, True, False]
     assert ["±" in line for line in lines[first : first + 4]] == [False, True, False, True]
 
 
-def test_single_position_is_not_compared_and_that_is_said_once(bins: list[BiasBin]) -> None:
+def test_single_position_is_not_compared_and_that_is_said_once(bins):
     alone = [each for each in bins if each.position == "z_up"]
     lines = printed_lines(section_view(bins_summary(alone)))
     assert sum(line.startswith("Nothing to compare") for line in lines) == 1
     assert not any("p equal" in line for line in lines)
 
 
-def test_a_gyro_without_anything_to_compare_says_so_beside_the_others(bins: list[BiasBin]) -> None:
+def test_a_gyro_without_anything_to_compare_says_so_beside_the_others(bins):
     some = [each for each in bins if each.position == "z_up" or each.gyro == "y"]
     lines = printed_lines(section_view(bins_summary(some)))
     assert sum(line.startswith("Nothing to compare") for line in lines) == 2
 
 
-def test_run_without_biases_says_so() -> None:
+def test_run_without_biases_says_so():
     assert printed_lines(section_view(bins_summary([])))[0].startswith("No dwell gave a bias")
 
 
 @pytest.mark.parametrize("name", ["six_position_fig7", "ten_minute_check", "three_temperature_shift"])
-def test_timeline_shows_all_rows_and_the_total(name: str) -> None:
+def test_timeline_shows_all_rows_and_the_total(name):
     plan = expand(*load_procedure(find_document("procedures", name)))
     rows = timeline_rows(plan)
     lines = printed_lines(timeline_table(rows, plan.duration_s))
@@ -141,7 +134,7 @@ def test_timeline_shows_all_rows_and_the_total(name: str) -> None:
     assert lines[-1].split()[-1] == str(plan.dwell_count)
 
 
-def test_durations_by_kind_end_with_all() -> None:
+def test_durations_by_kind_end_with_all():
     lines = printed_lines(
         section_view(
             durations_section(
@@ -153,7 +146,7 @@ def test_durations_by_kind_end_with_all() -> None:
     assert ["go", "to", "60", "0:23:00", "0:25:00"] in [line.split()[:5] for line in lines]
 
 
-def test_nothing_done_says_so() -> None:
+def test_nothing_done_says_so():
     assert printed_lines(section_view(durations_section([]))) == [
         "Planned and actual duration",
         "No step was finished.",
@@ -238,7 +231,7 @@ def test_a_separate_limit_of_up_and_down_is_stated(dwells):
     )
 
 
-def test_micro_g_has_one_form_on_page_and_terminal_and_names_stay() -> None:
+def test_micro_g_has_one_form_on_page_and_terminal_and_names_stay():
     drift = "20 ug/h (ug): accelerometer_x_ug of runs/ug"
     section = Section(
         drift,
@@ -255,7 +248,7 @@ def test_micro_g_has_one_form_on_page_and_terminal_and_names_stay() -> None:
         assert "runs/ug" in shown
 
 
-def test_a_figure_on_a_page_keeps_each_byte(tmp_path) -> None:
+def test_a_figure_on_a_page_keeps_each_byte(tmp_path):
     figure = tmp_path / "figure.png"
     figure.write_bytes(base64.b64decode("A+ug+/ug"))
     section = Section("Run", figures=[SectionFigure("figure", "Biases", figure)])
