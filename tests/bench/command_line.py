@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from gyrobench.bench.cli import main
+from gyrobench.bench.cli.output import EXIT_WRONG_INPUT
 
 WIDTH = {"COLUMNS": "80"}
 # As the installed script, which does not import from the current folder.
@@ -51,3 +52,17 @@ def _code_of(program):
     except SystemExit as end:
         return end.code or 0
     return 0
+
+
+def output_of(*arguments, cwd):
+    """What a command prints that succeeds."""
+    done = gyrobench(*arguments, cwd=cwd)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def refusal_of(*arguments, cwd):
+    """What a command answers that refuses its input."""
+    done = gyrobench(*arguments, cwd=cwd)
+    assert done.returncode == EXIT_WRONG_INPUT, done.stdout
+    return done.stderr

@@ -12,7 +12,7 @@ import yaml
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.navigation.error_model import Site
 from tests.bench.calibration.rotated_unit import EIGHTEEN, Noise, Unit
-from tests.bench.command_line import gyrobench
+from tests.bench.command_line import gyrobench, output_of, refusal_of
 
 LN100 = Path(__file__).parents[4] / "shared" / "data" / "ln100"
 MAP = """
@@ -57,9 +57,8 @@ def write_log(folder, unit, gyro="urad", force="m/s", clock_ppm="0", noise=None)
 @pytest.mark.parametrize("units", [("urad", "m/s"), ("deg/s", "mg")])
 def test_a_log_gives_a_table_of_coefficients_with_their_uncertainties(tmp_path, units):
     write_log(tmp_path, unit(), *units)
-    result = gyrobench("calibrate", "log.csv", "--map", "map.yaml", "--out", "found", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    printed = " ".join(result.stdout.split())
+    output = output_of("calibrate", "log.csv", "--map", "map.yaml", "--out", "found", cwd=tmp_path)
+    printed = " ".join(output.split())
     assert "10 rests and 9 rotations" in printed
     assert "z up at the start, then first turned about x by +90 deg, z by +90 deg and z by +90 deg" in printed
     with (tmp_path / "found/coefficients.csv").open() as table:
@@ -78,7 +77,7 @@ def test_a_log_gives_a_table_of_coefficients_with_their_uncertainties(tmp_path, 
     assert record["fit"]["p_value"] > 1e-4
     assert record["gravity_sigma_mps2"] == 3e-4
     assert float(rows["accelerometer_scale_factor", "z"]["sigma"]) > 30.0
-    assert "31 ppm of the accelerometer scale factors" in " ".join(result.stdout.split())
+    assert "31 ppm of the accelerometer scale factors" in " ".join(output.split())
 
 
 def test_the_deflection_of_the_vertical_is_in_the_uncertainty_of_the_gyro_biases(tmp_path):
@@ -203,9 +202,8 @@ def test_quiet_stretches_of_a_disturbed_record_give_the_earth_rate(tmp_path):
 
 def test_a_log_of_another_format_than_the_map_has_is_named(tmp_path):
     (tmp_path / "part-00001.blf").write_bytes(b"LOGG" + bytes(500))
-    result = gyrobench("calibrate", "part-00001.blf", "--map", "ln100", cwd=tmp_path)
-    assert result.returncode == 2
-    assert "is a log of format blf, which the import map reads as text or records" in result.stderr
+    problem = refusal_of("calibrate", "part-00001.blf", "--map", "ln100", cwd=tmp_path)
+    assert "is a log of format blf, which the import map reads as text or records" in problem
     (tmp_path / "log.blf").write_bytes(b"PAR1" + bytes(500))
     result = gyrobench("calibrate", "log.blf", "--map", "emulated_ins", cwd=tmp_path)
     assert "format parquet, which the import map reads as 'signals: {format: blf}'" in result.stderr
@@ -214,17 +212,14 @@ def test_a_log_of_another_format_than_the_map_has_is_named(tmp_path):
 @pytest.mark.parametrize("recorded", ["time,x,y,z\n0,1,2,3\n", "\ufefftime;x;y;z °/s\n0;1;2;3\n"])
 def test_a_text_log_with_a_map_of_can_logs_is_named_as_such(recorded, tmp_path):
     (tmp_path / "log.csv").write_text(recorded, encoding="utf-8")
-    result = gyrobench("calibrate", "log.csv", "--map", "emulated_ins", cwd=tmp_path)
-    assert result.returncode == 2
-    assert "is a log of format text, which the import map reads as 'signals: {format: blf}'" in result.stderr
+    problem = refusal_of("calibrate", "log.csv", "--map", "emulated_ins", cwd=tmp_path)
+    assert "is a log of format text, which the import map reads as 'signals: {format: blf}'" in problem
 
 
 def test_a_folder_or_a_log_that_is_not_there_is_named_with_what_to_give(tmp_path):
     (tmp_path / "run/can").mkdir(parents=True)
     for log, text in (("run", "Give its log files, as run/can/*.blf"), ("none.blf", "there is no such file")):
-        answer = gyrobench("calibrate", log, "--map", "emulated_ins", cwd=tmp_path)
-        assert answer.returncode == 2
-        assert text in answer.stderr
+        assert text in refusal_of("calibrate", log, "--map", "emulated_ins", cwd=tmp_path)
 
 
 def test_missing_samples_divide_the_log(tmp_path):
@@ -238,16 +233,14 @@ def test_missing_samples_divide_the_log(tmp_path):
 
 def test_a_map_of_increments_or_without_windows_is_not_imported(tmp_path):
     write_log(tmp_path, unit(rotations=(), dwell_s=100.0))
-    result = gyrobench("import", "log.csv", "--map", "map.yaml", cwd=tmp_path)
-    assert result.returncode == 2
-    assert "lacks 'temperatures', 'position', 'window_s'" in " ".join(result.stderr.split())
+    problem = refusal_of("import", "log.csv", "--map", "map.yaml", cwd=tmp_path)
+    assert "lacks 'temperatures', 'position', 'window_s'" in " ".join(problem.split())
 
 
 def test_a_map_without_accelerometers_is_refused_with_the_missing_section(tmp_path):
     write_log(tmp_path, unit(rotations=(), dwell_s=100.0))
-    result = gyrobench("calibrate", "log.csv", "--map", "tofupilot_imu", cwd=tmp_path)
-    assert result.returncode == 2
-    assert "has no section 'calibration'" in " ".join(result.stderr.split())
+    problem = refusal_of("calibrate", "log.csv", "--map", "tofupilot_imu", cwd=tmp_path)
+    assert "has no section 'calibration'" in " ".join(problem.split())
 
 
 @pytest.mark.skipif(not LN100.exists(), reason="the measured LN100 records are not beside the checkout")
@@ -272,10 +265,9 @@ def test_plan_proposes_a_list_that_reaches_given_uncertainties(tmp_path):
 
 
 def test_plan_shows_what_a_list_of_rotations_will_show(tmp_path):
-    result = gyrobench("plan", "outer_axis", "--observability", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    assert "outer_axis: 8 rotations in 24 min" in result.stdout
-    assert "not observable" in result.stdout
+    printed = output_of("plan", "outer_axis", "--observability", cwd=tmp_path)
+    assert "outer_axis: 8 rotations in 24 min" in printed
+    assert "not observable" in printed
     document = yaml.safe_load(find_document("stations", "emulated").read_text())
     del document["ins"]["signals"]["increments"], document["ins"]["commands"]["send_increments"]
     (tmp_path / "station.yaml").write_text(yaml.safe_dump(document))
@@ -285,11 +277,10 @@ def test_plan_shows_what_a_list_of_rotations_will_show(tmp_path):
     assert sigmas["accelerometer_scale_factor", "x"] is None
     assert sigmas["gyro_scale_factor", "x"] < 0.6
     assert sigmas["gyro_scale_factor", "z"] is None
-    text = " ".join(result.stdout.split())
+    text = " ".join(printed.split())
     assert "Included: gravity 1e-06 m/s^2, latitude 0.02 arcmin" in text
-    refused = gyrobench("plan", "outer_axi", "--observability", cwd=tmp_path)
-    assert refused.returncode == 2
-    assert "Shipped rotations: eighteen_rotations" in " ".join(refused.stderr.split())
+    problem = refusal_of("plan", "outer_axi", "--observability", cwd=tmp_path)
+    assert "Shipped rotations: eighteen_rotations" in " ".join(problem.split())
 
 
 @pytest.mark.parametrize(
@@ -315,9 +306,8 @@ def test_the_clock_of_the_log_is_part_of_the_scale_factors_uncertainty(tmp_path,
 def test_a_log_counts_once(tmp_path):
     write_log(tmp_path, unit())
     (tmp_path / "copy.csv").write_bytes((tmp_path / "log.csv").read_bytes())
-    result = gyrobench("calibrate", "log.csv", "copy.csv", "--map", "map.yaml", cwd=tmp_path)
-    assert result.returncode == 2
-    assert "two logs have the same content" in " ".join(result.stderr.split())
+    problem = refusal_of("calibrate", "log.csv", "copy.csv", "--map", "map.yaml", cwd=tmp_path)
+    assert "two logs have the same content" in " ".join(problem.split())
 
 
 def test_whole_turns_that_are_not_there_are_named(tmp_path):

@@ -15,7 +15,7 @@ from gyrobench.bench.bias.dwell_table import read_dwells, write_dwells
 from gyrobench.bench.cli.output import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
 from gyrobench.bench.foundations.shipped import find_document
 from tests.bench.authoring.filled_in import filled_in
-from tests.bench.command_line import PROCESS, gyrobench
+from tests.bench.command_line import PROCESS, gyrobench, output_of, refusal_of
 from tests.bench.report.made_up_closure import made_up_rows
 
 
@@ -67,8 +67,7 @@ def test_bins_measures_a_run_again(finished):
     before = [table.read_bytes() for table in tables]
     for table in tables:
         table.unlink()
-    result = gyrobench("bins", folder, cwd=cwd)
-    assert result.returncode == 0, result.stderr
+    output_of("bins", folder, cwd=cwd)
     assert [table.read_bytes() for table in tables] == before
 
 
@@ -116,11 +115,10 @@ def test_close_searches_several_tables_and_says_what_is_held_out(table, tmp_path
     for name, cycles in (("early", {1, 2}), ("late", {3})):
         write_dwells(tmp_path / f"{name}.csv", [row for row in rows if row.cycle in cycles])
     arguments = ("late.csv", "early.csv", "--hold-out", "late.csv", "--hold-out-each")
-    result = gyrobench("close", *arguments, cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    assert "In cycle 3 of late.csv (held out" in " ".join(result.stdout.split())
-    assert "on the clock of early.csv" in " ".join(result.stdout.split())
-    assert max(map(len, result.stdout.splitlines()[:-4])) <= 80
+    printed = output_of("close", *arguments, cwd=tmp_path)
+    assert "In cycle 3 of late.csv (held out" in " ".join(printed.split())
+    assert "on the clock of early.csv" in " ".join(printed.split())
+    assert max(map(len, printed.splitlines()[:-4])) <= 80
     folder = tmp_path / "closure_late_early"
     found = json.loads((folder / "closure.json").read_text())
     assert [each["held_out_cycle"] for each in found["rotation"]] == [1, 2, 3]
@@ -142,17 +140,14 @@ def test_close_searches_several_tables_and_says_what_is_held_out(table, tmp_path
 )
 def test_close_reports_what_is_wrong_with_its_input(table, tmp_path, arguments, message):
     words = [table if word == "TABLE" else word for word in arguments]
-    result = gyrobench("close", *words, cwd=tmp_path)
-    assert result.returncode == EXIT_WRONG_INPUT
-    assert message in result.stderr
-    assert "Traceback" not in result.stderr
+    problem = refusal_of("close", *words, cwd=tmp_path)
+    assert message in problem
+    assert "Traceback" not in problem
 
 
 def test_close_says_that_a_run_of_one_cycle_is_too_little(finished):
     cwd, _ = finished
-    result = gyrobench("close", "runs/ten_minute_check-001", cwd=cwd)
-    assert result.returncode == EXIT_WRONG_INPUT
-    assert "at least twice" in " ".join(result.stderr.split())
+    assert "at least twice" in " ".join(refusal_of("close", "runs/ten_minute_check-001", cwd=cwd).split())
 
 
 VERIFICATION = """\
@@ -170,25 +165,22 @@ steps:
 
 def test_a_calibration_check_is_printed_by_run_and_by_bins(tmp_path):
     (tmp_path / "short.yaml").write_text(VERIFICATION)
-    result = gyrobench("run", "short.yaml", "--world", "ideal", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    again = gyrobench("bins", "runs/short_verification-001", cwd=tmp_path)
-    assert again.returncode == 0, again.stderr
-    for text in (result.stdout, again.stdout):
+    printed = output_of("run", "short.yaml", "--world", "ideal", cwd=tmp_path)
+    output = output_of("bins", "runs/short_verification-001", cwd=tmp_path)
+    for text in (printed, output):
         assert "Calibration check\n" in text
         assert "Z-Up 180°" in text
         assert "No dwell gave a bias" not in text
         assert "bias x" not in text
-    tables = again.stdout[again.stdout.index("Tables") : again.stdout.index("Report")]
+    tables = output[output.index("Tables") : output.index("Report")]
     assert {"verification.csv", "joint.csv", "joint_biases.csv"} <= set(re.findall(r"\w+\.csv", tables))
 
 
 def test_plan_prints_the_timeline_and_draws_the_profile_without_an_instrument(tmp_path):
-    result = gyrobench("plan", "six_position_fig7", "--figure", "plan.png", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    assert re.search(r"4\d:\d\d", result.stdout)
+    printed = output_of("plan", "six_position_fig7", "--figure", "plan.png", cwd=tmp_path)
+    assert re.search(r"4\d:\d\d", printed)
     assert (tmp_path / "plan.png").read_bytes().startswith(b"\x89PNG")
-    assert max(map(len, result.stdout.splitlines())) <= 80
+    assert max(map(len, printed.splitlines())) <= 80
 
 
 def test_a_plan_states_acceptance_limits_that_its_dwells_can_not_reach(tmp_path):
@@ -205,9 +197,8 @@ def test_a_plan_states_acceptance_limits_that_its_dwells_can_not_reach(tmp_path)
 @pytest.mark.long
 def test_plan_reports_the_effects_that_its_dwells_distinguish(tmp_path):
     procedure = "three_temperature_shift"
-    result = gyrobench("plan", procedure, "--separability", "--target-dph", "0.05", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    printed = " ".join(result.stdout.split())
+    output = output_of("plan", procedure, "--separability", "--target-dph", "0.05", cwd=tmp_path)
+    printed = " ".join(output.split())
     assert "Not found" not in printed
     assert "Not distinguished at 50.00: chamber state from bias jump" in printed
     assert "add a cycle and measure two positions on each ramp. This distinguishes" in printed
@@ -216,42 +207,35 @@ def test_plan_reports_the_effects_that_its_dwells_distinguish(tmp_path):
 
 def test_plan_starts_from_a_search(table, searched, tmp_path):
     arguments = ("plan", "quick_campaign", "--station", "quick", "--separability", "--closure")
-    result = gyrobench(*arguments, table.parent / "found", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    text = " ".join(result.stdout.split())
+    text = " ".join(output_of(*arguments, table.parent / "found", cwd=tmp_path).split())
     assert re.search(r"The search uses \d+ of \d+ dwells; the last cycle is held out", text)
     assert "as measured in the closure" in text
     assert "Effects found, with their sizes in the plan's dwells: temperature rate" in text
-    result = gyrobench(*arguments, "nowhere", cwd=tmp_path)
-    assert result.returncode == EXIT_WRONG_INPUT
-    assert "there is no closure.json" in result.stderr
+    assert "there is no closure.json" in refusal_of(*arguments, "nowhere", cwd=tmp_path)
     result = gyrobench("plan", "quick_campaign", "--closure", table.parent / "found", cwd=tmp_path)
     assert "--separability only" in result.stderr
 
 
 def test_a_size_of_effect_without_separability_is_refused(tmp_path):
-    result = gyrobench("plan", "ten_minute_check", "--target-dph", "0.001", cwd=tmp_path)
-    assert result.returncode == EXIT_WRONG_INPUT
-    assert "--target-dph has a meaning with --separability only. Add --separability" in result.stderr
+    problem = refusal_of("plan", "ten_minute_check", "--target-dph", "0.001", cwd=tmp_path)
+    assert "--target-dph has a meaning with --separability only. Add --separability" in problem
     assert not list(tmp_path.iterdir())
 
 
 def test_plan_of_a_calibration_check_has_no_effects_to_distinguish(tmp_path):
-    result = gyrobench("plan", "calibration_check", "--separability", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    assert "calibration_check has no dwell that measures a bias" in result.stdout
+    printed = output_of("plan", "calibration_check", "--separability", cwd=tmp_path)
+    assert "calibration_check has no dwell that measures a bias" in printed
 
 
 def test_a_wrong_procedure_lists_its_mistakes_and_nothing_is_made(tmp_path):
     (tmp_path / "wrong.yaml").write_text(
         "procedure: wrong\nsteps:\n  - sook: {for_s: 5}\n  - wait: {duration: 5}\n"
     )
-    result = gyrobench("run", "wrong.yaml", cwd=tmp_path)
-    assert result.returncode == EXIT_WRONG_INPUT
-    assert "wrong.yaml:3:" in result.stderr
-    assert "did you mean 'soak'?" in result.stderr
-    assert "wrong.yaml:4:" in result.stderr
-    assert "Traceback" not in result.stderr
+    problem = refusal_of("run", "wrong.yaml", cwd=tmp_path)
+    assert "wrong.yaml:3:" in problem
+    assert "did you mean 'soak'?" in problem
+    assert "wrong.yaml:4:" in problem
+    assert "Traceback" not in problem
     assert not (tmp_path / "runs").exists()
 
 
@@ -277,9 +261,8 @@ def test_a_wrong_word_gets_a_message_and_an_exit_code(tmp_path, arguments, code,
 def test_a_station_that_is_not_filled_in_is_not_run(tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text(filled_in(new_station("mine", path)))
-    result = gyrobench("run", "ten_minute_check", "--station", "mine.yaml", cwd=tmp_path)
-    assert result.returncode == EXIT_WRONG_INPUT
-    assert "not filled in yet: rate_table.port and chamber.port. Fill them in" in result.stderr
+    problem = refusal_of("run", "ten_minute_check", "--station", "mine.yaml", cwd=tmp_path)
+    assert "not filled in yet: rate_table.port and chamber.port. Fill them in" in problem
 
 
 def test_an_instrument_that_can_not_be_reached_has_its_own_exit_code(tmp_path, pytestconfig):
@@ -313,9 +296,8 @@ def test_sigterm_ends_a_run_with_what_was_measured_and_the_safe_state(tmp_path):
 
 def test_a_compensation_that_is_no_compensation_file_is_printed_before_anything_moves(tmp_path):
     (tmp_path / "wrong.yaml").write_text("low_c: [0, 0, 0]\n")
-    result = gyrobench("run", "ten_minute_check", "--compensation", "wrong.yaml", cwd=tmp_path)
-    assert result.returncode == EXIT_WRONG_INPUT
-    assert "wrong.yaml:1:1: the key 'polynomial_dph' is missing" in result.stderr
+    problem = refusal_of("run", "ten_minute_check", "--compensation", "wrong.yaml", cwd=tmp_path)
+    assert "wrong.yaml:1:1: the key 'polynomial_dph' is missing" in problem
     assert not (tmp_path / "runs").exists()
 
 

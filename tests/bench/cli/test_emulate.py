@@ -18,7 +18,7 @@ from gyrobench.bench.station.instruments import Emulation, Outputs, open_ins
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.frames import concatenate
 from gyrobench.drivers.ins.navigation_data import decode_navigation
-from tests.bench.command_line import PROCESS, gyrobench, gyrobench_process
+from tests.bench.command_line import PROCESS, gyrobench_process, refusal_of
 
 
 @pytest.fixture
@@ -92,9 +92,8 @@ def test_what_the_emulators_find_wrong_is_shown_with_its_exit_code(tmp_path):
 
 
 def test_a_station_that_is_wrong_is_printed_before_anything_starts(tmp_path):
-    result = gyrobench("emulate", "--station", "atlantis", cwd=tmp_path)
-    assert result.returncode == 2
-    assert "atlantis: no such file or shipped name" in result.stderr
+    problem = refusal_of("emulate", "--station", "atlantis", cwd=tmp_path)
+    assert "atlantis: no such file or shipped name" in problem
 
 
 class SerialServer:

@@ -13,7 +13,7 @@ from gyrobench.bench.runs.journal import Journal
 from gyrobench.bench.runs.locks import LOCK_DIR_VARIABLE
 from gyrobench.bench.station.bench_lock import BenchLock
 from gyrobench.bench.station.station import Station
-from tests.bench.command_line import PROCESS, gyrobench
+from tests.bench.command_line import PROCESS, gyrobench, output_of, refusal_of
 
 COMMANDS = {
     "run": ("run", "ten_minute_check", "--station", "real.yaml"),
@@ -59,11 +59,10 @@ def test_a_station_with_one_signal_in_two_roles_is_refused_with_its_line(command
 def test_a_wrong_world_or_list_of_faults_is_wrong_input_and_no_cable(command, option, tmp_path):
     (tmp_path / "wrong.yaml").write_text("x: 1\n")
     where = (*command[:2], option, "wrong.yaml", *command[2:])
-    answer = gyrobench(*where, cwd=tmp_path)
-    assert answer.returncode == 2
-    assert answer.stderr.count("unknown key 'x'") == 1
-    assert "cable" not in answer.stderr
-    assert "can't open" not in answer.stderr
+    problem = refusal_of(*where, cwd=tmp_path)
+    assert problem.count("unknown key 'x'") == 1
+    assert "cable" not in problem
+    assert "can't open" not in problem
 
 
 def test_a_current_folder_that_was_deleted_is_reported(tmp_path):
@@ -104,16 +103,13 @@ def test_noise_whose_square_overflows_is_refused(value, tmp_path):
     ],
 )
 def test_a_missing_run_is_wrong_input_in_every_command(command, tmp_path):
-    answer = gyrobench(*command, cwd=tmp_path)
-    assert answer.returncode == 2
-    assert answer.stderr.count("nowhere") == 1
+    assert refusal_of(*command, cwd=tmp_path).count("nowhere") == 1
 
 
 @pytest.mark.parametrize("command", [("resume",), ("report",), ("control",)])
 def test_a_path_that_is_too_long_is_wrong_input(command, tmp_path):
-    answer = gyrobench(*command, "y" * 256, *(["skip"] if command == ("control",) else []), cwd=tmp_path)
-    assert answer.returncode == 2
-    assert answer.stderr.endswith("the path is too long\n")
+    problem = refusal_of(*command, "y" * 256, *(["skip"] if command == ("control",) else []), cwd=tmp_path)
+    assert problem.endswith("the path is too long\n")
 
 
 def test_a_run_folder_with_a_name_that_is_not_utf8_is_refused_before_anything_moves(tmp_path):
@@ -136,9 +132,7 @@ def test_output_to_a_full_disk_is_an_error_in_one_line(command, tmp_path, monkey
 
 def test_close_on_a_run_without_dwells_says_why(tmp_path):
     (tmp_path / "journal.jsonl").write_text("")
-    answer = gyrobench("close", tmp_path, cwd=tmp_path)
-    assert answer.returncode == 2
-    assert "no dwell was finished in this run" in answer.stderr
+    assert "no dwell was finished in this run" in refusal_of("close", tmp_path, cwd=tmp_path)
 
 
 @pytest.mark.parametrize("port", ["/dev/nowhere", "socket://127.0.0.1:1"])
@@ -156,12 +150,11 @@ def test_jog_works_with_the_instruments_that_answer(tmp_path):
         find_document("stations", "emulated").read_text().replace("emulator://chamber", "emulator://nowhere")
     )
     (tmp_path / "mine.yaml").write_text(text)
-    moved = gyrobench("jog", "mine.yaml", "servo on", "table inner 5 at 1", "show", cwd=tmp_path)
-    assert moved.returncode == 0, moved.stdout
-    assert "Left out: chamber" in moved.stdout
-    assert "Interlock chamber" not in moved.stdout
-    assert "inner 5.0" in moved.stdout
-    assert "rate table stopped" in moved.stdout
+    printed = output_of("jog", "mine.yaml", "servo on", "table inner 5 at 1", "show", cwd=tmp_path)
+    assert "Left out: chamber" in printed
+    assert "Interlock chamber" not in printed
+    assert "inner 5.0" in printed
+    assert "rate table stopped" in printed
     refused = gyrobench("jog", "mine.yaml", "chamber 25 at 1", cwd=tmp_path)
     assert (refused.returncode, "Start jog again" in refused.stdout) == (1, True)
     checked = gyrobench("check", "mine.yaml", cwd=tmp_path)
@@ -181,9 +174,7 @@ def test_jog_works_with_the_instruments_that_answer(tmp_path):
 def test_a_path_that_can_not_be_written_is_wrong_input(command, tmp_path):
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken" / "notes.txt").write_text("mine")
-    answer = gyrobench(*command, cwd=tmp_path)
-    assert answer.returncode == 2
-    assert command[-1] in answer.stderr
+    assert command[-1] in refusal_of(*command, cwd=tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["taken"]
 
 
@@ -194,19 +185,17 @@ def test_a_new_run_in_the_folder_of_an_interrupted_one_names_the_command_to_cont
         journal.record("run_started", procedure="ten_minute_check", station="emulated")
         if ended:
             journal.record("run_ended", ended=ended, reason="", safe_state=[])
-    answer = gyrobench("run", "ten_minute_check", "--out", "first", cwd=tmp_path)
-    assert answer.returncode == 2
-    assert ("gyrobench resume first" in answer.stderr) == (ended != "finished")
+    problem = refusal_of("run", "ten_minute_check", "--out", "first", cwd=tmp_path)
+    assert ("gyrobench resume first" in problem) == (ended != "finished")
 
 
 def test_close_on_an_interrupted_run_without_dwells_does_not_speak_of_rotations(tmp_path):
     (tmp_path / "run").mkdir()
     with Journal(tmp_path / "run" / "journal.jsonl", VirtualClock()) as journal:
         journal.record("run_started", procedure="ten_minute_check", station="emulated")
-    answer = gyrobench("close", "run", cwd=tmp_path)
-    assert answer.returncode == 2
-    assert answer.stderr.startswith("run: the run has not finished. Resume it with: gyrobench resume run\n")
-    assert "nothing to search. Search a run with finished dwells" in answer.stderr
+    problem = refusal_of("close", "run", cwd=tmp_path)
+    assert problem.startswith("run: the run has not finished. Resume it with: gyrobench resume run\n")
+    assert "nothing to search. Search a run with finished dwells" in problem
     with Journal(tmp_path / "run" / "journal.jsonl", VirtualClock()) as journal:
         journal.record("dwell_finished", marks={"dwell": 1, "is_rotated": True}, flags="")
     assert "Rotations need a dwell" in gyrobench("close", "run", cwd=tmp_path).stderr
@@ -214,8 +203,7 @@ def test_close_on_an_interrupted_run_without_dwells_does_not_speak_of_rotations(
 
 def test_a_key_for_seals_that_can_not_sign_is_named_before_anything_moves(tmp_path, monkeypatch):
     monkeypatch.setenv("GYROBENCH_SEAL_KEY", str(tmp_path / "weekend.pem"))
-    answer = gyrobench("run", "ten_minute_check", cwd=tmp_path)
-    assert answer.returncode == 2
-    assert "weekend.pem: can't be read" in answer.stderr
-    assert "Correct GYROBENCH_SEAL_KEY, or unset it" in answer.stderr
+    problem = refusal_of("run", "ten_minute_check", cwd=tmp_path)
+    assert "weekend.pem: can't be read" in problem
+    assert "Correct GYROBENCH_SEAL_KEY, or unset it" in problem
     assert not (tmp_path / "runs").exists()

@@ -5,7 +5,7 @@ import pytest
 
 from gyrobench.bench.bias.dwell_table import write_dwells
 from gyrobench.bench.investigation import investigation
-from tests.bench.command_line import gyrobench
+from tests.bench.command_line import gyrobench, output_of, refusal_of
 from tests.bench.investigation import simulated_bench
 from tests.bench.investigation.search_once import search_once
 from tests.bench.investigation.simulated_bench import first_campaign, simulate
@@ -28,9 +28,7 @@ def table_of(tmp_path, effects, seed):
 def test_a_unit_without_an_effect_ends_without_a_block(tmp_path):
     command = table_of(tmp_path, {}, 5)
     options = ("--bench", command, "--approve", "auto", "--json")
-    answer = gyrobench("investigate", "dwells.csv", *options, cwd=tmp_path)
-    assert answer.returncode == 0, answer.stderr
-    found = json.loads(answer.stdout)
+    found = json.loads(output_of("investigate", "dwells.csv", *options, cwd=tmp_path))
     assert (found["ended"], found["blocks"], found["verdict"]) == ("nothing_found", 0, "clean")
     assert (tmp_path / "investigation" / "investigation.html").exists()
     assert (tmp_path / "investigation" / "closure" / "closure.json").exists()
@@ -45,9 +43,7 @@ def test_without_an_answer_at_the_prompt_no_block_is_measured(tmp_path):
 
 
 def test_a_table_that_does_not_exist_is_wrong_input(tmp_path):
-    answer = gyrobench("investigate", "none.csv", "--bench", "true", cwd=tmp_path)
-    assert answer.returncode == 2
-    assert "none.csv" in answer.stderr
+    assert "none.csv" in refusal_of("investigate", "none.csv", "--bench", "true", cwd=tmp_path)
 
 
 def test_a_bench_that_fails_is_reported_with_what_was_measured(tmp_path):
@@ -64,19 +60,15 @@ def test_a_bench_that_fails_is_reported_with_what_was_measured(tmp_path):
 
 def test_a_verification_is_not_ignored_with_a_bench(tmp_path):
     options = ("--bench", "true", "--verification", "none")
-    answer = gyrobench("investigate", "dwells.csv", *options, cwd=tmp_path)
-    assert answer.returncode == 2
-    assert "--verification" in answer.stderr
+    assert "--verification" in refusal_of("investigate", "dwells.csv", *options, cwd=tmp_path)
 
 
 def test_an_open_quotation_mark_is_wrong_input(tmp_path):
     table_of(tmp_path, {}, 5)
-    answer = gyrobench("investigate", "dwells.csv", "--bench", "python 'bench.py", cwd=tmp_path)
-    assert answer.returncode == 2
-    assert "Close each quotation mark" in answer.stderr.replace("\n", " ")
+    problem = refusal_of("investigate", "dwells.csv", "--bench", "python 'bench.py", cwd=tmp_path)
+    assert "Close each quotation mark" in problem.replace("\n", " ")
 
 
 def test_an_adaptive_campaign_needs_a_procedure(tmp_path):
-    answer = gyrobench("investigate", "dwells.csv", "--bench", "true", "--adaptive", cwd=tmp_path)
-    assert answer.returncode == 2
-    assert "--adaptive goes with a procedure" in answer.stderr.replace("\n", " ")
+    problem = refusal_of("investigate", "dwells.csv", "--bench", "true", "--adaptive", cwd=tmp_path)
+    assert "--adaptive goes with a procedure" in problem.replace("\n", " ")

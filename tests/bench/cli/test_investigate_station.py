@@ -11,7 +11,7 @@ import pytest
 
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.journal import read_journal
-from tests.bench.command_line import PROCESS, gyrobench
+from tests.bench.command_line import PROCESS, output_of, refusal_of
 
 COMMAND = (
     "investigate", "quick_campaign", "--station", "quick", "--world", "quick_warm_up", "--approve", "auto",
@@ -47,19 +47,17 @@ def test_several_runs_of_one_unit_are_investigated_together(tmp_path):
     (tmp_path / "two_cycles.yaml").write_text(TWO_CYCLES)
     runs = ("first", "second")
     for seed, name in enumerate(runs, start=10):
-        done = gyrobench(
+        output_of(
             *("run", "two_cycles.yaml", "--station", "quick", "--world", "quick_warm_up"),
             *("--seed", str(seed), "--out", name, "--view", "lines"),
             cwd=tmp_path,
         )
-        assert done.returncode == 0, done.stderr
-    answer = gyrobench(
+    printed = output_of(
         *("investigate", *runs, "--approve", "auto", "--verification", "none", "--budget-h", "12"),
         *("--out", "found", "--view", "lines", "--json"),
         cwd=tmp_path,
     )
-    assert answer.returncode == 0, answer.stderr
-    found = json.loads(answer.stdout)
+    found = json.loads(printed)
     assert found["ended"] == "settled"
     assert found["effects"]["warm_up"] >= 0.99
     assert len((tmp_path / "found" / "start.csv").read_text().splitlines()) == 1 + 2 * 32
@@ -68,19 +66,16 @@ def test_several_runs_of_one_unit_are_investigated_together(tmp_path):
 def test_blocks_without_approval_need_a_station_that_allows_them(tmp_path):
     station = find_document("stations", "quick").read_text()
     (tmp_path / "careful.yaml").write_text(station.replace("block_approval: auto\n", ""))
-    answer = gyrobench(
+    problem = refusal_of(
         "investigate", "ten_minute_check", "--station", "careful.yaml", "--approve", "auto", cwd=tmp_path
     )
-    assert answer.returncode == 2
-    assert "block_approval: auto" in answer.stderr
+    assert "block_approval: auto" in problem
     assert not (tmp_path / "runs").exists()
 
 
 def test_a_table_needs_a_bench(tmp_path):
     (tmp_path / "dwells.csv").write_text("unit\n")
-    answer = gyrobench("investigate", "dwells.csv", cwd=tmp_path)
-    assert answer.returncode == 2
-    assert "--bench" in answer.stderr
+    assert "--bench" in refusal_of("investigate", "dwells.csv", cwd=tmp_path)
 
 
 def decisions(folder):
@@ -100,9 +95,7 @@ def decisions(folder):
 def whole(tmp_path_factory):
     """Folder of an investigation in one go, and what it printed."""
     folder = tmp_path_factory.mktemp("whole")
-    answer = gyrobench(*COMMAND, cwd=folder)
-    assert answer.returncode == 0, answer.stderr
-    return folder / "found", json.loads(answer.stdout)
+    return folder / "found", json.loads(output_of(*COMMAND, cwd=folder))
 
 
 @pytest.mark.long
@@ -142,9 +135,7 @@ def test_killed_at_random_instants_it_ends_with_the_same_cause_and_repeats_no_de
         assert process.wait() == -signal.SIGKILL
     before = decisions(folder)
     measured = {number for number in before if (folder / f"block-{number}" / "plan.json").exists()}
-    answer = gyrobench(*COMMAND, cwd=tmp_path)
-    assert answer.returncode == 0, answer.stderr
-    found = json.loads(answer.stdout)
+    found = json.loads(output_of(*COMMAND, cwd=tmp_path))
     after = decisions(folder)
     assert {number: after[number] for number in measured} == {number: before[number] for number in measured}
     assert found["ended"] == "settled"

@@ -1,7 +1,7 @@
 import pytest
 
 from gyrobench.bench.foundations.shipped import find_document
-from tests.bench.command_line import gyrobench
+from tests.bench.command_line import gyrobench, output_of, refusal_of
 from tests.bench.messages.servers import Server, free_port
 
 
@@ -27,9 +27,8 @@ def station(tmp_path):
 
 
 def test_what_the_receiver_answers_is_reported(server, station, tmp_path):
-    ended = gyrobench("message", station(server.url), "Hello, bench.", cwd=tmp_path)
-    assert ended.returncode == 0
-    assert ended.stdout == f"sent     ntfy {server.url}/bench: 200 OK\n"
+    printed = output_of("message", station(server.url), "Hello, bench.", cwd=tmp_path)
+    assert printed == f"sent     ntfy {server.url}/bench: 200 OK\n"
     assert server.received[0][2].decode().startswith("Hello, bench.")
 
 
@@ -42,9 +41,7 @@ def test_a_receiver_that_can_not_be_reached_is_reported_and_the_others_get_it(se
 
 
 def test_a_station_without_receivers_is_a_mistake(station, tmp_path):
-    ended = gyrobench("message", station(), cwd=tmp_path)
-    assert ended.returncode == 2
-    assert "no receivers: the section `messages` is missing" in ended.stderr
+    assert "no receivers: the section `messages` is missing" in refusal_of("message", station(), cwd=tmp_path)
 
 
 def test_check_shows_receivers_and_misses_a_secret(station, server, tmp_path, monkeypatch):

@@ -4,7 +4,7 @@ import re
 import signal
 import subprocess
 
-from tests.bench.command_line import PROCESS, WIDTH, gyrobench
+from tests.bench.command_line import PROCESS, WIDTH, gyrobench, refusal_of
 from tests.bench.monitor.served_run import served, write_snapshot
 
 
@@ -38,9 +38,7 @@ def test_it_serves_until_ctrl_c_and_then_ends_quietly(tmp_path):
 
 
 def test_a_folder_that_is_not_there_is_reported(tmp_path):
-    ended = gyrobench("monitor", "nowhere", cwd=tmp_path)
-    assert ended.returncode == 2
-    assert "nowhere: no such folder" in ended.stderr
+    assert "nowhere: no such folder" in refusal_of("monitor", "nowhere", cwd=tmp_path)
 
 
 def test_a_port_in_use_is_reported(tmp_path):

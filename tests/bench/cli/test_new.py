@@ -4,14 +4,12 @@ import json
 
 import pytest
 
-from gyrobench.bench.cli.output import EXIT_WRONG_INPUT
 from tests.bench.authoring.filled_in import filled_in
-from tests.bench.command_line import gyrobench
+from tests.bench.command_line import gyrobench, output_of, refusal_of
 
 
 def test_a_new_procedure_can_be_planned_at_once(tmp_path):
-    made = gyrobench("new", "procedure", "mine", "--like", "check", cwd=tmp_path)
-    assert made.returncode == 0
+    output_of("new", "procedure", "mine", "--like", "check", cwd=tmp_path)
     assert (tmp_path / "mine.yaml").is_file()
     assert gyrobench("plan", "mine.yaml", cwd=tmp_path).returncode == 0
 
@@ -19,16 +17,13 @@ def test_a_new_procedure_can_be_planned_at_once(tmp_path):
 def test_a_file_that_is_there_is_not_written_over(tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text("precious")
-    made = gyrobench("new", "station", "mine", cwd=tmp_path)
-    assert made.returncode == 2
-    assert "mine.yaml: exists already" in made.stderr
+    assert "mine.yaml: exists already" in refusal_of("new", "station", "mine", cwd=tmp_path)
     assert path.read_text() == "precious"
 
 
 def test_a_folder_that_is_not_there_is_reported(tmp_path):
-    made = gyrobench("new", "station", "mine", "--out", "nowhere/mine.yaml", cwd=tmp_path)
-    assert made.returncode == 2
-    assert "No such file or directory" in made.stderr
+    problem = refusal_of("new", "station", "mine", "--out", "nowhere/mine.yaml", cwd=tmp_path)
+    assert "No such file or directory" in problem
 
 
 def test_a_new_file_can_go_to_standard_output(tmp_path):
@@ -42,25 +37,21 @@ def test_a_new_file_can_go_to_standard_output(tmp_path):
 def test_a_name_that_begins_with_a_hyphen_is_refused_with_the_option_for_standard_output(
     kind, name, tmp_path
 ):
-    made = gyrobench("new", kind, *name, cwd=tmp_path)
-    assert made.returncode == EXIT_WRONG_INPUT
-    assert f"found '{name[-1]}'. For standard output: NAME --out -" in made.stderr
+    problem = refusal_of("new", kind, *name, cwd=tmp_path)
+    assert f"found '{name[-1]}'. For standard output: NAME --out -" in problem
     assert list(tmp_path.iterdir()) == []
 
 
 def test_an_unknown_template_is_shown_with_the_shipped_ones(tmp_path):
-    made = gyrobench("new", "procedure", "mine", "--like", "nothing", cwd=tmp_path)
-    assert made.returncode == 2
-    assert "ten_minute_check" in made.stderr
+    assert "ten_minute_check" in refusal_of("new", "procedure", "mine", "--like", "nothing", cwd=tmp_path)
 
 
 def test_right_files_are_named_for_what_they_are(tmp_path):
     gyrobench("new", "procedure", "mine", cwd=tmp_path)
     gyrobench("new", "station", "bench", cwd=tmp_path)
     (tmp_path / "bench.yaml").write_text(filled_in((tmp_path / "bench.yaml").read_text()))
-    answer = gyrobench("validate", "mine.yaml", "bench.yaml", "--station", "emulated", cwd=tmp_path)
-    assert answer.returncode == 0
-    assert answer.stdout == (
+    printed = output_of("validate", "mine.yaml", "bench.yaml", "--station", "emulated", cwd=tmp_path)
+    assert printed == (
         "mine.yaml: valid procedure file, 7 steps, 1 dwell, 0:09 h on emulated\n"
         "bench.yaml: valid station file, not filled in yet: description, rate_table.port and chamber.port\n"
     )
@@ -70,9 +61,8 @@ def test_without_a_station_a_procedure_states_that_limits_are_not_checked(tmp_pa
     (tmp_path / "p.yaml").write_text(
         "procedure: p\nsteps:\n  - chamber: {temperature_c: -80, ramp_c_per_min: 50}\n"
     )
-    answer = gyrobench("validate", "p.yaml", cwd=tmp_path)
-    assert answer.returncode == 0
-    assert answer.stdout == (
+    printed = output_of("validate", "p.yaml", cwd=tmp_path)
+    assert printed == (
         "p.yaml: valid procedure file, 1 step. Limits of a station are not checked: add --station STATION\n"
     )
     answer = gyrobench("validate", "p.yaml", "--station", "emulated", cwd=tmp_path)
@@ -132,8 +122,7 @@ def test_a_new_import_map_is_valid(tmp_path):
 
 
 def test_a_new_world_is_the_shipped_one_under_another_name(tmp_path):
-    made = gyrobench("new", "world", "hidden", "--like", "gyro_b", cwd=tmp_path)
-    assert made.returncode == 0
+    output_of("new", "world", "hidden", "--like", "gyro_b", cwd=tmp_path)
     text = (tmp_path / "hidden.yaml").read_text()
     assert "\nworld: hidden\n" in text
     assert gyrobench("validate", "hidden.yaml", cwd=tmp_path).returncode == 0

@@ -16,7 +16,7 @@ from gyrobench.bench.engine.run_outcome import FailOn
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.report import closure_page
 from gyrobench.bench.station.instrument_sections import Traceability
-from tests.bench.command_line import gyrobench
+from tests.bench.command_line import refusal_of
 
 OPTIONS = [
     (name, command, option.opts[0])
@@ -54,10 +54,9 @@ def test_no_option_that_is_a_number_takes_one_without_an_end(name, command, opti
     ],
 )
 def test_a_wrong_value_is_reported_in_plain_words_with_the_nearest_one(command, message, tmp_path):
-    answer = gyrobench(*command, cwd=tmp_path)
-    assert answer.returncode == 2
-    assert message in answer.stderr
-    assert "Value error" not in answer.stderr
+    problem = refusal_of(*command, cwd=tmp_path)
+    assert message in problem
+    assert "Value error" not in problem
 
 
 def test_every_traced_instrument_can_be_acknowledged():
@@ -65,9 +64,8 @@ def test_every_traced_instrument_can_be_acknowledged():
 
 
 def test_an_infinite_budget_is_refused_before_anything_is_measured(tmp_path):
-    answer = gyrobench("investigate", "quick_campaign", "--budget-h", "inf", cwd=tmp_path)
-    assert answer.returncode == 2
-    assert "inf is not a finite number" in answer.stderr
+    problem = refusal_of("investigate", "quick_campaign", "--budget-h", "inf", cwd=tmp_path)
+    assert "inf is not a finite number" in problem
     assert not list(tmp_path.iterdir())
 
 

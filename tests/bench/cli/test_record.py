@@ -5,7 +5,7 @@ import pytest
 
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.drivers.recording.recording_file import read_recording
-from tests.bench.command_line import gyrobench
+from tests.bench.command_line import gyrobench, output_of
 
 
 def record(tmp_path, *options):
@@ -32,9 +32,7 @@ def test_an_instrument_is_asked_recorded_and_replayed(tmp_path, instrument, dial
     assert all(call.gives for call in header.calls)
     assert {transfer.is_sent for transfer in recording.transfers} == {True, False}
 
-    replayed = gyrobench("replay", "a.rec", cwd=tmp_path)
-    assert replayed.returncode == 0
-    assert replayed.stdout.count("same ") == len(asked)
+    assert output_of("replay", "a.rec", cwd=tmp_path).count("same ") == len(asked)
 
 
 def test_a_recording_shows_what_the_driver_makes_of_a_reply_now(tmp_path):
@@ -126,10 +124,7 @@ def test_a_station_can_stand_on_recordings(tmp_path):
     text = text.replace("clock: virtual", "clock: wall\nspeed: 20")
     text = text.replace("emulator://chamber", f"replay://{tmp_path}/chamber.rec")
     (tmp_path / "replayed.yaml").write_text(text)
-    result = gyrobench(
-        "record", "replayed.yaml", "--instrument", "chamber", "--out", "again.rec", cwd=tmp_path
-    )
-    assert result.returncode == 0
+    output_of("record", "replayed.yaml", "--instrument", "chamber", "--out", "again.rec", cwd=tmp_path)
     first, again = (read_recording(tmp_path / name) for name in ("chamber.rec", "again.rec"))
     for is_sent in (True, False):
         went = [b"".join(t.data for t in each.transfers if t.is_sent is is_sent) for each in (first, again)]

@@ -7,12 +7,12 @@ import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells, write_dwells
 from gyrobench.bench.bias.verdicts import Acceptance, write_acceptance
-from gyrobench.bench.cli.output import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
+from gyrobench.bench.cli.output import EXIT_INSTRUMENT, EXIT_NOT_FINISHED
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
 from gyrobench.bench.runs.locks import RunLock
-from tests.bench.command_line import gyrobench
+from tests.bench.command_line import gyrobench, output_of, refusal_of
 
 
 @pytest.fixture
@@ -28,10 +28,9 @@ def run(tmp_path):
 
 
 def test_the_report_is_written_again_with_the_name_and_the_verdict(run, tmp_path):
-    done = gyrobench("report", run.path, "--by", "A. Smith", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "Unit not judged. The procedure has no acceptance limits." in done.stdout
-    assert f"Report   {run.report}" in done.stdout
+    printed = output_of("report", run.path, "--by", "A. Smith", cwd=tmp_path)
+    assert "Unit not judged. The procedure has no acceptance limits." in printed
+    assert f"Report   {run.report}" in printed
     assert "A. Smith" in run.report.read_text()
 
 
@@ -72,17 +71,15 @@ def test_the_report_of_a_unit_of_an_unfinished_run_states_how_to_resume_the_whol
 
 def test_a_search_with_too_few_dwells_of_an_unfinished_run_states_how_to_resume_it(run, sample, tmp_path):
     write_dwells(run.dwells, read_dwells(RunFolder(sample).dwells)[:2])
-    refused = gyrobench("close", run.path, cwd=tmp_path)
-    assert refused.returncode == EXIT_WRONG_INPUT
-    assert "degrees of freedom" in refused.stderr
-    assert refused.stderr.count(f"has not finished. Resume it with: gyrobench resume {run.path}") == 1
+    problem = refusal_of("close", run.path, cwd=tmp_path)
+    assert "degrees of freedom" in problem
+    assert problem.count(f"has not finished. Resume it with: gyrobench resume {run.path}") == 1
 
 
 def test_a_search_of_an_unfinished_run_without_dwells_states_once_how_to_resume_it(run, tmp_path):
-    refused = gyrobench("close", run.path, cwd=tmp_path)
-    assert refused.returncode == EXIT_WRONG_INPUT
-    assert "no dwell was finished in this run" in refused.stderr
-    assert refused.stderr.count("gyrobench resume") == 1
+    problem = refusal_of("close", run.path, cwd=tmp_path)
+    assert "no dwell was finished in this run" in problem
+    assert problem.count("gyrobench resume") == 1
 
 
 def test_a_search_of_an_unfinished_run_as_json_states_on_standard_error_how_to_resume_it(sample, tmp_path):
@@ -121,52 +118,43 @@ def test_a_name_for_the_report_of_an_emulated_run_is_answered_that_none_is_signe
 
 
 def test_a_pdf_stands_beside_the_page_where_it_was_asked_for(run, tmp_path):
-    done = gyrobench("report", run.path, "--pdf", "--out", "signed", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "PDF      signed/report.pdf" in done.stdout
+    printed = output_of("report", run.path, "--pdf", "--out", "signed", cwd=tmp_path)
+    assert "PDF      signed/report.pdf" in printed
     assert (tmp_path / "signed" / "report.pdf").read_bytes().startswith(b"%PDF-")
     assert not run.report.exists()
 
 
 def test_a_pdf_in_the_run_folder_is_sealed(run, tmp_path):
-    done = gyrobench("report", run.path, "--pdf", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    output_of("report", run.path, "--pdf", cwd=tmp_path)
     assert (run.path / "report.pdf").is_file()
-    check = gyrobench("seal", "--verify", run.path, cwd=tmp_path)
-    assert check.returncode == 0, check.stderr
-    assert "Not sealed" not in check.stdout
+    assert "Not sealed" not in output_of("seal", "--verify", run.path, cwd=tmp_path)
 
 
 def test_a_run_of_several_units_has_a_pdf_too(run, tmp_path):
     unit = RunFolder(run.path / "units" / "7")
     unit.path.mkdir(parents=True)
     shutil.copy(run.journal, unit.journal)
-    done = gyrobench("report", run.path, "--pdf", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    output_of("report", run.path, "--pdf", cwd=tmp_path)
     assert (run.path / "report.pdf").read_bytes().startswith(b"%PDF-")
 
 
 def test_a_run_before_a_change_is_set_beside_it(run, tmp_path):
     earlier = RunFolder(tmp_path / "earlier")
     shutil.copytree(run.path, earlier.path)
-    copied = gyrobench("report", run.path, "--before", earlier.path, cwd=tmp_path)
-    assert copied.returncode == EXIT_WRONG_INPUT
-    assert f"{earlier.path}: is the same run, or a copy of it" in copied.stderr
+    problem = refusal_of("report", run.path, "--before", earlier.path, cwd=tmp_path)
+    assert f"{earlier.path}: is the same run, or a copy of it" in problem
     earlier.journal.unlink()
     with Journal(earlier.journal, VirtualClock()) as journal:
         journal.record("run_started", procedure="six_position_fig7", station="emulated")
         journal.record("run_ended", ended="stopped", reason="by the operator", safe_state=[])
-    done = gyrobench("report", run.path, "--before", earlier.path, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    printed = output_of("report", run.path, "--before", earlier.path, cwd=tmp_path)
     assert "Before and after" in run.report.read_text()
-    assert f"Before and after\nBefore: run {earlier.path.name}. After: this run." in done.stdout
-    assert "X gyro  after" in done.stdout
+    assert f"Before and after\nBefore: run {earlier.path.name}. After: this run." in printed
+    assert "X gyro  after" in printed
 
 
 def test_what_is_no_run_is_refused(tmp_path):
-    done = gyrobench("report", tmp_path, cwd=tmp_path)
-    assert done.returncode == EXIT_WRONG_INPUT
-    assert "is not a run folder" in done.stderr
+    assert "is not a run folder" in refusal_of("report", tmp_path, cwd=tmp_path)
 
 
 def test_a_run_with_a_damaged_file_is_reported_with_exit_code_1_and_not_judged(run, tmp_path):
@@ -186,7 +174,6 @@ def test_what_is_of_one_unit_is_refused_for_a_run_of_several(options, run, tmp_p
     unit = RunFolder(run.path / "units" / "7")
     unit.path.mkdir(parents=True)
     shutil.copy(run.journal, unit.journal)
-    done = gyrobench("report", "run", *options, cwd=tmp_path)
-    assert done.returncode == EXIT_WRONG_INPUT
-    assert "Give the folder of one of them: run/units/7" in done.stderr
+    problem = refusal_of("report", "run", *options, cwd=tmp_path)
+    assert "Give the folder of one of them: run/units/7" in problem
     assert not run.report.exists()

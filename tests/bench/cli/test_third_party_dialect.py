@@ -9,7 +9,7 @@ import pytest
 from gyrobench.bench.cli.output import EXIT_WRONG_INPUT
 from gyrobench.bench.foundations import packages
 from gyrobench.bench.foundations.shipped import find_document
-from tests.bench.command_line import gyrobench
+from tests.bench.command_line import gyrobench, output_of, refusal_of
 
 PACKAGE = Path(__file__).parents[3] / "docs/examples/laboratory/acme_frost"
 METADATA = "Metadata-Version: 2.1\nName: acme-frost\nVersion: 1.2\n"
@@ -63,34 +63,29 @@ def installed(site, monkeypatch):
 
 def test_a_run_goes_through_a_dialect_of_another_package(acme_station, installed, tmp_path):
     options = ("--station", acme_station(), "--world", "ideal", "--out", "acme-run")
-    done = gyrobench("run", "ten_minute_check", *options, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    output_of("run", "ten_minute_check", *options, cwd=tmp_path)
     assert "Acme Frost, shelf 3" in (tmp_path / "acme-run" / "provenance.json").read_text()
 
 
 def test_a_check_names_the_instrument_of_another_package(acme_station, installed, tmp_path):
-    done = gyrobench("check", acme_station(), "--world", "ideal", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "Acme Frost, shelf 3" in done.stdout
+    assert "Acme Frost, shelf 3" in output_of("check", acme_station(), "--world", "ideal", cwd=tmp_path)
 
 
 def test_mistakes_in_the_keys_of_another_package_are_shown_with_their_place(
     acme_station, installed, tmp_path
 ):
-    done = gyrobench("plan", "ten_minute_check", "--station", acme_station(keys=""), cwd=tmp_path)
-    assert done.returncode == 2
-    assert re.search(r"acme\.yaml:\d+:1: the key 'shelf' is missing: shelf that the unit", done.stderr)
+    problem = refusal_of("plan", "ten_minute_check", "--station", acme_station(keys=""), cwd=tmp_path)
+    assert re.search(r"acme\.yaml:\d+:1: the key 'shelf' is missing: shelf that the unit", problem)
 
 
 def test_a_broken_package_is_named_without_a_traceback(acme_station, installed, tmp_path):
     station = acme_station(dialect="acme_broken")
-    done = gyrobench("plan", "ten_minute_check", "--station", station, cwd=tmp_path)
-    assert done.returncode == 2
+    problem = refusal_of("plan", "ten_minute_check", "--station", station, cwd=tmp_path)
     assert re.search(
-        r"acme\.yaml:\d+:3: the dialect 'acme_broken' of acme-frost 1\.2 can't be imported", done.stderr
+        r"acme\.yaml:\d+:3: the dialect 'acme_broken' of acme-frost 1\.2 can't be imported", problem
     )
-    assert "ModuleNotFoundError: No module named 'a_library_that_is_not_installed'" in done.stderr
-    assert "Traceback" not in done.stderr
+    assert "ModuleNotFoundError: No module named 'a_library_that_is_not_installed'" in problem
+    assert "Traceback" not in problem
 
 
 def test_a_broken_package_hurts_no_other_station(installed, tmp_path):

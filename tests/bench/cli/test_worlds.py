@@ -6,7 +6,7 @@ import gyrobench as gyrobench_api
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import DEFAULT_WORLD, world_for
 from gyrobench.bench.runs.provenance import read_provenance
-from tests.bench.command_line import gyrobench
+from tests.bench.command_line import gyrobench, refusal_of
 
 
 @pytest.mark.parametrize(
@@ -30,10 +30,9 @@ def test_a_station_has_the_shipped_world_of_its_name_by_default(station, world, 
 def test_a_world_that_does_not_fit_the_station_is_refused_before_anything_is_made(
     tmp_path, command, station, world
 ):
-    answer = gyrobench(*command.split(), station, "--world", world, cwd=tmp_path)
-    assert answer.returncode == 2
-    assert f"{world}.yaml: the INS of this world sends an epoch in" in answer.stderr
-    assert "Choose a world and a station that belong together" in answer.stderr
+    problem = refusal_of(*command.split(), station, "--world", world, cwd=tmp_path)
+    assert f"{world}.yaml: the INS of this world sends an epoch in" in problem
+    assert "Choose a world and a station that belong together" in problem
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
 
 
@@ -44,9 +43,8 @@ def test_a_world_that_does_not_fit_the_station_is_refused_by_the_python_interfac
 
 
 def test_a_procedure_beyond_the_limits_of_the_station_alone_names_the_station(tmp_path):
-    answer = gyrobench("run", "quick_campaign", cwd=tmp_path)
-    assert answer.returncode == 2
-    assert "These are limits of the station emulated. Choose another one with --station" in answer.stderr
+    problem = refusal_of("run", "quick_campaign", cwd=tmp_path)
+    assert "These are limits of the station emulated. Choose another one with --station" in problem
     (tmp_path / "wrong.yaml").write_text("procedure: wrong\nsteps:\n  - align: {duration_s: 60}\n")
     assert "limits of the station" not in gyrobench("run", "wrong.yaml", cwd=tmp_path).stderr
 

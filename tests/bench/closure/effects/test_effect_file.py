@@ -14,7 +14,7 @@ from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.closure.separability import searched_dwells, separability
 from gyrobench.bench.foundations.errors import DocumentError
 from tests.bench.closure.thermal_bench import measure
-from tests.bench.command_line import gyrobench
+from tests.bench.command_line import gyrobench, output_of
 
 ONSET_C = 38.0
 HOT_SIDE = """\
@@ -46,9 +46,10 @@ def write_effect(folder, text=HOT_SIDE):
 def test_an_effect_beside_the_table_is_found_and_compensated(tmp_path):
     write_effect(tmp_path)
     write_dwells(tmp_path / "dwells.csv", measure({hot_side: 40.0}, cycles=2).rows)
-    result = gyrobench("close", str(tmp_path / "dwells.csv"), "--json", "--out", "other", cwd=tmp_path.parent)
-    assert result.returncode == 0, result.stderr
-    found = json.loads(result.stdout)["closure"]
+    printed = output_of(
+        "close", str(tmp_path / "dwells.csv"), "--json", "--out", "other", cwd=tmp_path.parent
+    )
+    found = json.loads(printed)["closure"]
     assert [each["effect"] for each in found["effects"]] == ["hot_side"]
     assert found["error_after_dph"] < 0.5 * found["error_before_dph"]
 

@@ -10,7 +10,7 @@ from gyrobench.bench.closure.loadable_model import declared_model, model_with_ef
 from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.runs.compensation_file import read_compensation
 from tests.bench.closure.campaigns import EFFECTS, run_campaign
-from tests.bench.command_line import gyrobench
+from tests.bench.command_line import output_of
 from tests.docs.pages import DOCS, blocks
 
 pytestmark = pytest.mark.long
@@ -23,8 +23,7 @@ def test_it_is_found_by_its_file_alone_and_verified(tmp_path):
     (tmp_path / "effects").mkdir()
     (tmp_path / "effects" / "loose_clamp.yaml").write_text(block.text)
 
-    closed = gyrobench("close", str(run.path), cwd=tmp_path)
-    assert closed.returncode == 0, closed.stderr
+    output_of("close", str(run.path), cwd=tmp_path)
     [written] = json.loads((run.path / "closure" / "closure.json").read_text())["effects"]
     assert written["effect"] == "loose_clamp"
     closure = close_loop(read_campaign(run.path))
@@ -37,10 +36,7 @@ def test_it_is_found_by_its_file_alone_and_verified(tmp_path):
     assert compensations[1].effects == ("loose_clamp",)
     assert compensations[1].compensation.polynomial_dph.shape[1] == 6
 
-    verified = gyrobench(
-        "verify", str(run.path), "--procedure", "quick_verification", "--view", "lines", cwd=tmp_path
-    )
-    assert verified.returncode == 0, verified.stderr
+    output_of("verify", str(run.path), "--procedure", "quick_verification", "--view", "lines", cwd=tmp_path)
     table = np.genfromtxt(
         run.path / "verify" / "comparison.csv", delimiter=",", names=True, dtype=None, encoding="utf-8"
     )

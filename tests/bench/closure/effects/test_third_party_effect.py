@@ -15,7 +15,7 @@ from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.foundations import packages
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 from tests.bench.closure.thermal_bench import STEP_S, measure
-from tests.bench.command_line import gyrobench
+from tests.bench.command_line import output_of
 from tests.docs.pages import DOCS, blocks
 
 METADATA = "Metadata-Version: 2.1\nName: acme-effects\nVersion: 1.2\n"
@@ -63,13 +63,12 @@ def effect_of(name, terms=np.zeros, **options):
 @pytest.mark.usefixtures("installed")
 def test_a_search_finds_the_effect_of_another_package(tmp_path):
     write_dwells(tmp_path / "dwells.csv", measure({rate_times_temperature: 8.0}, cycles=2).rows)
-    result = gyrobench("close", "dwells.csv", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
+    printed = output_of("close", "dwells.csv", cwd=tmp_path)
     found = json.loads((tmp_path / "closure" / "closure.json").read_text())
     assert found["verdict"] == "explained"
     assert [each["effect"] for each in found["effects"]] == ["rate_times_temperature"]
     assert found["effects"][0]["statement"].startswith("The bias follows the temperature rate, in proportion")
-    assert "the best of those tried: rate times temperature (P" in " ".join(result.stdout.split())
+    assert "the best of those tried: rate times temperature (P" in " ".join(printed.split())
     assert "rate times temperature" in (tmp_path / "closure" / "closure.html").read_text()
     assert (tmp_path / "closure" / "figures" / "effect_rate_times_temperature.png").is_file()
 
