@@ -138,7 +138,7 @@ def _plateau_rows(
     """
     plateaus: dict[int, dict[str, PlateauCoefficientRow]] = {}
     for each in coefficients:
-        plateaus.setdefault(each.plateau, {})[f"{each.coefficient}_{each.axis}"] = each
+        plateaus.setdefault(each.plateau, {})[each.name] = each
     rotated = [
         by_name
         for by_name in plateaus.values()

@@ -85,9 +85,7 @@ def comparison_section(
     caption = _DIFFERENCE_CAPTION + (_LIMITS_CAPTION if acceptance and acceptance.limits else "")
     section_figures = _available_figure(figures, "position_differences", caption)
     section_figures += _available_figure(figures, "position_pair", _PAIR_CAPTION)
-    return Section(
-        "Results", boxes=boxes, paragraphs=[note for note in notes if note], figures=section_figures
-    )
+    return Section("Results", boxes=boxes, paragraphs=notes, figures=section_figures)
 
 
 def _gyro_box(gyro: str, bins: Sequence[BiasBin]) -> Box:
@@ -99,7 +97,7 @@ def _gyro_box(gyro: str, bins: Sequence[BiasBin]) -> Box:
         scatter_sentence(bins),
     ]
     sentence = position_comparison_sentence(comparisons)
-    return Box(colour, f"{gyro_label(gyro)}.", sentence, [note for note in notes if note])
+    return Box(colour, f"{gyro_label(gyro)}.", sentence, notes)
 
 
 def gyro_section(gyro: str, bins: Sequence[BiasBin], figures: Mapping[str, Path]) -> Section | None:
@@ -341,7 +339,7 @@ def acceptance_section(acceptance: Acceptance | None) -> Section | None:
     ]
     return Section(
         "Acceptance",
-        [text for text in paragraphs if text],
+        paragraphs,
         tables=[_acceptance_table(acceptance, acceptance.judgements)] if acceptance.judgements else [],
     )
 

@@ -52,7 +52,7 @@ def calibration_check_section(rows: Sequence[CalibrationCheckRow]) -> Section | 
         _CALIBRATED if has_calibrated else "",
         _accelerometer_sentence(rows),
     ]
-    return Section("Calibration check", [text for text in paragraphs if text], tables=tables)
+    return Section("Calibration check", paragraphs, tables=tables)
 
 
 def calibration_check_sentence(rows: Sequence[CalibrationCheckRow]) -> str:

@@ -12,7 +12,6 @@ import numpy as np
 from gyrobench.bench.closure.files import write_closure
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.foundations.arrays import nan_rms
-from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import counted, listed, probability_number, with_sigma
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.report import closure_text as text
@@ -26,7 +25,6 @@ from gyrobench.bench.report.number_format import odds_text, p_text, share_text
 from gyrobench.bench.report.page import Findings, Section, SectionFigure, SectionTable, write_findings
 from gyrobench.bench.report.run_report import write_report
 from gyrobench.bench.runs.folder import CLOSURE, RunFolder
-from gyrobench.bench.runs.provenance import watermark_of
 
 _RESIDUALS_CAPTION = (
     "{}: measured minus predicted {}. Each point is a dwell, hollow points are held out; the grey band is "
@@ -95,13 +93,13 @@ def _residual_section(closure: Closure) -> Section:
     ]
     return Section(
         "Residual of the declared model",
-        _without_empty(
+        [
             text.declared_residual_sentence(closure),
             *closure.noise.sentences(
                 is_structureless=closure.verdict != "unexplained" or closure.differs_held_out
             ),
             _correlation_sentence(closure),
-        ),
+        ],
         figures,
     )
 
@@ -273,11 +271,12 @@ def _alternatives_section(closure: Closure) -> Section:
         text.alternative_sentence(closure),
         *text.tie_sentences(closure),
         *text.rejection_sentences(closure),
+        *text.missing_input_sentences(closure),
+        *closure.confounding,
+        text.sensitivity_sentence(closure) if closure.verdict == "clean" else "",
     ]
-    paragraphs += [*text.missing_input_sentences(closure), *closure.confounding]
-    paragraphs += [text.sensitivity_sentence(closure)] if closure.verdict == "clean" else []
     title = "Alternatives" if closure.effects else "Candidate effects"
-    return Section(title, _without_empty(*paragraphs), figures, [evidence_table(closure)])
+    return Section(title, paragraphs, figures, [evidence_table(closure)])
 
 
 def _error_section(closure: Closure) -> Section:
@@ -300,11 +299,11 @@ def _error_section(closure: Closure) -> Section:
     )
     return Section(
         "Held-out error",
-        _without_empty(
+        [
             text.held_out_error_sentence(closure),
             (closure.unexplained_part or "") if closure.differs_held_out else "",
             text.removed_means_sentence(closure),
-        ),
+        ],
         [
             SectionFigure(
                 "errors",
@@ -357,15 +356,9 @@ def _lack_of_fit_section(closure: Closure) -> Section:
     advice = "" if closure.unexplained_part is None or closure.differs_held_out else _UNEXPLAINED_ADVICE
     return Section(
         "Lack of fit",
-        _without_empty(
-            text.remaining_residual_sentence(closure), advice, text.detectable_effect_sentence(closure)
-        ),
+        [text.remaining_residual_sentence(closure), advice, text.detectable_effect_sentence(closure)],
         tables=[table],
     )
-
-
-def _without_empty(*sentences: str) -> list[str]:
-    return [sentence for sentence in sentences if sentence]
 
 
 def closure_findings(closure: Closure, source: str = "") -> Findings:
@@ -384,15 +377,11 @@ def closure_findings(closure: Closure, source: str = "") -> Findings:
 def write_closure_page(folder: Path, closure: Closure, source: str, dwells: Path | None = None) -> Path:
     """Write figures and page into an existing folder.
 
-    ``source`` is the line below the title. ``dwells`` is the table searched: the run report includes these
-    findings only if the hash of its table is the same. Raises RunFolderError if a file can't be written.
+    ``source``: line below the title. ``dwells``: the table searched. Raises RunFolderError if a file can't be
+    written.
     """
-    findings = replace(
-        closure_findings(closure, source),
-        dwells_sha256=file_sha256(dwells) if dwells else "",
-        watermark=watermark_of(folder, *closure.campaign.sources),
-    )
-    return write_findings(folder / "closure.html", findings)
+    findings, sources = closure_findings(closure, source), closure.campaign.sources
+    return write_findings(folder / "closure.html", findings, sources, dwells)
 
 
 def _facts(closure: Closure) -> dict[str, str]:

@@ -17,7 +17,6 @@ from gyrobench.bench.report.figures.verification import residual_bars_figure
 from gyrobench.bench.report.page import Findings, Section, SectionFigure, SectionTable, write_findings
 from gyrobench.bench.report.run_content import approvals_in
 from gyrobench.bench.report.verification_text import outcome_sentence, size_heads, size_units, total_rows
-from gyrobench.bench.runs.provenance import watermark_of
 from gyrobench.bench.verification.compensation_verification import VerificationResult
 
 _PURPOSE_TITLES = {
@@ -47,7 +46,6 @@ def write_investigation_page(
             "blocks": f"{len(investigation.stages) - 1}, {investigation.spent_h - first_h:.1f} h",
             "verdict": f"{investigation.closure.verdict}: {verdict_sentence(investigation.closure)}",
         },
-        watermark=watermark_of(folder, *investigation.closure.campaign.sources),
         sections=[
             _history_section(investigation, approvals_in(folder)),
             *_block_sections(investigation),
@@ -55,7 +53,7 @@ def write_investigation_page(
             *closure_sections(investigation.closure),
         ],
     )
-    return write_findings(folder / "investigation.html", findings)
+    return write_findings(folder / "investigation.html", findings, investigation.closure.campaign.sources)
 
 
 def _history_section(investigation: Investigation, approvals: Sequence[str]) -> Section:

@@ -17,16 +17,17 @@ from typing import Annotated, Any, Literal
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
-from pydantic import ConfigDict, Field, TypeAdapter
+from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
 from gyrobench.bench.foundations.csv_tables import read_text
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
-from gyrobench.bench.foundations.files import make_folder, parse_json, write_whole
+from gyrobench.bench.foundations.files import file_sha256, make_folder, parse_json, write_whole
 from gyrobench.bench.foundations.memory import free_memory
 from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.foundations.text import capitalised, with_micro_sign
 from gyrobench.bench.report.figures.style import draw_watermark, is_up_to_date, save_figure, save_vectors
+from gyrobench.bench.runs.provenance import watermark_of
 
 #: Name of the file with the findings of a page, in the folder of the page; the run report reads it.
 FINDINGS_FILE = "findings.json"
@@ -37,6 +38,8 @@ Mark = Literal["", "bad", "doubtful", "sum"]
 _STRICT_CONFIG = ConfigDict(extra="forbid", arbitrary_types_allowed=True)
 _NOT_IN_FILE = Field(exclude=True)
 _TEMPLATE_FILE = "page.html.j2"
+#: Texts without the empty ones.
+_Texts = Annotated[Sequence[str], AfterValidator(lambda texts: [each for each in texts if each])]
 
 
 @dataclass(frozen=True, config=_STRICT_CONFIG)
@@ -63,21 +66,27 @@ class SectionFigure:
 
 @dataclass(frozen=True, config=_STRICT_CONFIG)
 class Box:
-    """A statement in a box: colour ("finished", "stopped", "failed", "open"), headline, text and notes."""
+    """A statement in a box: colour ("finished", "stopped", "failed", "open"), headline, text and notes.
+
+    Empty notes are left out.
+    """
 
     colour: str
     headline: str
     text: str
-    notes: Sequence[str] = ()
+    notes: _Texts = ()
 
 
 @dataclass(frozen=True, eq=False, config=_STRICT_CONFIG)
 class Section:
-    """One part of a page; its contents appear in the order of the attributes. Paths among items are links."""
+    """One part of a page; its contents appear in the order of the attributes.
+
+    Empty paragraphs are left out. Paths among items are links.
+    """
 
     title: str
     boxes: Annotated[Sequence[Box], _NOT_IN_FILE] = Field(default=(), kw_only=True)
-    paragraphs: Sequence[str] = ()
+    paragraphs: _Texts = ()
     facts: Annotated[Mapping[str, str], _NOT_IN_FILE] = Field(default={}, kw_only=True)
     items: Annotated[Sequence[str | PurePosixPath], _NOT_IN_FILE] = Field(default=(), kw_only=True)
     figures: Sequence[SectionFigure] = ()
@@ -180,12 +189,20 @@ def with_figure_files(
         gc.unfreeze()
 
 
-def write_findings(path: Path, findings: Findings) -> Path:
+def write_findings(
+    path: Path, findings: Findings, sources: Iterable[Path] | None = None, dwells: Path | None = None
+) -> Path:
     """Write the page, with ``figures/`` and ``findings.json`` beside it, into an existing folder.
 
-    Raises RunFolderError if a file can't be written.
+    ``sources``: tables and runs that were analysed, which give the watermark. ``dwells``: the dwell table
+    analysed, if a run report shall include the findings as long as the table is the same. Raises
+    RunFolderError if a file can't be written.
     """
     folder = path.parent
+    if sources is not None:
+        findings = replace(findings, watermark=watermark_of(folder, *sources))
+    if dwells is not None:
+        findings = replace(findings, dwells_sha256=file_sha256(dwells))
     make_folder(folder / "figures")
     sections = with_figure_files(folder / "figures", findings.sections, findings.watermark)
     page = replace(findings, sections=sections).chapter

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -13,7 +12,6 @@ from gyrobench.bench.calibration.coefficients import COEFFICIENTS
 from gyrobench.bench.calibration.mission import HOURS
 from gyrobench.bench.closure.loadable_model import LoadableModel
 from gyrobench.bench.closure.outcome import Closure
-from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import counted, hours_minutes, listed, plain_name, plural
 from gyrobench.bench.report.closure_text import searched_name, verdict_sentence
 from gyrobench.bench.report.figures.verification import (
@@ -41,7 +39,6 @@ from gyrobench.bench.report.verification_text import (
     total_rows,
     with_compensation,
 )
-from gyrobench.bench.runs.provenance import watermark_of
 from gyrobench.bench.verification.compensation_verification import IN_WORDS, VerificationResult
 
 _RESIDUALS_CAPTION = (
@@ -207,15 +204,10 @@ def verification_findings(result: VerificationResult) -> Findings:
 def write_verification_page(folder: Path, result: VerificationResult, dwells: Path | None = None) -> Path:
     """Write figures and page into an existing folder.
 
-    ``dwells`` is the table that the model was fitted to: the run report includes these findings only if the
-    hash of its table is the same. Raises RunFolderError if a file can't be written.
+    ``dwells`` is the table that the model was fitted to. Raises RunFolderError if a file can't be written.
     """
-    findings = replace(
-        verification_findings(result),
-        dwells_sha256=file_sha256(dwells) if dwells else "",
-        watermark=watermark_of(folder, *result.closure.campaign.sources),
-    )
-    return write_findings(folder / "verification.html", findings)
+    findings, sources = verification_findings(result), result.closure.campaign.sources
+    return write_findings(folder / "verification.html", findings, sources, dwells)
 
 
 def _facts(result: VerificationResult) -> dict[str, str]:

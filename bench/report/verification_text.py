@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -249,27 +249,12 @@ def change_sentences(result: VerificationResult) -> list[str]:
     totals = [each.total for each in result.results]
     last = totals[-1]
     dwells = "all dwells" if len(totals) < 2 or result.is_complete else "the dwells compared"
-    changes = [
-        (
-            f"Bias in deg/h, rms over {dwells}, including the constant of the power cycle",
-            [size_text(each.bias_rms_dph) for each in totals if each.bias_rms_dph >= 0.0],
-            size_text(last.bias_noise_dph),
-        ),
-        (
-            "Largest difference between positions in deg/h",
-            [size_text(each.spread_dph) for each in totals if each.spread_dph >= 0.0],
-            size_text(last.spread_noise_dph),
-        ),
-        (
-            "Largest error of the velocity East in mm/s",
-            [f"{1000.0 * each.velocity_east_mps:.1f}" for each in totals if each.velocity_east_mps >= 0.0],
-            f"{1000.0 * last.velocity_noise_mps:.1f}",
-        ),
-        (
-            "Largest position error of a rotational INS in nmi",
-            [f"{each.position_nmi:.2f}" for each in totals if each.position_nmi >= 0.0],
-            f"{last.position_noise_nmi:.2f}",
-        ),
+    bias, _, spread, velocity, position = (each.fields for each in _SIZES)
+    quantities: list[tuple[str, tuple[str, str], Callable[[float], str]]] = [
+        (f"Bias in deg/h, rms over {dwells}, including the constant of the power cycle", bias, size_text),
+        ("Largest difference between positions in deg/h", spread, size_text),
+        ("Largest error of the velocity East in mm/s", velocity, lambda mps: f"{1000.0 * mps:.1f}"),
+        ("Largest position error of a rotational INS in nmi", position, "{:.2f}".format),
     ]
     sentences = [
         new_conditions_sentence(result),
@@ -278,15 +263,11 @@ def change_sentences(result: VerificationResult) -> list[str]:
         *_change_ratio_sentences(result),
         *_model_uncertainty_sentences(result),
     ]
-    for quantity, values, noise in changes:
-        if len(values) == len(totals):
-            value_texts = listed(
-                [
-                    f"{value} {with_compensation(each)}"
-                    for value, each in zip(values, result.results, strict=True)
-                ]
-            )
-            sentences.append(f"{quantity}: {value_texts}; noise {noise}.")
+    for quantity, (size, noise), text in quantities:
+        sizes = [(getattr(each.total, size), with_compensation(each)) for each in result.results]
+        if all(value >= 0.0 for value, _ in sizes):
+            values = [f"{text(value)} {phrase}" for value, phrase in sizes]
+            sentences.append(f"{quantity}: {listed(values)}; noise {text(getattr(last, noise))}.")
     return sentences
 
 

@@ -153,10 +153,7 @@ def compare_coefficients(runs: Sequence[CoefficientRun], site: Site) -> tuple[Co
     in_all = set.intersection(*({row.plateau for row in rows} for rows in tables))
     if not in_all:
         return ()
-    values = [
-        {(f"{row.coefficient}_{row.axis}", row.plateau): row for row in rows if np.isfinite(row.value)}
-        for rows in tables
-    ]
+    values = [{(row.name, row.plateau): row for row in rows if np.isfinite(row.value)} for rows in tables]
     shared = set.intersection(*(set(each) for each in values))
     results = []
     for run, joint_number, rows, run_values in zip(runs, numbers, tables, values, strict=True):
@@ -199,7 +196,7 @@ def _noise_sums(
         plateau: [each for each, row in enumerate(used) if row.plateau == plateau]
         for plateau in {row.plateau for row in used}
     }
-    names = [f"{row.coefficient}_{row.axis}" for row in used]
+    names = [row.name for row in used]
     ratios = np.array([row.value / row.sigma for row in used])
     quadratic = correlation = 0.0
     for plateau, indices in indices_of.items():
@@ -225,7 +222,7 @@ def _missions(
 ) -> Iterator[PlateauMission]:
     per_si = np.array([each.per_si for each in COEFFICIENTS])
     for plateau in dict.fromkeys(row.plateau for row in rows):
-        by_name = {f"{row.coefficient}_{row.axis}": row for row in rows if row.plateau == plateau}
+        by_name = {row.name: row for row in rows if row.plateau == plateau}
         values, sigmas = (
             np.nan_to_num([getattr(by_name[name], field_name) for name in _NAMES]) / per_si
             for field_name in ("value", "sigma")
@@ -267,8 +264,8 @@ def _gyro_c(rows: Iterable[PlateauCoefficientRow]) -> float:
 def _by_name(rows: Iterable[PlateauCoefficientRow]) -> dict[str, list[PlateauCoefficientRow]]:
     by_name: dict[str, list[PlateauCoefficientRow]] = {name: [] for name in _NAMES}
     for row in rows:
-        if (name := f"{row.coefficient}_{row.axis}") in by_name:
-            by_name[name].append(row)
+        if row.name in by_name:
+            by_name[row.name].append(row)
     return by_name
 
 

@@ -6,7 +6,6 @@ import importlib
 import pkgutil
 import re
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 from gyrobench.bench.closure.effects.effect import Effect, checked
@@ -33,13 +32,11 @@ def all_effects(*sources: Path, sensor: str = "gyro") -> tuple[Effect, ...]:
             raise DocumentError(
                 f"the entry point {name!r} in {EFFECTS} {reason}. Report this to the package's author"
             )
-        effects[name] = replace(effect, forms=tuple(checked(form, name) for form in effect.forms))
+        effects[name] = checked(effect)
     for path, effect in read_effects(effect_folders(sources)):
         if effect.name in effects:
             raise DocumentError(f"{path}: another effect is called {effect.name}. Choose another name")
-        effects[effect.name] = replace(
-            effect, forms=tuple(checked(form, effect.name) for form in effect.forms)
-        )
+        effects[effect.name] = checked(effect)
     return tuple(effects[name].seen_by(sensor) for name in sorted(effects) if sensor in effects[name].sensors)
 
 

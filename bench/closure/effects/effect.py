@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -155,24 +156,25 @@ class Effect:
         return missing[0] if missing and all(missing) else None
 
 
-def checked(form: Form, effect: str) -> Form:
-    """The form of an external effect, with its columns checked whenever they are computed.
+def checked(effect: Effect) -> Effect:
+    """An external effect, with the columns of its forms checked whenever they are computed.
 
     The columns raise a MeasurementError if they have a wrong shape or are not finite.
     """
 
-    def columns(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
+    def columns(form: Form, campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
         shape = (len(campaign), 3, len(form.terms))
         terms = np.asarray(form.columns(campaign, values), dtype=np.float64)
         if terms.shape != shape or not np.isfinite(terms).all():
             fault = "values that are not finite" if terms.shape == shape else f"shape {terms.shape}"
             raise MeasurementError(
-                f"the terms of the effect {effect!r} have {fault}; required: finite values of shape {shape}. "
-                "Report this to the package's author"
+                f"the terms of the effect {effect.name!r} have {fault}; required: finite values of shape "
+                f"{shape}. Report this to the package's author"
             )
         return terms
 
-    return replace(form, columns=columns)
+    forms = (replace(form, columns=partial(columns, form)) for form in effect.forms)
+    return replace(effect, forms=tuple(forms))
 
 
 def fixed(*values: float) -> Callable[[Campaign], FloatArray]:

@@ -42,6 +42,11 @@ class PlateauCoefficientRow:
     gyro_rate_c_per_h: float
     note: str = ""  #: Effect estimated at the plateau in addition to the coefficients, which remain valid.
 
+    @property
+    def name(self) -> str:
+        """Name with the axis: ``gyro_bias_x``."""
+        return f"{self.coefficient}_{self.axis}"
+
 
 _COLUMNS = [each.name for each in fields(PlateauCoefficientRow)]
 #: Contributions to uncertainty that are one error at all plateaus.
