@@ -15,15 +15,31 @@ from gyrobench.bench.runs.locks import RunLock
 from tests.bench.command_line import gyrobench, output_of, refusal_of
 
 
+def begun(path, **ending):
+    """A run in which nothing was measured; without an ending it is unfinished."""
+    folder = RunFolder(path)
+    folder.path.mkdir(exist_ok=True)
+    with Journal(folder.journal, VirtualClock()) as journal:
+        journal.record("run_started", procedure="six_position_fig7", station="emulated")
+        if ending:
+            journal.record("run_ended", **ending, safe_state=[])
+    return folder
+
+
 @pytest.fixture
 def run(tmp_path):
     """A run that ended before anything was measured."""
-    folder = RunFolder(tmp_path / "run")
-    folder.path.mkdir()
-    with Journal(folder.journal, VirtualClock()) as journal:
-        journal.record("run_started", procedure="six_position_fig7", station="emulated")
-        journal.record("run_ended", ended="stopped", reason="by an order", safe_state=[])
+    folder = begun(tmp_path / "run", ended="stopped", reason="by an order")
     write_acceptance(folder.acceptance, Acceptance())
+    return folder
+
+
+@pytest.fixture
+def unit(run):
+    """The folder of a unit of that run."""
+    folder = RunFolder(run.path / "units" / "7")
+    folder.path.mkdir(parents=True)
+    shutil.copy(run.journal, folder.journal)
     return folder
 
 
@@ -36,21 +52,13 @@ def test_the_report_is_written_again_with_the_name_and_the_verdict(run, tmp_path
 
 @pytest.mark.parametrize("ended", ["finished", "stopped", ""])
 def test_a_run_that_has_not_finished_is_stated_with_how_to_resume_it(ended, tmp_path):
-    folder = RunFolder(tmp_path / "run")
-    folder.path.mkdir()
-    with Journal(folder.journal, VirtualClock()) as journal:
-        journal.record("run_started", procedure="six_position_fig7", station="emulated")
-        if ended:
-            journal.record("run_ended", ended=ended, reason="", safe_state=[])
+    folder = begun(tmp_path / "run", **({"ended": ended, "reason": ""} if ended else {}))
     text = gyrobench("report", folder.path, cwd=tmp_path).stdout
     assert (f"Resume it with: gyrobench resume {folder.path}" in text) == (ended != "finished")
 
 
 def test_of_a_run_in_progress_the_report_says_so_and_its_tables_are_not_written_again(tmp_path):
-    folder = RunFolder(tmp_path / "run")
-    folder.path.mkdir()
-    with Journal(folder.journal, VirtualClock()) as journal:
-        journal.record("run_started", procedure="six_position_fig7", station="emulated")
+    folder = begun(tmp_path / "run")
     with RunLock(folder.path, VirtualClock(), command="gyrobench run six_position_fig7"):
         text = gyrobench("report", folder.path, cwd=tmp_path).stdout
         bins = gyrobench("bins", folder.path, cwd=tmp_path)
@@ -61,10 +69,7 @@ def test_of_a_run_in_progress_the_report_says_so_and_its_tables_are_not_written_
     assert not folder.dwells.exists()
 
 
-def test_the_report_of_a_unit_of_an_unfinished_run_states_how_to_resume_the_whole_run(run, tmp_path):
-    unit = RunFolder(run.path / "units" / "7")
-    unit.path.mkdir(parents=True)
-    shutil.copy(run.journal, unit.journal)
+def test_the_report_of_a_unit_of_an_unfinished_run_states_how_to_resume_the_whole_run(run, unit, tmp_path):
     text = gyrobench("report", unit.path, cwd=tmp_path).stdout
     assert f"{unit.path}: the run has not finished. Resume it with: gyrobench resume {run.path}\n" in text
 
@@ -130,10 +135,8 @@ def test_a_pdf_in_the_run_folder_is_sealed(run, tmp_path):
     assert "Not sealed" not in output_of("seal", "--verify", run.path, cwd=tmp_path)
 
 
+@pytest.mark.usefixtures("unit")
 def test_a_run_of_several_units_has_a_pdf_too(run, tmp_path):
-    unit = RunFolder(run.path / "units" / "7")
-    unit.path.mkdir(parents=True)
-    shutil.copy(run.journal, unit.journal)
     output_of("report", run.path, "--pdf", cwd=tmp_path)
     assert (run.path / "report.pdf").read_bytes().startswith(b"%PDF-")
 
@@ -144,9 +147,7 @@ def test_a_run_before_a_change_is_set_beside_it(run, tmp_path):
     problem = refusal_of("report", run.path, "--before", earlier.path, cwd=tmp_path)
     assert f"{earlier.path}: is the same run, or a copy of it" in problem
     earlier.journal.unlink()
-    with Journal(earlier.journal, VirtualClock()) as journal:
-        journal.record("run_started", procedure="six_position_fig7", station="emulated")
-        journal.record("run_ended", ended="stopped", reason="by the operator", safe_state=[])
+    begun(earlier.path, ended="stopped", reason="by the operator")
     printed = output_of("report", run.path, "--before", earlier.path, cwd=tmp_path)
     assert "Before and after" in run.report.read_text()
     assert f"Before and after\nBefore: run {earlier.path.name}. After: this run." in printed
@@ -169,11 +170,9 @@ def test_a_run_with_a_damaged_file_is_reported_with_exit_code_1_and_not_judged(r
     ]
 
 
+@pytest.mark.usefixtures("unit")
 @pytest.mark.parametrize("options", [("--before", "run"), ("--mark-temperature", "20"), ("--out", "page")])
 def test_what_is_of_one_unit_is_refused_for_a_run_of_several(options, run, tmp_path):
-    unit = RunFolder(run.path / "units" / "7")
-    unit.path.mkdir(parents=True)
-    shutil.copy(run.journal, unit.journal)
     problem = refusal_of("report", "run", *options, cwd=tmp_path)
     assert "Give the folder of one of them: run/units/7" in problem
     assert not run.report.exists()

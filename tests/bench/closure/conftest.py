@@ -51,3 +51,9 @@ def problem():
         return declared_problem(campaign, campaign.cycle != campaign.cycle.max())
 
     return of
+
+
+def among(*candidates, name="candidates"):
+    """Parameter of a test: it searches for some effects, and as a long test for all."""
+    long = pytest.param(None, id="all", marks=pytest.mark.long)
+    return pytest.mark.parametrize(name, [pytest.param(candidates, id="some"), long])

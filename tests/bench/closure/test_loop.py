@@ -22,17 +22,11 @@ from gyrobench.bench.closure.problem import declared_columns, declared_problem
 from gyrobench.bench.closure.search import Search
 from gyrobench.bench.closure.validation import LACK_OF_FIT_P
 from gyrobench.bench.foundations.errors import MeasurementError
+from tests.bench.closure.conftest import among
 from tests.bench.closure.thermal_bench import SHARES, SIGMA_DPH, UP, measure
 
 LONG = pytest.mark.long
 TRIANGLE = ((-20.0, 0.2, 0.0), (60.0, 0.2, 0.0), (20.0, 0.2, 0.0))
-
-
-def among(*candidates):
-    """The quick test searches for some effects, the long one for all."""
-    return pytest.mark.parametrize(
-        "candidates", [pytest.param(candidates, id="some"), pytest.param(None, id="all", marks=LONG)]
-    )
 
 
 def residual_of_direct_fit(campaign, searched, terms=None):
@@ -117,13 +111,7 @@ def test_an_effect_is_explained_with_its_size(closed):
     assert closure.before.p_value < LACK_OF_FIT_P < closure.after.p_value
 
 
-@pytest.mark.parametrize(
-    "candidates",
-    [
-        pytest.param([TEMPERATURE_RATE, THERMAL_HYSTERESIS, TIME_DRIFT], id="some"),
-        pytest.param(None, id="all", marks=LONG),
-    ],
-)
+@among(TEMPERATURE_RATE, THERMAL_HYSTERESIS, TIME_DRIFT)
 def test_a_form_that_the_data_do_not_exclude_is_stated_with_its_probability(candidates):
     weak, strong = (
         close_loop(
@@ -485,16 +473,7 @@ def test_an_effect_that_an_untried_one_imitates_is_ambiguous(candidates):
     assert "thermal_gradient" in found.tied_with
 
 
-@pytest.mark.parametrize(
-    "candidates",
-    [
-        pytest.param(
-            [TEMPERATURE_RATE, THERMAL_HYSTERESIS, THERMAL_LAG, TIME_DRIFT, WARM_UP],
-            id="what follows temperature or time",
-        ),
-        pytest.param(None, id="all", marks=LONG),
-    ],
-)
+@among(TEMPERATURE_RATE, THERMAL_HYSTERESIS, THERMAL_LAG, TIME_DRIFT, WARM_UP)
 def test_a_constant_gyro_temperature_without_other_temperatures_is_searched(candidates):
     rows = [
         replace(row, gyro_c=(25.0, 25.0, 25.0), gyro_rate_c_per_h=(0.0, 0.0, 0.0))

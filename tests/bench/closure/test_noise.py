@@ -18,6 +18,7 @@ from gyrobench.bench.closure.effects.surroundings import SUPPLY_POWER
 from gyrobench.bench.closure.loop import close_loop, without_search
 from gyrobench.bench.closure.noise import OUTLIER_SIGMA, estimate_campaign_noise, outweighing_dwell
 from gyrobench.bench.report.closure_text import held_out_error_sentence
+from tests.bench.closure.conftest import among
 from tests.bench.closure.thermal_bench import measure
 from tests.benchmarks.closure_units import make_unit
 
@@ -112,13 +113,7 @@ def test_a_dwell_that_is_thousands_of_sigmas_off_is_the_only_outlier_and_counts_
 
 
 @pytest.mark.parametrize("dwell", [5, 20])
-@pytest.mark.parametrize(
-    "candidates",
-    [
-        pytest.param([TEMPERATURE_RATE, THERMAL_LAG, TIME_DRIFT, BIAS_JUMP], id="some"),
-        pytest.param(None, id="all", marks=pytest.mark.long),
-    ],
-)
+@among(TEMPERATURE_RATE, THERMAL_LAG, TIME_DRIFT, BIAS_JUMP)
 def test_an_effect_is_found_beside_a_dwell_that_is_thousands_of_sigmas_off(dwell, candidates):
     rows = measure({"temperature_rate": 3.0}, seed=1).rows
     without = close_loop(campaign_of(rows), effects=candidates)
@@ -129,13 +124,7 @@ def test_an_effect_is_found_beside_a_dwell_that_is_thousands_of_sigmas_off(dwell
     assert closure.error_after_dph == pytest.approx(without.error_after_dph, rel=0.05)
 
 
-@pytest.mark.parametrize(
-    "candidates",
-    [
-        pytest.param([TEMPERATURE_RATE, TIME_DRIFT, BIAS_JUMP, SUPPLY_POWER], id="some"),
-        pytest.param(None, id="all", marks=pytest.mark.long),
-    ],
-)
+@among(TEMPERATURE_RATE, TIME_DRIFT, BIAS_JUMP, SUPPLY_POWER)
 def test_an_effect_that_explains_a_dwell_far_off_is_found_with_it(candidates):
     random = np.random.default_rng(0)
     rows = measure(seed=1).rows
@@ -176,13 +165,7 @@ def test_no_dwell_of_a_unit_with_a_large_effect_outweighs_all_others():
     assert outweighing_dwell(campaign, np.ones(len(campaign), dtype=bool)).outliers == ()
 
 
-@pytest.mark.parametrize(
-    "candidates",
-    [
-        pytest.param([TIME_DRIFT, AGEING, WARM_UP, BIAS_JUMP], id="what follows the time"),
-        pytest.param(None, id="all", marks=pytest.mark.long),
-    ],
-)
+@among(TIME_DRIFT, AGEING, WARM_UP, BIAS_JUMP)
 def test_a_bias_that_no_effect_explains_stays_unexplained_beside_a_dwell_that_is_thousands_of_sigmas_off(
     candidates,
 ):
@@ -212,13 +195,7 @@ def test_where_too_many_biases_are_off_none_is_an_outlier(share):
 
 
 @pytest.mark.parametrize("options", [{}, {"power_on_each_cycle": True}], ids=["one run", "a run each cycle"])
-@pytest.mark.parametrize(
-    "candidates",
-    [
-        pytest.param([TEMPERATURE_RATE, THERMAL_LAG, TIME_DRIFT], id="some"),
-        pytest.param(None, id="all", marks=pytest.mark.long),
-    ],
-)
+@among(TEMPERATURE_RATE, THERMAL_LAG, TIME_DRIFT)
 def test_a_held_out_dwell_that_is_far_off_is_named(options, candidates):
     rows = measure({"temperature_rate": 3.0}, seed=1, **options).rows
     last = max(row.cycle for row in rows)

@@ -18,6 +18,7 @@ from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.report.closure_page import closure_sections, write_closure_page
 from gyrobench.bench.report.closure_text import verdict_sentence
 from gyrobench.drivers.ins.compensation import Correction
+from tests.bench.closure.conftest import among
 from tests.bench.closure.thermal_bench import UP, measure
 
 
@@ -81,13 +82,7 @@ def test_its_files_and_sentences_name_the_coefficient_and_its_unit(scale_factor)
     assert header[-1] == "sigma_z_after_ppm"
 
 
-@pytest.mark.parametrize(
-    "candidates",
-    [
-        pytest.param((G_SENSITIVITY, TEMPERATURE_RATE, TIME_DRIFT), id="some"),
-        pytest.param(None, id="all", marks=pytest.mark.long),
-    ],
-)
+@among(G_SENSITIVITY, TEMPERATURE_RATE, TIME_DRIFT)
 def test_accelerometer_biases_of_dwells_leave_the_vertical_ones_out(tmp_path, candidates):
     rows = measure({"temperature_rate": 8.0}, cycles=2, sigma_dph=10.0).rows
     vertical = [POSITIONS[row.position].up_axis for row in rows]

@@ -16,7 +16,7 @@ from gyrobench.bench.closure.effects.laws import (
 from gyrobench.bench.closure.posterior import TIE_ODDS
 from gyrobench.bench.closure.problem import declared_problem
 from gyrobench.bench.closure.search import EFFECT_SIGNIFICANCE, MAY_CORRECT_LAWS, Search
-from tests.bench.closure.conftest import EQUIPPED
+from tests.bench.closure.conftest import EQUIPPED, among
 from tests.bench.closure.thermal_bench import SIGMA_DPH
 
 CLEAN_SEEDS = range(8)
@@ -95,14 +95,7 @@ def test_an_effect_that_no_candidate_has_is_not_made_up_from_them(search, outsid
     assert len(best.candidates) <= 1
 
 
-def some_or_all(*names):
-    """The quick test searches for some effects, the long one for all."""
-    return pytest.mark.parametrize(
-        "among", [pytest.param(names, id="some"), pytest.param(None, id="all", marks=pytest.mark.long)]
-    )
-
-
-OF_TWO = some_or_all("g_sensitivity", "bias_jump", "thermal_lag", "time_drift")
+OF_TWO = among("g_sensitivity", "bias_jump", "thermal_lag", "time_drift", name="among")
 
 
 @OF_TWO
@@ -112,7 +105,7 @@ def test_two_effects_are_found_together(search, among):
     assert max(one.p_value(best, 0), one.p_value(best, 1)) < 1e-9
 
 
-OVER_TIME = some_or_all("warm_up", "time_drift", "ageing", "thermal_lag")
+OVER_TIME = among("warm_up", "time_drift", "ageing", "thermal_lag", name="among")
 
 
 @OVER_TIME
@@ -122,7 +115,7 @@ def test_warm_up_and_drift_are_distinguished_over_several_cycles(search, among):
 
 
 THREE = {"g_sensitivity": 4.0, "bias_jump": 4.0, "thermal_hysteresis": 4.0}
-AMONG = some_or_all(*THREE, "attitude_thermal")
+AMONG = among(*THREE, "attitude_thermal", name="among")
 
 
 @AMONG
