@@ -95,6 +95,11 @@ class Campaign:
         return len(self.dwell)
 
     @property
+    def all_dwells(self) -> BoolArray:
+        """Mask of all dwells."""
+        return np.ones(len(self), dtype=bool)
+
+    @property
     def whole(self) -> Campaign:
         """The campaign including the dwells without a result; their biases may be NaN."""
         return self if self.part_of is None else self.part_of[0]
@@ -166,7 +171,7 @@ class Campaign:
 
     def with_uncertainties(self, sigma_dph: FloatArray) -> Campaign:
         """The campaign with other standard uncertainties (n, 3); shares the cache of this one."""
-        part_of = self.part_of or (self, np.ones(len(self), dtype=bool))
+        part_of = self.part_of or (self, self.all_dwells)
         changed = replace(self, sigma_dph=sigma_dph, part_of=part_of)
         vars(changed)["_computed"] = self._computed
         return changed

@@ -377,9 +377,7 @@ def _concatenate(parts: Sequence[Campaign], tables: Sequence[Table]) -> Campaign
         ),
         tables=tuple(tables),
     )
-    is_good = np.concatenate(
-        [np.ones(len(each), dtype=bool) if each.part_of is None else each.part_of[1] for each in parts]
-    )
+    is_good = np.concatenate([each.all_dwells if each.part_of is None else each.part_of[1] for each in parts])
     return joined if is_good.all() else joined.part(is_good)
 
 

@@ -260,7 +260,7 @@ def separability(
     All dwells of the campaign are searched; its biases are not used. ``found``: effects of a closure, which
     are assumed with their fitted parameters and sizes; others are assumed with any size.
     """
-    problem = declared_problem(campaign, np.ones(len(campaign), dtype=bool))
+    problem = declared_problem(campaign, campaign.all_dwells)
     effects = [effect.bounded(campaign) for effect in effects]
     assumed = {effect.name: assumed_effects(problem, effect) for effect in effects}
     expected_dph = {}

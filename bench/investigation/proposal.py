@@ -385,7 +385,7 @@ def _predictable(
     missing = [each for each in candidates if each.form.missing_input(campaign)]
     if not missing:
         return candidates, 0.0
-    problem = declared_problem(measured_campaign, np.ones(len(measured_campaign), dtype=bool))
+    problem = declared_problem(measured_campaign, measured_campaign.all_dwells)
     solution = solve_with(
         problem, [each for each in missing if not each.form.missing_input(measured_campaign)]
     )

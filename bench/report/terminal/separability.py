@@ -155,7 +155,7 @@ def _assumptions_text(separability: Separability, dwells: int, unit: UnitPropert
             f"There is one cycle of {counted(dwells, 'dwell')}. A search needs two, one of them held out; "
             "this table is for all dwells."
         )
-    if text := reason_too_few_dwells(campaign, np.ones(len(campaign), dtype=bool)):
+    if text := reason_too_few_dwells(campaign, campaign.all_dwells):
         searched_text += f" Too few for gyrobench close: {text}."
     return (
         f"{searched_text} Standard uncertainty of a bias: {sigma_text}, from {noise_text}, "

@@ -14,7 +14,7 @@ from tests.bench.closure.plans import shipped
 def problem():
     _, plan = shipped("three_temperature_shift")
     campaign = planned_campaign(plan, UnitProperties())
-    return declared_problem(campaign, np.ones(len(campaign), dtype=bool))
+    return declared_problem(campaign, campaign.all_dwells)
 
 
 def decaying(campaign, values):

@@ -14,7 +14,7 @@ DRIFT = "attitude cannot be distinguished from drift"
 
 def named(searched=None, **options):
     campaign = campaign_of(measure(**options).rows)
-    return confounding(campaign, np.ones(len(campaign), dtype=bool) if searched is None else searched)
+    return confounding(campaign, campaign.all_dwells if searched is None else searched)
 
 
 def test_of_mixed_attitudes_in_several_power_cycles_only_the_heading_is_confounded():
@@ -22,7 +22,7 @@ def test_of_mixed_attitudes_in_several_power_cycles_only_the_heading_is_confound
     assert heading.startswith("All dwells have one heading")
     rows = measure(power_on_each_cycle=True, dwell_s=1680.0).rows
     turned = campaign_of([replace(row, azimuth_deg=90.0 * (row.dwell % 4)) for row in rows])
-    assert confounding(turned, np.ones(len(turned), dtype=bool)) == ()
+    assert confounding(turned, turned.all_dwells) == ()
 
 
 @pytest.mark.parametrize(

@@ -48,7 +48,7 @@ def test_clean_units_with_noise_larger_than_stated_or_outliers_are_called_clean(
 @pytest.mark.parametrize("scale", [1.2, 1.4, 1.6])
 def test_the_scale_is_that_of_the_noise(scale):
     campaign = campaign_of(measure(noise=scale).rows)
-    noise = estimate_campaign_noise(campaign, np.ones(len(campaign), dtype=bool))
+    noise = estimate_campaign_noise(campaign, campaign.all_dwells)
     assert noise.scale == pytest.approx(scale, rel=0.08)
     assert noise.outliers == ()
     assert np.all(noise.factors == 1.0)
@@ -57,13 +57,13 @@ def test_the_scale_is_that_of_the_noise(scale):
 @pytest.mark.parametrize("effect", ["g_sensitivity", "time_drift", "sinusoid"])
 def test_an_effect_is_no_noise(effect):
     campaign = campaign_of(measure({effect: 1.5}).rows)
-    noise = estimate_campaign_noise(campaign, np.ones(len(campaign), dtype=bool))
+    noise = estimate_campaign_noise(campaign, campaign.all_dwells)
     assert noise.scale == 1.0
     assert noise.outliers == ()
 
 
 def test_noise_as_stated_has_no_scale_and_no_outliers():
-    noises = [estimate_campaign_noise(c, np.ones(len(c), dtype=bool))
+    noises = [estimate_campaign_noise(c, c.all_dwells)
               for c in (campaign_of(measure(seed=seed).rows) for seed in range(20))]  # fmt: skip
     assert sum(each.scale > 1.0 for each in noises) <= 2
     assert all(each.outliers == () for each in noises)
@@ -72,13 +72,13 @@ def test_noise_as_stated_has_no_scale_and_no_outliers():
 def test_an_outlier_is_off_by_more_than_five_standard_deviations_and_counts_as_one():
     rows, truth = make_unit(13, noise="outliers")
     campaign = campaign_of(rows)
-    noise = estimate_campaign_noise(campaign, np.ones(len(campaign), dtype=bool))
+    noise = estimate_campaign_noise(campaign, campaign.all_dwells)
     assert {each.dwell for each in noise.outliers} <= set(truth.outliers)
     off = [abs(each.residual_sigma) for each in noise.outliers]
     assert off == sorted(off, reverse=True)
     assert min(off) > OUTLIER_SIGMA
     np.testing.assert_allclose(sorted(noise.factors[noise.factors > 1.0]), sorted(off))
-    residuals = noise.problem(campaign, np.ones(len(campaign), dtype=bool)).residuals
+    residuals = noise.problem(campaign, campaign.all_dwells).residuals
     assert np.abs(residuals[noise.factors > 1.0]).max() < 1.3
 
 
@@ -86,7 +86,7 @@ def test_an_outlier_is_off_by_more_than_five_standard_deviations_and_counts_as_o
 def test_a_fit_that_leaves_no_degrees_of_freedom_shows_no_noise(seed):
     """Twelve dwells, of which the declared model and the smooth functions fit all values."""
     campaign = campaign_of(measure(cycles=1, noise=2.0, seed=seed).rows[::3][:12])
-    searched = np.ones(len(campaign), dtype=bool)
+    searched = campaign.all_dwells
     noise = estimate_campaign_noise(campaign, searched, smooth=True)
     assert (noise.scale, noise.outliers) == (1.0, ())
 
@@ -105,7 +105,7 @@ def with_bias_times_1000(rows, dwell, gyros):
 @pytest.mark.parametrize("dwell", [5, 20])
 def test_a_dwell_that_is_thousands_of_sigmas_off_is_the_only_outlier_and_counts_as_one(dwell, gyros):
     campaign = campaign_of(with_bias_times_1000(measure(seed=1).rows, dwell, gyros))
-    searched = np.ones(len(campaign), dtype=bool)
+    searched = campaign.all_dwells
     noise = estimate_campaign_noise(campaign, searched)
     assert {(each.dwell, each.gyro) for each in noise.outliers} == {(dwell, gyro) for gyro in gyros}
     residuals = noise.problem(campaign, searched).residuals
@@ -156,13 +156,13 @@ def test_of_two_dwells_far_off_the_one_that_chi2_rests_on_most_is_the_outlier_wi
 
     rows[6], rows[10] = off(rows[6], "x", 1000.0), off(rows[10], "y", 900.0)
     campaign = campaign_of(rows)
-    (outlier,) = outweighing_dwell(campaign, np.ones(len(campaign), dtype=bool)).outliers
+    (outlier,) = outweighing_dwell(campaign, campaign.all_dwells).outliers
     assert (outlier.dwell, outlier.gyro) == (rows[6].dwell, "x")
 
 
 def test_no_dwell_of_a_unit_with_a_large_effect_outweighs_all_others():
     campaign = campaign_of(measure({"attitude_thermal": 100.0}, seed=1).rows)
-    assert outweighing_dwell(campaign, np.ones(len(campaign), dtype=bool)).outliers == ()
+    assert outweighing_dwell(campaign, campaign.all_dwells).outliers == ()
 
 
 @among(TIME_DRIFT, AGEING, WARM_UP, BIAS_JUMP)
@@ -191,7 +191,7 @@ def test_where_too_many_biases_are_off_none_is_an_outlier(share):
         for index, row in enumerate(rows)
     ]
     campaign = campaign_of(rows)
-    assert estimate_campaign_noise(campaign, np.ones(len(campaign), dtype=bool)).outliers == ()
+    assert estimate_campaign_noise(campaign, campaign.all_dwells).outliers == ()
 
 
 @pytest.mark.parametrize("options", [{}, {"power_on_each_cycle": True}], ids=["one run", "a run each cycle"])
@@ -236,7 +236,7 @@ def test_the_stated_noise_is_that_of_dwells_without_outliers():
 def test_rows_get_the_standard_deviations_of_the_search():
     rows, _ = make_unit(13, noise="outliers")
     campaign = campaign_of(rows)
-    noise = estimate_campaign_noise(campaign, np.ones(len(campaign), dtype=bool))
+    noise = estimate_campaign_noise(campaign, campaign.all_dwells)
     assert noise.outliers
     weighted = campaign_of(noise.weighted(rows))
     np.testing.assert_allclose(weighted.sigma_dph, campaign.sigma_dph * noise.factors)

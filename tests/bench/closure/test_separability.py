@@ -50,7 +50,7 @@ def searched(campaign, name, size_dph, seed, beside=()):
     signs = rng.choice([-1.0, 1.0], (3, parts.shape[2]))
     bias_dph = size_dph * np.einsum("ngk,gk->ng", parts, signs)
     bias_dph += rng.normal(size=bias_dph.shape) * campaign.sigma_dph
-    problem = declared_problem(replace(campaign, bias_dph=bias_dph), np.ones(len(campaign), dtype=bool))
+    problem = declared_problem(replace(campaign, bias_dph=bias_dph), campaign.all_dwells)
     return Search(problem, [EFFECTS[each] for each in (name, *beside)])
 
 

@@ -27,7 +27,7 @@ def fitted(campaign, effect, values, sizes_dph, random):
     true = Candidate(effect, form, values, np.ones((3, len(form.terms)), dtype=bool))
     bias_dph = campaign.bias_dph + np.einsum("ngk,gk->ng", true.columns(campaign), sizes_dph)
     noisy = replace(campaign, bias_dph=bias_dph + SIGMA_DPH * random.standard_normal(bias_dph.shape))
-    problem = declared_problem(noisy, np.ones(len(noisy), dtype=bool))
+    problem = declared_problem(noisy, noisy.all_dwells)
     [candidate] = refine(problem, [best_start(problem, effect, form)])
     return bias_dph, candidate, solve_with(problem, [candidate]), draw(problem, [candidate])
 

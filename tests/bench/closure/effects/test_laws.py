@@ -230,7 +230,7 @@ def test_many_widths_begin_with_the_narrowest_and_end_as_one_width_does(clean):
 
 def test_an_ins_subtracts_many_widths_as_the_closest_single_one(clean):
     sizes_dph = np.array([[0.002], [-0.001], [0.0005]])
-    searched = np.ones(len(clean), dtype=bool)
+    searched = clean.all_dwells
     terms = THERMAL_HYSTERESIS.compensation(
         FittedForm(clean, searched, MANY_WIDTHS, (HALF_WIDTH_C,), sizes_dph)
     )
