@@ -54,15 +54,15 @@ def _code_of(program):
     return 0
 
 
-def output_of(*arguments, cwd):
-    """What a command prints that succeeds."""
+def output_of(*arguments, cwd, code=0):
+    """What a command prints that ends with the exit code ``code``."""
     done = gyrobench(*arguments, cwd=cwd)
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == code, done.stderr
     return done.stdout
 
 
-def refusal_of(*arguments, cwd):
-    """What a command answers that refuses its input."""
+def refusal_of(*arguments, cwd, code=EXIT_WRONG_INPUT):
+    """What a command answers that refuses its input, or ends with another exit code ``code``."""
     done = gyrobench(*arguments, cwd=cwd)
-    assert done.returncode == EXIT_WRONG_INPUT, done.stdout
+    assert done.returncode == code, done.stdout
     return done.stderr

@@ -20,7 +20,6 @@ from gyrobench.bench.certificate.content import ModelNumber, Order, certificate_
 from gyrobench.bench.certificate.dcc import certificate_dcc, validate_dcc
 from gyrobench.bench.certificate.issue import file_names, issue_certificate
 from gyrobench.bench.certificate.signatures import load_signing_key, sign_dcc, sign_pdf, verify_file
-from gyrobench.bench.cli.output import EXIT_WRONG_INPUT
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
 from gyrobench.bench.foundations.operator_name import OPERATOR_VARIABLE
@@ -34,7 +33,7 @@ from gyrobench.bench.runs.tables.budget_table import (
 )
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, write_coefficients
 from tests.bench.certificate.conftest import LABEL, PIN, new_signing_key
-from tests.bench.command_line import gyrobench
+from tests.bench.command_line import gyrobench, output_of, refusal_of
 from tests.bench.report.made_up_closure import explained
 
 etree = pytest.importorskip("lxml.etree")
@@ -403,9 +402,8 @@ def test_the_command_writes_seals_and_verifies(certified, signed_pdf, tmp_path):
     last = verify_seals(run.path).seals[-1]
     assert last.operator == "B. Jones"
     assert last.changes.added == [f"certificate/certificate_SIMULATED.{kind}" for kind in ("pdf", "xml")]
-    good = gyrobench("certificate", "--verify", signed_pdf, cwd=tmp_path)
-    assert good.returncode == 0, good.stderr
-    assert "Unchanged since it was signed by CN=Example Laboratory" in good.stdout
+    output = output_of("certificate", "--verify", signed_pdf, cwd=tmp_path)
+    assert "Unchanged since it was signed by CN=Example Laboratory" in output
     signed_pdf.write_bytes(signed_pdf.read_bytes().replace(b"/Title", b"/Titlf", 1))
     changed = gyrobench("certificate", "--verify", signed_pdf, cwd=tmp_path)
     assert changed.returncode == 1
@@ -418,10 +416,9 @@ def test_a_certificate_of_an_unfinished_run_is_written_with_a_warning(measured_r
     shutil.rmtree(measured_run.path / "seals")
     seal_run(measured_run)
     options = ("--format", "dcc", "--authorised-by", "B. Jones")
-    done = gyrobench("certificate", measured_run.path, *options, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "the run has not finished" in done.stdout
-    assert "Written  " in done.stdout
+    printed = output_of("certificate", measured_run.path, *options, cwd=tmp_path)
+    assert "the run has not finished" in printed
+    assert "Written  " in printed
 
 
 def test_a_certificate_states_until_when_the_biases_stay_within_an_agreed_limit(emulated_run, tmp_path):
@@ -433,14 +430,12 @@ def test_a_certificate_states_until_when_the_biases_stay_within_an_agreed_limit(
         (run / "provenance.json").write_text(json.dumps(provenance))
         seal_run(RunFolder(run))
     options = ("--simulated", "--format", "dcc", "--limit-dph")
-    done = gyrobench("certificate", "run-7", *options, "2.0", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    output_of("certificate", "run-7", *options, "2.0", cwd=tmp_path)
     [written] = (tmp_path / "run-7" / "certificate").iterdir()
     assert any(
         "stay within 2 deg/h with 95 %" in text for text in texts(written.read_bytes(), ".//dcc:content")
     )
     shutil.rmtree(tmp_path / "run-1")
     shutil.rmtree(tmp_path / "run-4")
-    refused = gyrobench("certificate", "run-7", *options, "2.0", cwd=tmp_path)
-    assert refused.returncode == EXIT_WRONG_INPUT
-    assert "too few runs of unit" in refused.stderr
+    problem = refusal_of("certificate", "run-7", *options, "2.0", cwd=tmp_path)
+    assert "too few runs of unit" in problem

@@ -252,10 +252,9 @@ def test_a_wrong_procedure_lists_its_mistakes_and_nothing_is_made(tmp_path):
     ],
 )
 def test_a_wrong_word_gets_a_message_and_an_exit_code(tmp_path, arguments, code, message):
-    result = gyrobench(*arguments, cwd=tmp_path)
-    assert result.returncode == code
-    assert message in result.stderr
-    assert "Traceback" not in result.stderr
+    problem = refusal_of(*arguments, cwd=tmp_path, code=code)
+    assert message in problem
+    assert "Traceback" not in problem
 
 
 def test_a_station_that_is_not_filled_in_is_not_run(tmp_path):
@@ -271,9 +270,10 @@ def test_an_instrument_that_can_not_be_reached_has_its_own_exit_code(tmp_path, p
         "clock: virtual", "clock: wall"
     )
     (tmp_path / "station.yaml").write_text(text)
-    result = gyrobench("run", "ten_minute_check", "--station", "station.yaml", cwd=tmp_path)
-    assert result.returncode == EXIT_INSTRUMENT
-    assert "rate table: can't open /dev/does-not-exist" in result.stderr
+    problem = refusal_of(
+        "run", "ten_minute_check", "--station", "station.yaml", cwd=tmp_path, code=EXIT_INSTRUMENT
+    )
+    assert "rate table: can't open /dev/does-not-exist" in problem
     assert not (tmp_path / "runs").exists()
 
 

@@ -80,10 +80,9 @@ def test_noise_whose_square_overflows_is_refused(value, tmp_path):
     text = re.sub(r"(angle_random_walk_deg_per_sqrt_h: )\S+", rf"\g<1>{value}", text)
     (tmp_path / "noisy.yaml").write_text(text)
     [line] = [number for number, each in enumerate(text.splitlines(), 1) if "angle_random_walk" in each]
-    answer = gyrobench("validate", "noisy.yaml", cwd=tmp_path)
-    assert answer.returncode == 2
-    assert value.replace(".0", "") in answer.stdout
-    assert f"noisy.yaml:{line}:" in answer.stdout
+    printed = output_of("validate", "noisy.yaml", cwd=tmp_path, code=2)
+    assert value.replace(".0", "") in printed
+    assert f"noisy.yaml:{line}:" in printed
 
 
 @pytest.mark.parametrize(
@@ -139,10 +138,9 @@ def test_close_on_a_run_without_dwells_says_why(tmp_path):
 def test_a_port_that_can_not_be_opened_is_named_once(port, tmp_path):
     text = find_document("stations", "emulated").read_text().replace("clock: virtual", "clock: wall")
     (tmp_path / "real.yaml").write_text(text.replace("emulator://table", port))
-    answer = gyrobench("run", "ten_minute_check", "--station", "real.yaml", cwd=tmp_path)
-    assert answer.returncode == 3
-    assert answer.stderr.count(port) == 1
-    assert "rate table: can't open" in answer.stderr
+    problem = refusal_of("run", "ten_minute_check", "--station", "real.yaml", cwd=tmp_path, code=3)
+    assert problem.count(port) == 1
+    assert "rate table: can't open" in problem
 
 
 def test_jog_works_with_the_instruments_that_answer(tmp_path):
@@ -157,9 +155,7 @@ def test_jog_works_with_the_instruments_that_answer(tmp_path):
     assert "rate table stopped" in printed
     refused = gyrobench("jog", "mine.yaml", "chamber 25 at 1", cwd=tmp_path)
     assert (refused.returncode, "Start jog again" in refused.stdout) == (1, True)
-    checked = gyrobench("check", "mine.yaml", cwd=tmp_path)
-    assert checked.returncode == 1
-    assert "Acutrol3000" in checked.stdout
+    assert "Acutrol3000" in output_of("check", "mine.yaml", cwd=tmp_path, code=1)
 
 
 @pytest.mark.parametrize(

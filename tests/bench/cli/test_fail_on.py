@@ -5,7 +5,7 @@ import pytest
 from gyrobench.bench.bias.verdicts import Acceptance
 from gyrobench.bench.dwells.run_results import RunResults
 from gyrobench.bench.engine.run_outcome import RunOutcome
-from tests.bench.command_line import gyrobench
+from tests.bench.command_line import output_of
 
 
 class Measured:
@@ -44,8 +44,7 @@ def test_a_run_with_a_flagged_dwell_ends_with_1_where_it_must_not_have_one(tmp_p
         "faults:\n  - {fault: stuck_output, at_s: 500, for_s: 20000, signals: [velocity_east]}\n"
     )
     arguments = ("run", "ten_minute_check", "--faults", "stuck.yaml", "--view", "lines")
-    done = gyrobench(*arguments, "--fail-on", "flagged", cwd=tmp_path)
-    assert done.returncode == 1
-    assert "1 of 1 dwells are flagged" in done.stdout
+    printed = output_of(*arguments, "--fail-on", "flagged", cwd=tmp_path, code=1)
+    assert "1 of 1 dwells are flagged" in printed
     repeat = "Repeat   gyrobench resume runs/ten_minute_check-001 --repeat flagged --look"
-    assert repeat in done.stdout
+    assert repeat in printed

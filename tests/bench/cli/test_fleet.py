@@ -23,11 +23,12 @@ def place(tmp_path, sample):
 
 
 def test_only_what_failed_is_done_again(place):
-    first = gyrobench("fleet", "bins", "runs", "--threads", "--workers", 1, cwd=place)
-    assert first.returncode == EXIT_NOT_FINISHED
-    assert "fleet bins: 3 of 3 runs, 1 thread" in first.stdout
-    assert f"failed: {place / 'runs' / 'broken'}" in first.stdout
-    assert "2 done, 1 failed" in first.stdout
+    printed = output_of(
+        "fleet", "bins", "runs", "--threads", "--workers", 1, cwd=place, code=EXIT_NOT_FINISHED
+    )
+    assert "fleet bins: 3 of 3 runs, 1 thread" in printed
+    assert f"failed: {place / 'runs' / 'broken'}" in printed
+    assert "2 done, 1 failed" in printed
     (place / "runs" / "broken" / "station.yaml").write_bytes(
         (place / "runs" / "a" / "station.yaml").read_bytes()
     )
@@ -92,6 +93,5 @@ def test_the_outlier_of_an_emulated_batch_is_named(tmp_path):
 def test_units_of_several_batches_and_too_few_units_are_no_batch(place):
     (place / "runs" / "units.csv").write_text("unit,batch\n1001,B7\n")
     assert "Give --batch" in refusal_of("fleet", "batch", cwd=place)
-    few = gyrobench("fleet", "batch", "--batch", "B7", cwd=place)
-    assert few.returncode == EXIT_NOT_FINISHED
-    assert "at least 4 units" in few.stderr
+    problem = refusal_of("fleet", "batch", "--batch", "B7", cwd=place, code=EXIT_NOT_FINISHED)
+    assert "at least 4 units" in problem

@@ -5,7 +5,7 @@ import pytest
 
 from gyrobench.bench.bias.dwell_table import write_dwells
 from gyrobench.bench.investigation import investigation
-from tests.bench.command_line import gyrobench, output_of, refusal_of
+from tests.bench.command_line import output_of, refusal_of
 from tests.bench.investigation import simulated_bench
 from tests.bench.investigation.search_once import search_once
 from tests.bench.investigation.simulated_bench import first_campaign, simulate
@@ -36,9 +36,8 @@ def test_a_unit_without_an_effect_ends_without_a_block(tmp_path):
 
 def test_without_an_answer_at_the_prompt_no_block_is_measured(tmp_path):
     command = table_of(tmp_path, {"warm_up": 0.02}, 2)
-    answer = gyrobench("investigate", "dwells.csv", "--bench", command, cwd=tmp_path)
-    assert answer.returncode == 1
-    assert "the mean biases are" in answer.stdout.replace("\n", " ")
+    printed = output_of("investigate", "dwells.csv", "--bench", command, cwd=tmp_path, code=1)
+    assert "the mean biases are" in printed.replace("\n", " ")
     assert not list((tmp_path / "investigation").glob("block-*/new.csv"))
 
 
@@ -50,9 +49,7 @@ def test_a_bench_that_fails_is_reported_with_what_was_measured(tmp_path):
     table_of(tmp_path, {"warm_up": 0.02}, 2)
     command = f"{sys.executable} -c 'import sys; sys.exit(\"chamber door open\")'"
     options = ("--bench", command, "--approve", "auto", "--json")
-    answer = gyrobench("investigate", "dwells.csv", *options, cwd=tmp_path)
-    assert answer.returncode == 1
-    found = json.loads(answer.stdout)
+    found = json.loads(output_of("investigate", "dwells.csv", *options, cwd=tmp_path, code=1))
     assert (found["ended"], found["hours"], found["blocks"]) == ("bench_failed", 0.0, 0)
     assert "chamber door open" in found["reason"]
     assert (tmp_path / "investigation" / "investigation.html").exists()

@@ -34,10 +34,9 @@ def test_what_the_receiver_answers_is_reported(server, station, tmp_path):
 
 def test_a_receiver_that_can_not_be_reached_is_reported_and_the_others_get_it(server, station, tmp_path):
     down = f"http://127.0.0.1:{free_port()}"
-    ended = gyrobench("message", station(down, server.url), cwd=tmp_path)
-    assert ended.returncode == 3
-    assert f"NOT SENT ntfy {down}/bench: Connection refused" in ended.stdout
-    assert f"sent     ntfy {server.url}" in ended.stdout
+    printed = output_of("message", station(down, server.url), cwd=tmp_path, code=3)
+    assert f"NOT SENT ntfy {down}/bench: Connection refused" in printed
+    assert f"sent     ntfy {server.url}" in printed
 
 
 def test_a_station_without_receivers_is_a_mistake(station, tmp_path):
@@ -49,9 +48,7 @@ def test_check_shows_receivers_and_misses_a_secret(station, server, tmp_path, mo
     path.write_text(
         path.read_text() + "  - {kind: webhook, address: 'https://h/{secret}', secret_env: HOOK}\n"
     )
-    missing = gyrobench("check", "mine.yaml", cwd=tmp_path)
-    assert missing.returncode == 1
-    printed = " ".join(missing.stdout.split())
+    printed = " ".join(output_of("check", "mine.yaml", cwd=tmp_path, code=1).split())
     assert "receives: ends, holds, resumes, needs person, unit dropped and dwells flagged" in printed
     assert "the environment variable HOOK" in printed
     monkeypatch.setenv("HOOK", "abc")

@@ -61,27 +61,21 @@ def test_without_a_station_a_procedure_states_that_limits_are_not_checked(tmp_pa
     (tmp_path / "p.yaml").write_text(
         "procedure: p\nsteps:\n  - chamber: {temperature_c: -80, ramp_c_per_min: 50}\n"
     )
-    printed = output_of("validate", "p.yaml", cwd=tmp_path)
-    assert printed == (
+    assert output_of("validate", "p.yaml", cwd=tmp_path) == (
         "p.yaml: valid procedure file, 1 step. Limits of a station are not checked: add --station STATION\n"
     )
-    answer = gyrobench("validate", "p.yaml", "--station", "emulated", cwd=tmp_path)
-    assert answer.returncode == 2
-    assert "-80 degC is outside the chamber's range" in answer.stdout
+    output = output_of("validate", "p.yaml", "--station", "emulated", cwd=tmp_path, code=2)
+    assert "-80 degC is outside the chamber's range" in output
 
 
 def test_the_order_of_steps_is_checked_without_a_station(tmp_path):
     (tmp_path / "p.yaml").write_text("procedure: p\nsteps:\n  - align: {duration_s: 60}\n")
-    answer = gyrobench("validate", "p.yaml", cwd=tmp_path)
-    assert answer.returncode == 2
-    assert "align needs the INS on" in answer.stdout
+    assert "align needs the INS on" in output_of("validate", "p.yaml", cwd=tmp_path, code=2)
 
 
 def test_wrong_files_are_shown_with_places_and_exit_code_2(tmp_path):
     (tmp_path / "p.yaml").write_text("procedure: p\nsteps:\n  - wait: {duration_s: -1}\n  - sok\n")
-    answer = gyrobench("validate", "p.yaml", cwd=tmp_path)
-    assert answer.returncode == 2
-    lines = answer.stdout.splitlines()
+    lines = output_of("validate", "p.yaml", cwd=tmp_path, code=2).splitlines()
     assert lines[0].startswith("p.yaml:3:12: 'duration_s' must be above 0")
     assert lines[1].startswith("p.yaml:4:5: unknown step")
 
@@ -90,9 +84,8 @@ def test_a_program_reads_the_same_as_json(tmp_path):
     (tmp_path / "p.yaml").write_text("procedure: p\nsteps:\n  - wait: {duration_s: -1}\n")
     gyrobench("new", "station", "bench", cwd=tmp_path)
     (tmp_path / "bench.yaml").write_text(filled_in((tmp_path / "bench.yaml").read_text()))
-    answer = gyrobench("validate", "p.yaml", "bench.yaml", "--json", cwd=tmp_path)
-    assert answer.returncode == 2
-    wrong, right = json.loads(answer.stdout)["files"]
+    printed = output_of("validate", "p.yaml", "bench.yaml", "--json", cwd=tmp_path, code=2)
+    wrong, right = json.loads(printed)["files"]
     assert (wrong["file"], wrong["kind"], wrong["ok"]) == ("p.yaml", "procedure", False)
     assert [(each["line"], each["column"]) for each in wrong["problems"]] == [(3, 12)]
     found = "not filled in yet: description, rate_table.port and chamber.port"

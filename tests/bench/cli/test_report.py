@@ -161,9 +161,7 @@ def test_what_is_no_run_is_refused(tmp_path):
 def test_a_run_with_a_damaged_file_is_reported_with_exit_code_1_and_not_judged(run, tmp_path):
     write_acceptance(run.acceptance, Acceptance(verdict="accepted"))
     run.journal.write_text(f"xx\n{run.journal.read_text()}")
-    done = gyrobench("report", run.path, cwd=tmp_path)
-    assert done.returncode == EXIT_NOT_FINISHED
-    assert done.stdout.splitlines() == [
+    assert output_of("report", run.path, cwd=tmp_path, code=EXIT_NOT_FINISHED).splitlines() == [
         f"{run.journal}:1: damaged entry: 'xx'. Restore the file from a copy.",
         "Unit not judged.",
         f"Report   {run.report}",
