@@ -23,7 +23,7 @@ from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.files import read_limited
 from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.foundations.text import counted
-from gyrobench.bench.runs.seal_keys import PASSWORD_VARIABLE, pem_key
+from gyrobench.bench.runs.seal_keys import PASSWORD_VARIABLE, pem_key, read_private_key
 
 if TYPE_CHECKING:
     from cryptography.x509 import Certificate
@@ -110,7 +110,7 @@ def _validity_problem(certificate: Certificate, moment: datetime | None) -> str:
 
 
 def _load_from_file(path: Path, password: str) -> SigningKey:
-    content, secret = read_limited(path, _MAX_KEY_BYTES, DocumentError), password.encode() or None
+    content, secret = read_private_key(path), password.encode() or None
     try:
         if path.suffix in _PKCS12:
             pkcs12 = require("cryptography.hazmat.primitives.serialization.pkcs12")

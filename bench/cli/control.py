@@ -63,6 +63,8 @@ def control(
         )
     try:
         reply = send_command(run_folder, command, holder.pid, operator_name())
+    except RunFolderError:
+        raise
     except OSError as error:
         raise RunFolderError(
             f"{run_folder}: process {holder.pid} can't be signalled: {error.strerror}"

@@ -110,15 +110,31 @@ class PendingReply:
 def send_command(run_folder: Path, command: RunCommand, pid: int, sender: str) -> PendingReply:
     """Send a command to the process of a run by a signal, with its sender's name for the journal.
 
-    On a full disk it is sent without the name. Raises OSError if the process can't be signalled.
+    On a full disk it is sent without the name. Raises OSError if the process can't be signalled, and
+    RunFolderError if the signal would end it, as the process of an older version or one that only reads.
     """
     journal = RunFolder(run_folder).journal
     reply = PendingReply(run_folder, command, journal.stat().st_size if journal.exists() else 0)
     number = next(number for number, each in _COMMAND_SIGNALS.items() if each is command)
+    if command is not RunCommand.ABORT and not _is_handled(pid, number):
+        raise RunFolderError(
+            f"{run_folder}: process {pid} does not know {command}: it is of another version, or does not run "
+            "the procedure now. No signal was sent; type the command in the run's terminal"
+        )
     with contextlib.suppress(RunFolderError):
         write_whole(_sender_file(run_folder, command), json.dumps({"pid": pid, "operator": sender}).encode())
     os.kill(pid, number)
     return reply
+
+
+def _is_handled(pid: int, number: signal.Signals) -> bool:
+    """Whether a process catches, blocks or ignores a signal; True on a system without such a list."""
+    try:
+        lines = [line.partition(":") for line in Path(f"/proc/{pid}/status").read_text().splitlines()]
+        masks = [int(mask, 16) for name, _, mask in lines if name in ("SigBlk", "SigIgn", "SigCgt")]
+    except (OSError, ValueError):
+        return True
+    return not masks or any(mask >> (number - 1) & 1 for mask in masks)
 
 
 def take_sender(run_folder: Path, command: RunCommand) -> str:

@@ -178,7 +178,7 @@ def validate(document: Document, model: type[_ModelT], further: Sequence[Documen
         for key, old, new in sorted(notes):
             for location in document.places:
                 if location and location[-1] == key:
-                    _log_once(f"{document.place(location)}: '{old}' is an old name. Write '{new}'.")
+                    log_once(f"{document.place(location)}: '{old}' is an old name. Write '{new}'.")
 
 
 def problems_of(error: ValidationError, parent: KeyPath = ()) -> list[DocumentProblem]:
@@ -235,7 +235,7 @@ _renaming_notes: ContextVar[set[tuple[str, str, str]] | None] = ContextVar("rena
 
 
 @cache
-def _log_once(note: str) -> None:
+def log_once(note: str) -> None:
     """Log a note once; without a logging configuration it goes to standard error."""
     logging.getLogger("gyrobench").warning(note)
 

@@ -32,6 +32,8 @@ from gyrobench.bench.runs.seal_keys import public_bytes, signature_of, signature
 _SEALS = "seals"
 #: Not sealed: files that processes and live views use during a run.
 _TRANSIENT = ("live.json",)
+#: Logs that may grow after a seal, as when a guard acts after the last report.
+_LOGS = ("guard.log",)
 #: Measured data and inputs; everything else can be computed again.
 _EVIDENCE_FOLDERS = ("can", "telemetry")
 _EVIDENCE = (JOURNAL, "procedure.yaml", "station.yaml", "calibration.csv", "compensation.yaml")
@@ -125,7 +127,7 @@ class SealCheck:
 
     seals: Sequence[Seal]
     findings: Sequence[SealFinding]  #: In the order of the paths; empty if nothing changed.
-    not_sealed: Sequence[str]  #: Files that were added after the last seal.
+    not_sealed: Sequence[str]  #: Files that were added, and logs that grew, after the last seal.
     files: Mapping[str, SealedFile]  #: All sealed files, including those of each unit.
 
     @cached_property
@@ -283,7 +285,9 @@ def verify_seals(folder: Path, trusted_key: Path | None = None) -> SealCheck:
     findings += filter(None, found)
     added = [path for path in _paths_to_seal(folder) if path not in files]
     findings += [SealFinding(path, "was added after the last seal") for path in added if _is_evidence(path)]
+    grown = [path for path in _LOGS if path in files and _differs(folder / path, files[path])]
     not_sealed = [path for path in added if not _is_evidence(path)]
+    not_sealed += [path for path in grown if path not in {finding.path for finding in findings}]
     for unit in RunFolder(folder).unit_folders:
         if not (unit.path / _SEALS).exists():
             continue  # its files are sealed with this folder
@@ -325,7 +329,8 @@ def _paths_to_seal(root: Path, prefix: str = "") -> Iterator[str]:
 def _changes(root: Path, previous: Mapping[str, SealedFile], files: Mapping[str, SealedFile]) -> SealChanges:
     """Changes of the files since the previous seal."""
     changed = [path for path in files if path in previous and files[path].sha256 != previous[path].sha256]
-    extended = [path for path in changed if _is_evidence(path) and _starts_with(root / path, previous[path])]
+    growing = (path for path in changed if path in _LOGS or _is_evidence(path))
+    extended = [path for path in growing if _starts_with(root / path, previous[path])]
     return SealChanges(
         added=[path for path in files if path not in previous],
         extended=extended,
@@ -349,7 +354,7 @@ def _finding(root: Path, path: str, sealed: SealedFile, seals: Sequence[Seal]) -
     file = root / path
     if not file.is_file():
         return SealFinding(path, "is missing")
-    if file_sha256(file) == sealed.sha256:
+    if file_sha256(file) == sealed.sha256 or (path in _LOGS and _starts_with(file, sealed)):
         return None
     versions = (seal.files[path] for seal in seals if path in seal.files)
     fingerprints = (each.fingerprint for each in versions if each.sha256 == sealed.sha256)

@@ -8,10 +8,13 @@ from __future__ import annotations
 import base64
 import hashlib
 import os
+import shlex
+import stat
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gyrobench.bench.foundations.documents import log_once
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError, UnusablePathError
 from gyrobench.bench.foundations.files import read_limited, write_error, write_whole
 from gyrobench.bench.foundations.packages import require
@@ -21,7 +24,8 @@ if TYPE_CHECKING:
 
 #: Environment variables: file of the key that signs seals (PEM), and its password if it has one.
 KEY_VARIABLE, PASSWORD_VARIABLE = "GYROBENCH_SEAL_KEY", "GYROBENCH_KEY_PASSWORD"
-_MAX_KEY_BYTES = 100_000
+_MAX_KEY_BYTES = 1_000_000
+_READABLE_BY_OTHERS = stat.S_IRGRP | stat.S_IROTH
 
 
 def new_key(path: Path) -> Path:
@@ -95,12 +99,23 @@ def _load_key(path: Path) -> Ed25519PrivateKey:
     """Load an Ed25519 key, with its password in GYROBENCH_KEY_PASSWORD if any; raises DocumentError."""
     ed25519 = require("cryptography.hazmat.primitives.asymmetric.ed25519")
     try:
-        key = pem_key(read_limited(path, _MAX_KEY_BYTES, DocumentError))
+        key = pem_key(read_private_key(path))
     except (ValueError, TypeError) as error:
         raise DocumentError(f"{path}: is not a private key that can be read: {error}") from error
     if not isinstance(key, ed25519.Ed25519PrivateKey):
         raise DocumentError(f"{path}: is not an Ed25519 key. Make one with: gyrobench seal --new-key FILE")
     return key  # type: ignore[no-any-return]
+
+
+def read_private_key(path: Path) -> bytes:
+    """Content of the file of a private key, and a warning if others can read it; raises DocumentError."""
+    content = read_limited(path, _MAX_KEY_BYTES, DocumentError)
+    if path.stat().st_mode & _READABLE_BY_OTHERS:
+        log_once(
+            f"{path}: other users can read this private key, and sign with it. Take that from them: "
+            f"chmod 600 {shlex.quote(str(path))}"
+        )
+    return content
 
 
 def pem_key(content: bytes) -> Any:

@@ -18,20 +18,22 @@ from tests.bench.command_line import gyrobench, output_of, refusal_of
 #: Holds a run folder as a run does, records each command with the text in the file `refused`, and prints the
 #: signal.
 HOLDER = """
-import signal, sys
+import signal, sys, time
 from pathlib import Path
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.runs.journal import Journal
 from gyrobench.bench.runs.locks import RunLock
-signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGUSR1])
+signals = []
+signal.signal(signal.SIGUSR1, lambda number, frame: signals.append(signal.Signals(number).name))
 run = Path(sys.argv[1])
 with RunLock(run, WallClock()), Journal(run / "journal.jsonl", WallClock()) as journal:
     print("held", flush=True)
     while True:
-        name = signal.sigwait([signal.SIGUSR1]).name
+        while not signals:
+            time.sleep(0.01)
         refused = run / "refused"
         journal.record("ordered", order="hold", refused=refused.read_text() if refused.exists() else "")
-        print(name, flush=True)
+        print(signals.pop(), flush=True)
 """
 
 
@@ -62,6 +64,14 @@ def test_a_command_that_the_run_does_not_accept_is_an_error_with_its_reason(run_
     assert holder.stdout.readline() == "SIGUSR1\n"
     assert done.returncode == EXIT_NOT_FINISHED
     assert "hold was not accepted: the run holds: it accepts continue or abort" in done.stderr
+
+
+@pytest.mark.parametrize("name", ["finish", "skip"])
+def test_a_command_whose_signal_would_end_the_process_is_not_sent(run_in_progress, name):
+    run, holder = run_in_progress
+    refusal = refusal_of("control", run, name, cwd=run.parent, code=EXIT_NOT_FINISHED)
+    assert f"process {holder.pid} does not know {name}" in " ".join(refusal.split())
+    assert holder.poll() is None
 
 
 def test_a_command_is_sent_without_its_sender_where_the_disk_is_full(run_in_progress, monkeypatch):

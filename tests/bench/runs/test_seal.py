@@ -157,6 +157,20 @@ def test_a_resumed_run_extends_its_journal(folder):
     assert not seal.changes.evidence
 
 
+def test_a_log_of_the_guard_may_grow_after_the_seal_and_not_change(folder):
+    log = folder.path / "guard.log"
+    log.write_text("guard 1: watches\n")
+    seal_run(folder)
+    log.write_text("guard 1: watches\nguard 1: the bench is in its safe state\n")
+    check = verify_seals(folder.path)
+    assert (check.is_intact, check.not_sealed) == (True, ["guard.log"])
+    log.write_text("guard 1: watched\nguard 1: the bench is in its safe state\n")
+    check = verify_seals(folder.path)
+    assert ([finding.path for finding in check.findings], check.not_sealed) == (["guard.log"], [])
+    log.write_text("guard 1: watches\nguard 1: the bench is in its safe state\n")
+    assert seal_run(folder).changes.extended == ["guard.log"]
+
+
 @pytest.mark.parametrize("what", ["seal", "signature", "chain"])
 def test_a_changed_seal_is_found(folder, key, what):
     seal_run(folder, key)
@@ -184,6 +198,16 @@ def test_a_seal_of_another_key_is_not_the_trusted_one(folder, key, tmp_path):
     assert finding.text == "is not signed by the trusted key"
     found = gyrobench("seal", folder.path, "--verify", "--key", other, cwd=tmp_path)
     assert "Invalid: seals/001.jsonl: is not signed by the trusted key" in found.stdout
+
+
+def test_a_key_that_others_can_read_is_named(folder, key, caplog):
+    seal_run(folder, key)
+    assert caplog.text == ""
+    key.chmod(0o640)
+    (folder.path / "notes.txt").write_text("remark")
+    seal_run(folder, key)
+    assert f"{key}: other users can read this private key" in caplog.text
+    assert f"chmod 600 {key}" in caplog.text
 
 
 def test_a_key_that_cant_be_used_leaves_the_seal_unsigned_or_is_an_error(folder, tmp_path, monkeypatch):
