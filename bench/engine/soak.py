@@ -14,10 +14,7 @@ from gyrobench.bench.engine.measured_unit import MeasuredUnit
 from gyrobench.bench.engine.run_context import RunContext
 from gyrobench.bench.engine.units import Units
 from gyrobench.bench.foundations.errors import InstrumentError
-from gyrobench.bench.procedure.steps import Soak, span
-
-#: Time span over which the rate is fitted.
-_FIT_S = 600.0
+from gyrobench.bench.procedure.steps import RATE_SPAN_S, Soak, span
 
 
 def until_settled(step: Soak, run: RunContext, units: Units) -> Iterator[None]:
@@ -63,13 +60,13 @@ class _GyroTemperatures:
         if any(map(math.isnan, readings.ins.optics_c)):
             raise InstrumentError(name, "sends no gyro temperatures for the soak to wait for. Use for_s.")
         self._history.append((readings.polled_s, *readings.ins.optics_c))
-        while self._history[-1][0] - self._history[0][0] > _FIT_S:
+        while self._history[-1][0] - self._history[0][0] > RATE_SPAN_S:
             self._history.popleft()
 
     @property
     def rate_c_per_h(self) -> float:
         """Largest rate of a gyro's temperature; infinite while the span is too short."""
-        if not self._history or self._history[-1][0] - self._history[0][0] < 0.9 * _FIT_S:
+        if not self._history or self._history[-1][0] - self._history[0][0] < 0.9 * RATE_SPAN_S:
             return math.inf
         values = np.array(self._history)
         return float(np.abs(slopes_c_per_h(values[:, 0], values[:, 1:])).max())

@@ -143,6 +143,10 @@ class ChamberOff(Step):
         return replace(bench, set_point_c=None, ramp_c_per_s=0.0, chamber_c=bench.thermal.room_c)
 
 
+#: Time span over which a soak fits the rate of the gyros' temperatures; the first fit has nine tenths of it.
+RATE_SPAN_S = 600.0
+
+
 class Soak(Step):
     """Wait for a fixed time, or until the gyros' temperature is nearly constant."""
 
@@ -171,10 +175,12 @@ class Soak(Step):
 
     @override
     def expected_s(self, bench: BenchEstimate) -> float:
-        if self.until_gyro_rate_below_c_per_h is None:
-            return self.for_s or 0.0
-        settling_s = bench.time_until_gyro_rate_s(self.until_gyro_rate_below_c_per_h)
-        return min(max(settling_s, self.at_least_s), self.at_most_s)
+        if self.for_s is not None:
+            return self.for_s
+        settling_s = bench.time_until_gyro_rate_s(self.until_gyro_rate_below_c_per_h or math.inf)
+        # The fitted rate is that in the middle of the fit, which grows with the soak up to its span.
+        settled_s = max(0.9 * RATE_SPAN_S, min(2.0 * settling_s, settling_s + 0.5 * RATE_SPAN_S))
+        return min(max(settled_s, self.at_least_s), self.at_most_s)
 
     @override
     def usual_time_limit_s(self, expected_s: float) -> float:

@@ -9,6 +9,7 @@ from gyrobench.bench.procedure.procedure_file import STEP_KINDS
 from gyrobench.bench.procedure.rotation_steps import Rotate, Rotation, Spin
 from gyrobench.bench.procedure.steps import (
     MIN_NAVIGATION_S,
+    RATE_SPAN_S,
     Align,
     AskOperator,
     ChamberOff,
@@ -107,10 +108,16 @@ def test_soak_lasts_until_the_gyros_settle_within_its_bounds():
     hot = PowerOn().after(SetChamber(temperature_c=80, ramp_c_per_min=100.0).after(ROOM, 36.0), 0.0)
     settling_s = hot.time_until_gyro_rate_s(2.0)
     assert 3600.0 < settling_s < 14_400.0
-    assert Soak(until_gyro_rate_below_c_per_h=2.0).expected_s(hot) == settling_s
+    assert Soak(until_gyro_rate_below_c_per_h=2.0).expected_s(hot) == settling_s + 0.5 * RATE_SPAN_S
     assert Soak(until_gyro_rate_below_c_per_h=2.0, at_most_s=3600).expected_s(hot) == 3600.0
     assert Soak(until_gyro_rate_below_c_per_h=2.0, at_least_s=14_400).expected_s(hot) == 14_400.0
     assert Soak(for_s=100).expected_s(hot) == 100.0
+
+
+def test_soak_without_a_fitted_rate_yet_goes_on():
+    on = PowerOn().after(ROOM, 0.0)
+    assert on.time_until_gyro_rate_s(100.0) == 0.0
+    assert Soak(until_gyro_rate_below_c_per_h=100.0).expected_s(on) == 0.9 * RATE_SPAN_S
 
 
 def test_soak_has_time_until_its_longest_duration():
