@@ -25,7 +25,7 @@ from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import hours_minutes, run_ending
 from gyrobench.bench.report.journal_sections import Entry, KindDuration, add_step_duration
 from gyrobench.bench.report.page import FINDINGS_FILE, Findings, read_findings_file
-from gyrobench.bench.report.run_findings import run_findings
+from gyrobench.bench.report.run_findings import identities_sentence, run_findings
 from gyrobench.bench.runs.folder import DWELLS, JOURNAL, RunFolder
 from gyrobench.bench.runs.journal import RunFacts, facts_of, read_journal
 from gyrobench.bench.runs.marks import purpose_of
@@ -118,7 +118,9 @@ class RunContent:
         if JOURNAL in self.damage:
             return {}
         sources = self.dwells, self.station, self.noise, self.joint_plateaus
-        return run_findings(*sources, self.facts.reason, self.sensors)
+        identities = identities_sentence(self.facts)
+        doubts = {"The INS changed.": identities} if identities else {}
+        return doubts | run_findings(*sources, self.facts.reason, self.sensors)
 
     @property
     def has_readings(self) -> bool:

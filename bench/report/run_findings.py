@@ -285,3 +285,16 @@ def signs_sentence(facts: RunFacts, station: Mapping[str, Any], name: str | Path
                     "eye that the table turns as the station file states."
                 )
     return ""
+
+
+def identities_sentence(facts: RunFacts) -> str:
+    """INS that identified otherwise in some dwells, as with another firmware; empty if none did."""
+    counts = {identity: count for identity, count in facts.dwells_by_identity.items() if count}
+    if len(counts) < 2:
+        return ""
+    texts = [f"as {identity} in {counted(count, 'dwell')}" for identity, count in counts.items()]
+    return (
+        f"The INS identified {listed(texts)}. Another firmware may have other biases and compensations, and "
+        "the results take all dwells together: measure those of one of them again with gyrobench resume "
+        "--repeat."
+    )

@@ -247,6 +247,8 @@ class RunFacts:
     dwells: int = 0  #: Number of completed dwells.
     #: Whether a dwell tested signs and axes of the signal map; None if no completed dwell states it.
     are_signs_tested: bool | None = None
+    #: Number of dwells by the identification of the INS, the present one last.
+    dwells_by_identity: Mapping[str, int] = field(default_factory=dict)
     #: ended, reason: "finished", "stopped" or "failed", and the reason. Empty for a run that was cut off or
     #: is in progress.
     ended: str = ""
@@ -270,7 +272,10 @@ def _with_entry(facts: RunFacts, entry: Mapping[str, Any]) -> RunFacts:
         case "run_resumed":
             return replace(_with_start(facts, entry), resumes=facts.resumes + 1)
         case "ins_identified":
-            return replace(facts, unit=_text(entry, "unit") or facts.unit)
+            counts = dict(facts.dwells_by_identity)
+            if identity := _text(entry, "identity"):
+                counts[identity] = counts.pop(identity, 0)
+            return replace(facts, unit=_text(entry, "unit") or facts.unit, dwells_by_identity=counts)
         case "investigation_started" | "investigation_resumed" as event:
             # A resumed investigation replays its blocks, and records them again.
             with_unit = replace(facts, unit=_text(entry, "unit") or facts.unit, dwells=_dwell_count(entry))
@@ -286,6 +291,9 @@ def _with_entry(facts: RunFacts, entry: Mapping[str, Any]) -> RunFacts:
             tested = entry.get("signs_tested")
             if isinstance(tested, bool):
                 facts = replace(facts, are_signs_tested=bool(facts.are_signs_tested) or tested)
+            if counts := dict(facts.dwells_by_identity):
+                counts[next(reversed(counts))] += 1
+                facts = replace(facts, dwells_by_identity=counts)
             return facts if entry.get("replaces_earlier") else replace(facts, dwells=facts.dwells + 1)
         case "run_ended":
             recorded = entry.get("safe_state")

@@ -11,12 +11,13 @@ from gyrobench.bench.bias.noise_estimate import estimate_noise
 from gyrobench.bench.report.run_findings import (
     accelerometers_sentence,
     flags_sentence,
+    identities_sentence,
     joint_solution_sentences,
     noise_sentence,
     run_findings,
     signs_sentence,
 )
-from gyrobench.bench.runs.journal import RunFacts
+from gyrobench.bench.runs.journal import RunFacts, facts_of
 from gyrobench.bench.runs.tables.joint_table import JointPlateauRow
 from tests.bench.bias.test_noise_estimate import GRAVITY, simulated
 from tests.bench.report.made_up_noise import made_up_noise
@@ -155,3 +156,22 @@ def test_what_no_dwell_tested_of_the_signal_map_is_stated(are_tested, latitude_d
     text = signs_sentence(RunFacts(are_signs_tested=are_tested), station, "mine.yaml")
     assert text.startswith(stated)
     assert bool(text) == bool(stated)
+
+
+def test_an_ins_that_identified_otherwise_in_some_dwells_is_stated() -> None:
+    def facts(*events: str) -> RunFacts:
+        entries = (
+            {"event": "dwell_finished"} if each == "dwell" else {"event": "ins_identified", "identity": each}
+            for each in events
+        )
+        return facts_of(entries)
+
+    assert identities_sentence(facts("firmware 1", "dwell", "firmware 1", "dwell")) == ""
+    assert identities_sentence(facts("firmware 1", "firmware 2", "dwell")) == ""
+    text = identities_sentence(facts("firmware 1", "dwell", "dwell", "firmware 2", "dwell"))
+    assert text.startswith(
+        "The INS identified as firmware 1 in 2 dwells and as firmware 2 in 1 dwell. Another firmware may"
+    )
+    assert "firmware 2 in 2 dwells" in identities_sentence(
+        facts("firmware 2", "dwell", "firmware 1", "dwell", "firmware 2", "dwell")
+    )

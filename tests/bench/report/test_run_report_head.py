@@ -78,6 +78,14 @@ def statements(folder):
     return [f"{box.headline} {box.text}".strip() for box in verdict_boxes(read_run(folder))]
 
 
+def test_another_firmware_in_a_part_of_the_dwells_is_stated_first(accepted: RunFolder):
+    add(accepted, time_s=9070.0, event="ins_identified", identity="firmware 104")
+    assert not any(each.startswith("The INS changed.") for each in statements(accepted))
+    add(accepted, time_s=9080.0, event="dwell_finished", marks={"dwell": 2}, flags="")
+    [text] = [each for each in statements(accepted) if each.startswith("The INS changed.")]
+    assert "as firmware 104 in 1 dwell" in text
+
+
 def test_a_run_with_a_damaged_journal_states_that_first_and_is_not_judged(accepted):
     lines = accepted.journal.read_text(encoding="utf-8").splitlines(keepends=True)
     accepted.journal.write_text("".join([*lines[:2], "xx\n", *lines[3:]]), encoding="utf-8")
