@@ -54,6 +54,8 @@ _ANGLES, _ANGLE_STEP = 73, 1e-5
 _LATITUDE_EPOCHS = 60
 #: The opposite latitude is correct if it reduces chi2 by at least this much, and the noise explains the rest.
 _MIN_CHI2_GAIN, _MAX_CHI2_PER_DATUM = 30.0, 1.5
+#: With a smaller p-value, a latitude does not explain a dwell, or the INS damps its velocity.
+_MAX_P_VALUE = 1e-3
 #: Other latitudes that are tried, rad. One is nearer if it reduces chi2 by this much in as many dwells as
 #: this, and by more in fewer.
 _LATITUDES = np.radians([-60.0, -40.0, -20.0, 0.0, 20.0, 40.0, 60.0])
@@ -284,7 +286,7 @@ def _latitude_gains(
 ) -> tuple[float, FloatArray]:
     """Reduction of chi2 at the opposite latitude, and at others (7,); 0 if neither explains the data.
 
-    A bias step fits neither latitude, but may reduce chi2 at the opposite one.
+    A bias that steps, or differs between the windows, fits no latitude, but chi2 may be lower at another one.
     """
     try:
         windows = tuple(
@@ -298,15 +300,36 @@ def _latitude_gains(
     chi2 = dwell_chi2(thinned, site, noise, prior)
     others = np.array([dwell_chi2(thinned, each, noise, prior) for each in sites])
     limit = _MAX_CHI2_PER_DATUM * 3 * sum(len(each.time_s) for each in windows)
-    gain, *gains = np.where(np.minimum(chi2, others) > limit, 0.0, chi2 - others)
-    if gain > 0.0 and _has_step(dwell, opposite, noise, prior):
-        gain = 0.0
-    return float(gain), _NO_GAINS if is_latitude_sent else np.array(gains)
+    gains = np.where(np.minimum(chi2, others) > limit, 0.0, chi2 - others)
+    # The opposite latitude may be the exact one; the nearest of the others is not.
+    if _is_step(dwell, (site, opposite), noise, prior, float(gains[0])):
+        gains[0] = 0.0
+    best = int(np.argmax(gains))
+    if best and _is_step(dwell, (site, sites[best]), noise, prior, float(gains[best]), _MAX_P_VALUE):
+        gains = np.zeros_like(gains)
+    return float(gains[0]), _NO_GAINS if is_latitude_sent else gains[1:]
 
 
-def _has_step(dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge) -> bool:
-    """Whether a bias steps in the dwell, if it was measured at this site; false without a turn."""
+def _is_step(
+    dwell: Dwell,
+    sites: tuple[Site, Site],
+    noise: NoiseModel,
+    prior: PriorKnowledge,
+    gain: float,
+    max_p_value: float = 1.0,
+) -> bool:
+    """Whether a bias that steps explains the dwell better than the second site, with this gain.
+
+    ``max_p_value``: that the second site may leave for the fit or the windows. False without a turn.
+    """
+    if gain <= 0.0:
+        return False
     try:
-        return estimate_state_space(dwell, site, noise, prior).probable_step is not None
+        here, other = (estimate_state_space(dwell, each, noise, prior) for each in sites)
     except MeasurementError:
         return False
+    if other.probable_step is not None or other.damping.p_value < _MAX_P_VALUE:
+        return other.probable_step is not None
+    is_left = np.fmin(other.fit.p_value, other.steady_p_value) <= max_p_value
+    p_value = np.fmin(here.steady_p_value, here.step.p_value if here.step else math.nan)
+    return bool(is_left and p_value < math.exp(-0.5 * gain))

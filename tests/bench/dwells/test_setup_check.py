@@ -235,6 +235,23 @@ def test_a_bias_that_steps_does_not_pass_for_the_other_hemisphere(step_dph, seed
     assert any("a bias is not constant" in str(dwell.flags) for dwell in dwells)
 
 
+@pytest.mark.parametrize(
+    ("latitude_deg", "seed"),
+    [(36.4, 3), pytest.param(-52.0, 4, marks=LONG), pytest.param(-52.0, 6, marks=LONG)],
+)
+def test_a_bias_that_changes_with_the_turn_passes_for_no_other_latitude(latitude_deg, seed):
+    """As a bias that follows the heading; it leaves residuals at every latitude."""
+    dwells = dwells_of(
+        latitude_deg=latitude_deg,
+        seed=seed,
+        positions=("y_up", "x_down"),
+        bias_step_dph=(0.03, -0.02, 0.0),
+        bias_step_s=610.0,
+    )
+    assert [dwell.setup_fault for dwell in dwells] == ["", ""]
+    assert all("a bias is not constant" in str(dwell.flags) for dwell in dwells)
+
+
 @pytest.mark.parametrize("declared_ug_per_k", [0.0, 2.0])
 def test_accelerometers_that_follow_the_temperature_pass_for_no_wrong_scale_and_no_drift(declared_ug_per_k):
     """On a ramp of 60 K/h: their part of the velocity looks like that of a tilt."""
