@@ -40,7 +40,7 @@ from gyrobench.bench.navigation.positions import AXES
 
 #: A scale, or an angle in rad, is wrong if it is off by more than this number of standard uncertainties,
 #: which noise exceeds with a probability of 3e-5, and by more than this value.
-_MIN_SIGMAS, _MIN_ERROR = 4.2, 0.02
+_MIN_SIGMAS, _MIN_ERROR = 4.2, 0.01
 #: Accelerometers drift more than expected if the p-value is smaller.
 _MIN_DRIFT_P_VALUE = 1e-5
 #: Other deviations of the matrix from the identity reduce the evidence for a fault by at most this factor.

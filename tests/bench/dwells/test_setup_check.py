@@ -70,6 +70,12 @@ def test_a_scale_that_each_dwell_leaves_open_is_found_by_all_together():
     assert all("a wrong scale" in str(dwell.row.flags) for dwell in dwells)
 
 
+def test_a_scale_that_two_per_cent_are_wrong_is_found_where_biases_are_large():
+    """As with gravity taken for 10 m/s^2: a bias of 0.3 deg/h would be wrong by 0.006."""
+    dwells = dwells_of(velocity_scale=(1.0197,) * 3, gyro_bias_dph=(0.3, -0.2, 0.25))
+    assert all("a wrong scale: 1.0" in str(dwell.row.flags) for dwell in dwells)
+
+
 def test_a_small_wrong_scale_is_found_where_drifts_seem_to_follow_the_biases():
     wrong = dwells_of(velocity_scale=(1.05,) * 3, gyro_bias_dph=(0.1, -0.05, 0.07))
     assert not any(setup_fault([dwell.evidence]) for dwell in wrong)
