@@ -181,8 +181,11 @@ class Problem:
 
 def explained_by(products: FloatArray, residual_products: FloatArray) -> tuple[float, int]:
     """Reduction of chi2 by terms with inner products (..., k, k), and the number of independent terms."""
-    eigenvalues, directions = np.linalg.eigh(products)
-    projections = (directions.mT @ residual_products[..., np.newaxis])[..., 0]
+    if products.shape[-1] == 1:
+        eigenvalues, projections = products[..., 0], residual_products
+    else:
+        eigenvalues, directions = np.linalg.eigh(products)
+        projections = (directions.mT @ residual_products[..., np.newaxis])[..., 0]
     independent = eigenvalues > MIN_SHARE**2
     reduction = np.add.reduce(projections[independent] ** 2 / eigenvalues[independent])
     return float(reduction), int(np.count_nonzero(independent))
