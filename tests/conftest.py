@@ -8,6 +8,7 @@ import contextlib
 import gc
 import importlib
 import os
+import pickle
 import shutil
 import signal
 from dataclasses import replace
@@ -29,7 +30,7 @@ hypothesis.settings.load_profile("quick")
 
 #: Tests that look at figures, beside those marked so. In all others a figure is an empty file: drawing takes
 #: a tenth of their time.
-DRAWN = ("tests/bench/report/", "tests/docs/", "tests/test_accessibility.py")
+DRAWN = ("tests/bench/report/figures/", "tests/docs/", "tests/test_accessibility.py")
 
 #: These look at the same runs of a shift.
 SHIFT_RUNS = {
@@ -118,6 +119,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     config = session.config
     if not hasattr(config, "workerinput"):
         return
+    report_outcomes_alone(config)
     atexit.register(os._exit, 0)  # after all others: freeing each object of all tests takes seconds
     gc.disable()  # importing hardly leaves anything to free
     number, others = int(config.workerinput["workerid"][2:]), config.workerinput["workercount"] - 1
@@ -128,6 +130,22 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     for path in paths[number - 1 :: others]:
         with contextlib.suppress(Exception, pytest.skip.Exception):  # collecting reports it
             importlib.import_module(".".join(path.relative_to(config.rootpath).with_suffix("").parts))
+
+
+def report_outcomes_alone(config):
+    """Send one message for a test that passes, not six, unless durations or a file of results need all."""
+    if config.option.durations is not None or config.option.xmlpath:
+        return
+    worker = next(each for each in config.pluginmanager.get_plugins() if hasattr(each, "sendevent"))
+    send = worker.sendevent
+
+    def send_needed(name, **content):
+        report = content.get("data", {})
+        is_step = report.get("when") in ("setup", "teardown") and report.get("outcome") == "passed"
+        if name not in ("logstart", "logfinish") and not is_step:
+            send(name, **content)
+
+    worker.sendevent = send_needed
 
 
 @pytest.hookimpl(trylast=True)
@@ -152,6 +170,8 @@ def pytest_runtest_protocol(item):
     from gyrobench.bench.report import page
 
     with pytest.MonkeyPatch.context() as patch:
+        # A command sets it in this process, for those that it starts; it ends with the test.
+        patch.delenv("PYTHONSAFEPATH", raising=False)
         if not item.nodeid.startswith(DRAWN) and not item.get_closest_marker("draws"):
             patch.setattr(page, "_with_figure_file", empty_figure)
             for module in (memory, page):
@@ -186,6 +206,23 @@ def no_waiting_for_the_disk():
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def documents_parsed_once():
+    """Each text of a file is parsed once; who reads it gets its own copy."""
+    from gyrobench.bench.foundations import documents
+
+    parsed, read_yaml = {}, documents.read_yaml
+
+    def read_once(text):
+        if text not in parsed:
+            parsed[text] = pickle.dumps(read_yaml(text))
+        return pickle.loads(parsed[text])  # noqa: S301 - our own
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(documents, "read_yaml", read_once)
+        yield
+
+
 @pytest.fixture(scope="session")
 def made_once(tmp_path_factory):
     """``made_once(name, make)``: a folder that ``make(folder)`` fills for all workers, which only read."""
@@ -207,11 +244,3 @@ def made_once(tmp_path_factory):
         return path
 
     return made
-
-
-@pytest.fixture(autouse=True)
-def environment_of_this_process():
-    """A variable that a command sets in this process, for those that it starts, ends with the test."""
-    with pytest.MonkeyPatch.context() as environment:
-        environment.delenv("PYTHONSAFEPATH", raising=False)
-        yield

@@ -31,12 +31,12 @@ def assert_chi_square(value, dof):
     assert low < value < high
 
 
-@pytest.fixture(scope="module")
-def noisy_dwells():
-    """Two hundred dwells that differ in their noise alone."""
+@pytest.fixture(scope="module", params=[40, pytest.param(200, marks=pytest.mark.long)])
+def noisy_dwells(request):
+    """Dwells that differ in their noise alone."""
     random = np.random.default_rng(20)
     ins = sensors(TRUTH_DPH, (20.0, 40.0, 0.0), NOISY)
-    return [emulate("z_up", ins, noise=NOISY, random=random, **SHORT) for _ in range(200)]
+    return [emulate("z_up", ins, noise=NOISY, random=random, **SHORT) for _ in range(request.param)]
 
 
 @pytest.fixture(scope="module")

@@ -341,7 +341,7 @@ def test_what_would_explain_a_misfit_is_tried_with_whole_turns_as_uncertain_as_t
     assert "Quadratic terms of the accelerometers (--quadratic) would explain it" in misfit
 
 
-@pytest.mark.parametrize("off_deg", [0.1, -0.1])
+@pytest.mark.parametrize("off_deg", [0.1, pytest.param(-0.1, marks=LONG)])
 def test_a_wrong_latitude_is_named_with_the_right_one(off_deg):
     site, options = Site(SITE.latitude + np.deg2rad(off_deg)), CalibrationOptions(gravity=SITE.gravity)
     (finding,) = calibrate([recorded(eighteen(), 2)], site, options).findings
@@ -376,7 +376,7 @@ def test_another_sample_interval_is_solved_once_however_large_the_misfit(monkeyp
     assert len(others) == len(set(others)) > 0
 
 
-@pytest.mark.parametrize("off_deg", [10.0, -10.0])
+@pytest.mark.parametrize("off_deg", [pytest.param(10.0, marks=LONG), -10.0])
 def test_a_latitude_that_is_wrong_by_many_degrees_is_named_as_well(off_deg):
     site, options = Site(SITE.latitude + np.deg2rad(off_deg)), CalibrationOptions(gravity=SITE.gravity)
     with pytest.raises(MeasurementError, match="would explain it") as refused:

@@ -262,7 +262,7 @@ def measure(
     starts = period * np.arange(dwells)
 
     def over_dwells(values):
-        return np.array([values[first : first + steps].mean(axis=0) for first in starts])
+        return values[: dwells * period].reshape(dwells, period, *values.shape[1:])[:, :steps].mean(axis=1)
 
     undeclared_dph = np.zeros((dwells, 3))
     for effect, size in (effects or {}).items():

@@ -29,7 +29,7 @@ steps:
       over: {temperature_c: [35, 25]}
       steps:
         - chamber: {temperature_c: $temperature_c, ramp_c_per_min: 10}
-        - soak: {for_s: 120}
+        - soak: {for_s: 30}
         - repeat:
             over: {position: [z_up, y_down]}
             steps:

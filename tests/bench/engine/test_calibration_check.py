@@ -28,7 +28,7 @@ BIAS_DPH = (0.003, -0.002, 0.004)
 
 POSITIONS = """procedure: short_verification
 steps:
-  - power_on
+  - power_on: {settle_s: 20}
   - repeat:
       over: {position: [z_up, y_up]}
       steps:
@@ -36,9 +36,9 @@ steps:
 CALIBRATION = """
         - go_to: {position: $position}
         - align: {duration_s: 120}
-        - navigate: {duration_s: 150}
+        - navigate: {duration_s: 100}
         - turn: {angle_deg: 180}
-        - navigate: {duration_s: 150}
+        - navigate: {duration_s: 100}
 """
 VERIFICATION = """
         - repeat:

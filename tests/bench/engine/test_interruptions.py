@@ -19,7 +19,7 @@ from tests.bench.engine.intervention import Intervention, run_with, short_dwell
 FLAG = """procedure: flag_only
 disturbed_dwell: flag
 steps:
-  - power_on
+  - power_on: {settle_s: 20}
   - go_to: {position: z_up, rate_dps: 10}
   - align: {duration_s: 60}
   - navigate: {duration_s: 61}
@@ -28,7 +28,7 @@ steps:
 """
 TWO = """procedure: two
 steps:
-  - power_on
+  - power_on: {settle_s: 20}
   - repeat:
       over: {position: [z_up, z_down]}
       steps:

@@ -202,7 +202,7 @@ def test_the_approach_is_noted_as_it_begins(in_third_dwell):
     (way,) = [text for text in watcher.notes if text.startswith("returning to step")]
     assert "power on" in way
     assert "chamber to 25 degC" in way
-    assert "soak 2 min" in way
+    assert "soak 30 s" in way
     assert "go to z_up" in way
 
 
@@ -210,7 +210,7 @@ def test_an_aborted_run_can_be_resumed(procedure, undisturbed, tmp_path):
     job = prepare_job(str(procedure), "quick", Emulation("quick", 0))
 
     class Aborter(ConsentingOperator):
-        left = 500
+        left = 300
 
         def command(self):
             self.left -= 1

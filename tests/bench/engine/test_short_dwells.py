@@ -9,7 +9,7 @@ from gyrobench.bench.foundations.shipped import find_document
 
 HEAD = """procedure: short
 steps:
-  - power_on
+  - power_on: {{settle_s: 20}}
   - go_to: {{position: {position}}}
   - align: {{duration_s: 120}}
 """

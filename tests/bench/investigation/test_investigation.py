@@ -386,7 +386,8 @@ def test_an_ageing_and_a_drift_are_not_settled_as_two_effects(tmp_path):
     assert found.ended == "not_on_list"
 
 
-@pytest.mark.parametrize("seed", [302, pytest.param(305, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [302, 305])
 def test_small_effects_that_a_first_campaign_shows(seed):
     """A refrigeration of 1.2 times the noise that runs on after ramps; a rate, and no lag of minutes."""
     unit = unit_of(seed)

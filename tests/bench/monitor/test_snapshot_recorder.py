@@ -153,7 +153,7 @@ def test_a_snapshot_that_cant_be_written_ends_no_run(tmp_path, monkeypatch):
 
 PROCEDURE = """procedure: two_positions
 steps:
-  - power_on
+  - power_on: {settle_s: 20}
   - ask_operator: {question: "Is the cable free?", answers: ["yes", "no"]}
   - repeat:
       over: {position: [z_up, z_down]}

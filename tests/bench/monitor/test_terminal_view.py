@@ -226,7 +226,8 @@ def on_terminal(folder):
         each.close()
 
 
-def test_a_terminal_shows_the_snapshot_and_is_as_before_at_the_end(on_terminal):
+def test_a_terminal_shows_the_snapshot_and_is_as_before_at_the_end(folder, on_terminal):
+    (folder / "short.yaml").write_text(PROCEDURE.replace("20000", "4000"))
     terminal = on_terminal()
     text = terminal.read_until()
     assert MOVES_CURSOR in text

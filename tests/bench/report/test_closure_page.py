@@ -46,6 +46,7 @@ def written(request, tmp_path_factory):
     return closure, write_closure_page(tmp_path_factory.mktemp("closure"), closure, "dwells.csv")
 
 
+@pytest.mark.draws
 def test_the_page_holds_every_figure_inside(written):
     closure, path = written
     page = path.read_text(encoding="utf-8")
@@ -77,6 +78,7 @@ def test_the_verdict_stands_at_the_top_in_its_colour(written):
     assert re.search(start, path.read_text(encoding="utf-8"))
 
 
+@pytest.mark.draws
 def test_equal_searches_give_equal_pages(tmp_path):
     once, again = (write_closure_page(tmp_path, clean(), "dwells.csv").read_bytes() for _ in range(2))
     assert once == again

@@ -205,6 +205,7 @@ def test_the_report_is_tied_to_its_data(page, run_folder):
     assert "telemetry/*.parquet" in page.text
 
 
+@pytest.mark.draws
 def test_what_search_and_proof_found_is_taken_in_while_it_is_of_these_dwells(empty_folder, equal_dwells):
     folder = empty_folder
     write_dwells(folder.dwells, equal_dwells[:1])
@@ -348,6 +349,7 @@ def test_damaged_results_are_named_and_leave_their_sections_out(empty_folder, ru
     assert "Noise of the INS" not in text
 
 
+@pytest.mark.draws
 def test_a_figure_is_freed_before_the_next_one_is_drawn(empty_folder):
     drawn = []
 
@@ -488,6 +490,7 @@ def test_data_that_can_not_be_hashed_are_reported(copy):
     assert "Data of this report" not in text
 
 
+@pytest.mark.draws
 def test_figures_are_drawn_again_only_if_what_they_show_has_changed(copy, dwells):
     write_report(copy)
     figures = sorted(copy.figures.glob("*.png"))

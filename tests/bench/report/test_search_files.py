@@ -26,6 +26,7 @@ def names(folder):
     return {path.name for path in folder.iterdir()}
 
 
+@pytest.mark.draws
 def test_a_search_in_an_emulated_run_stands_in_its_folder_and_report_marked_in_page_figures_and_files(
     run, tmp_path
 ):

@@ -24,7 +24,7 @@ from tests.bench.verification.runs_alone import check_residuals
 BIAS_DPH = np.array([0.003, -0.002, 0.004])
 PROCEDURE = """procedure: residuals
 steps:
-  - power_on
+  - power_on: {settle_s: 20}
   - repeat:
       over: {position: [z_up, z_down, y_up, y_down, x_up, x_down]}
       steps:

@@ -297,7 +297,7 @@ def test_what_is_wrong_in_many_places_is_advised_once(station_of):
     assert ".;" not in text
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(each, marks=pytest.mark.long) for each in range(1, 5))])
 def test_ticks_between_readings_find_what_a_whole_evaluation_finds(watched, seed):
     random = np.random.default_rng(seed)
     bench, evaluated = watched(), watched()

@@ -21,7 +21,7 @@ def trends_of(bins, runs):
 
 
 @pytest.mark.draws
-@pytest.mark.parametrize(("bins", "runs"), [(1, 2), (3, 6), (14, 2), (14, 6)])
+@pytest.mark.parametrize(("bins", "runs"), [(1, 2), (14, 6)])
 def test_legends_of_the_gyros_neither_overlap_nor_leave_the_figure(bins, runs):
     figure = trend_figure("1001", trends_of(bins, runs))
     figure.canvas.draw()
