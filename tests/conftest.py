@@ -8,7 +8,6 @@ import contextlib
 import gc
 import importlib
 import os
-import pickle
 import shutil
 import signal
 from dataclasses import replace
@@ -119,7 +118,6 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     config = session.config
     if not hasattr(config, "workerinput"):
         return
-    report_outcomes_alone(config)
     atexit.register(os._exit, 0)  # after all others: freeing each object of all tests takes seconds
     gc.disable()  # importing hardly leaves anything to free
     number, others = int(config.workerinput["workerid"][2:]), config.workerinput["workercount"] - 1
@@ -130,22 +128,6 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     for path in paths[number - 1 :: others]:
         with contextlib.suppress(Exception, pytest.skip.Exception):  # collecting reports it
             importlib.import_module(".".join(path.relative_to(config.rootpath).with_suffix("").parts))
-
-
-def report_outcomes_alone(config):
-    """Send one message for a test that passes, not six, unless durations or a file of results need all."""
-    if config.option.durations is not None or config.option.xmlpath:
-        return
-    worker = next(each for each in config.pluginmanager.get_plugins() if hasattr(each, "sendevent"))
-    send = worker.sendevent
-
-    def send_needed(name, **content):
-        report = content.get("data", {})
-        is_step = report.get("when") in ("setup", "teardown") and report.get("outcome") == "passed"
-        if name not in ("logstart", "logfinish") and not is_step:
-            send(name, **content)
-
-    worker.sendevent = send_needed
 
 
 @pytest.hookimpl(trylast=True)
@@ -203,23 +185,6 @@ def no_waiting_for_the_disk():
     """`os.fsync` only checks the descriptor: no test cuts the power. Those that simulate it replace this."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(os, "fsync", os.fstat)
-        yield
-
-
-@pytest.fixture(scope="session", autouse=True)
-def documents_parsed_once():
-    """Each text of a file is parsed once; who reads it gets its own copy."""
-    from gyrobench.bench.foundations import documents
-
-    parsed, read_yaml = {}, documents.read_yaml
-
-    def read_once(text):
-        if text not in parsed:
-            parsed[text] = pickle.dumps(read_yaml(text))
-        return pickle.loads(parsed[text])  # noqa: S301 - our own
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(documents, "read_yaml", read_once)
         yield
 
 

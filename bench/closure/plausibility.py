@@ -129,10 +129,7 @@ def _thousand_times_larger(sizes: FloatArray) -> BoolArray:
 
     The median of a row counts, so that one failed gyro makes no group.
     """
-    is_finite = np.isfinite(sizes)
-    ranked, counts = np.sort(np.where(is_finite, sizes, np.inf), axis=1), is_finite.sum(axis=1, keepdims=True)
-    middle = np.concatenate([np.maximum(counts - 1, 0) // 2, np.minimum(counts // 2, counts - 1)], axis=1)
-    row_sizes = np.where(counts[:, 0], np.take_along_axis(ranked, middle, axis=1).mean(axis=1), 0.0)
+    row_sizes = np.ma.filled(np.ma.median(np.ma.masked_invalid(sizes), axis=1), 0.0)
     is_used = row_sizes > 0.0
     logs, count = np.sort(np.log10(row_sizes[is_used])), int(is_used.sum())
     smallest = max(_MIN_COPIES, math.ceil(_MIN_GROUP * count))
