@@ -129,7 +129,8 @@ def _thousand_times_larger(sizes: FloatArray) -> BoolArray:
 
     The median of a row counts, so that one failed gyro makes no group.
     """
-    row_sizes = np.ma.filled(np.ma.median(np.ma.masked_invalid(sizes), axis=1), 0.0)
+    medians = np.ma.median(np.ma.masked_invalid(sizes), axis=1)  # type: ignore[no-untyped-call]
+    row_sizes: FloatArray = np.ma.filled(medians, 0.0)
     is_used = row_sizes > 0.0
     logs, count = np.sort(np.log10(row_sizes[is_used])), int(is_used.sum())
     smallest = max(_MIN_COPIES, math.ceil(_MIN_GROUP * count))

@@ -283,7 +283,7 @@ def test_a_run_that_does_not_fit_on_the_disk_fails(tmp_path):
     check = disk_check(station, tmp_path / "not" / "there", plan, 1e9)
     assert check.verdict is CheckVerdict.FAIL
     assert f"free at {tmp_path}" in check.found
-    assert "45:07 h need" in check.found
+    assert "45:27 h need" in check.found
 
 
 def test_a_wrong_station_file_is_refused_before_anything_is_opened(tmp_path):
