@@ -25,9 +25,9 @@ investigate: $(VENV)/.installed
 	$(BIN)/gyrobench investigate quick_campaign --station quick --world quick_warm_up --approve auto \
 		--verification quick_verification
 
-# Three workers on two cores: one runs the tests that wait in real time.
+# Four workers on two cores: two run the tests that wait in real time.
 test: install
-	$(BIN)/python -m pytest -m "not long" -p no:benchmark -n 3 --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest -m "not long" -p no:benchmark -n 4 --dist loadfile --no-loadscope-reorder
 
 # With many more examples of those that hypothesis makes up.
 test-long: install
