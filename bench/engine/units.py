@@ -155,13 +155,13 @@ class Units:
     def identify(self, again: bool) -> None:
         """Check the serial numbers: read those not known yet, or all if ``again``.
 
-        The others are compared as last received: adapters that were reconnected may have exchanged names.
+        The others are compared as sent by now: adapters that were reconnected may have exchanged names.
         """
         for unit in list(self.running):
             try:
                 if again or not unit.is_identified:
                     self._identify(unit)
-                elif (number := unit.live.ins.status().identity.get("serial_number")) is not None:
+                elif (number := unit.live.status().identity.get("serial_number")) is not None:
                     _require_number(unit, str(number))
             except InstrumentError as error:
                 self.fail(unit, error)
