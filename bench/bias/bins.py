@@ -4,6 +4,10 @@ The bias of a gyro changes with each power-on. If the positions of a bin were me
 cycles, as after a resume in the middle of a plateau, that change would look like a difference of positions.
 Therefore each power cycle has a constant: positions are compared within power cycles, and between power
 cycles only if positions measured in both connect them.
+
+The positions of a bin are measured one after the other, while the gyros still change by a kelvin or more. A
+bias that follows the temperature would therefore look like one that follows the position, or scatters: tests
+reduce biases to one temperature by the curve of the gyro, and count its uncertainty.
 """
 
 from __future__ import annotations
@@ -13,14 +17,15 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
-from itertools import combinations, permutations
+from itertools import permutations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.statistics import chi2_p_value, weighted_mean
+from gyrobench.bench.bias.position_differences import CubicBiasCurve, fit_curve
+from gyrobench.bench.bias.statistics import WeightedMean, chi2_p_value, weighted_mean
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.csv_tables import (
     CellReader,
@@ -39,13 +44,15 @@ DEFAULT_WIDTH_C = 5.0
 #: Smallest width, K; narrower bins would fill the memory with empty ones.
 _MIN_WIDTH_C = 0.01
 _MAX_ROUNDING = 1e-9
+_NO_CURVE = CubicBiasCurve(0.0, np.zeros(3), np.zeros((3, 3)))
 
 
 @dataclass(frozen=True)
 class PowerCycleMean:
-    """Mean bias of the dwells of one position, bin and power cycle, deg/h."""
+    """Mean bias of the dwells of one position, bin and power cycle, deg/h, and their mean temperature."""
 
     number: int  #: Of the power cycle in the table, from 1.
+    temperature_c: float
     bias_dph: float
     sigma_dph: float
     #: paper_bias_dph, paper_sigma_dph: By the paper's method; NaN if it does not apply.
@@ -55,7 +62,7 @@ class PowerCycleMean:
     @property
     def by_paper(self) -> PowerCycleMean:
         """Mean with the bias by the paper's method in place of the state-space one."""
-        return PowerCycleMean(self.number, self.paper_bias_dph, self.paper_sigma_dph)
+        return PowerCycleMean(self.number, self.temperature_c, self.paper_bias_dph, self.paper_sigma_dph)
 
 
 @dataclass(frozen=True)
@@ -73,8 +80,8 @@ class BiasBin:
     bias_dph: float
     sigma_dph: float  #: Standard uncertainty of the mean from those of the dwells.
     count: int  #: Number of dwells.
-    #: Reduced chi-square of the dwells' biases: near 1 if their uncertainties explain the spread; NaN for a
-    #: single dwell.
+    #: Reduced chi-square of the dwells' biases at one temperature: near 1 if their uncertainties explain the
+    #: spread; NaN for a single dwell.
     chi2_reduced: float
     spread_p_value: float  #: Probability of at least this spread if due only to these uncertainties.
     #: paper_bias_dph, paper_sigma_dph: The mean by the paper's method, over the dwells to which it applies;
@@ -133,6 +140,7 @@ def bin_biases(rows: Iterable[DwellRow], width_c: float = DEFAULT_WIDTH_C) -> li
     result = []
     for axis, gyro in enumerate(AXES):
         members = _by_position_and_number(axis, rows, width_c)
+        curve = _curve_of_dwells(axis, [row for dwells in members.values() for row in dwells])
         numbers = [number for _, number in members]
         for position in positions:
             for number in range(min(numbers, default=0), max(numbers, default=-1) + 1):
@@ -140,7 +148,9 @@ def bin_biases(rows: Iterable[DwellRow], width_c: float = DEFAULT_WIDTH_C) -> li
                 dwells = members.get((position, number), [])
                 runs = {row.run for name in positions for row in members.get((name, number), [])}
                 by_cycle = _by_power_cycle(axis, dwells, power_cycles) if len(runs) > 1 else ()
-                result.append(replace(_bin(axis, gyro, position, ends, dwells), by_power_cycle=by_cycle))
+                result.append(
+                    replace(_bin(axis, gyro, position, ends, dwells, curve), by_power_cycle=by_cycle)
+                )
     return result
 
 
@@ -215,24 +225,44 @@ def _by_position_and_number(
     return members
 
 
+def _curve_of_dwells(axis: int, rows: Sequence[DwellRow]) -> CubicBiasCurve:
+    values = [(row.gyro_c[axis], row.bias_dph[axis], row.sigma_dph[axis]) for row in rows]
+    gyro_c, bias_dph, sigma_dph = np.array(values).reshape(-1, 3).T
+    runs, positions = [row.run for row in rows], [row.position for row in rows]
+    return fit_curve(gyro_c, bias_dph, sigma_dph, runs, positions)
+
+
 def _bin(
-    axis: int, gyro: str, position: str, ends_c: tuple[float, float], rows: Sequence[DwellRow]
+    axis: int,
+    gyro: str,
+    position: str,
+    ends_c: tuple[float, float],
+    rows: Sequence[DwellRow],
+    curve: CubicBiasCurve,
 ) -> BiasBin:
     if not rows:
         return BiasBin(gyro, position, *ends_c, math.nan, math.nan, math.nan, 0, math.nan, math.nan)
     sigmas = [row.sigma_dph[axis] for row in rows]
     bias = weighted_mean([row.bias_dph[axis] for row in rows], sigmas)
+    temperature_c = weighted_mean([row.gyro_c[axis] for row in rows], sigmas).value
+    spread = _reduced_mean(
+        curve,
+        np.array([row.bias_dph[axis] for row in rows]),
+        np.array(sigmas),
+        np.array([row.gyro_c[axis] for row in rows]),
+        temperature_c,
+    )
     paper_bias_dph, paper_sigma_dph = _paper_mean(axis, rows)
     return BiasBin(
         gyro,
         position,
         *ends_c,
-        temperature_c=weighted_mean([row.gyro_c[axis] for row in rows], sigmas).value,
+        temperature_c=temperature_c,
         bias_dph=bias.value,
         sigma_dph=bias.sigma,
         count=len(rows),
-        chi2_reduced=bias.chi2_reduced,
-        spread_p_value=bias.p_value,
+        chi2_reduced=spread.chi2_reduced,
+        spread_p_value=spread.p_value,
         paper_bias_dph=paper_bias_dph,
         paper_sigma_dph=paper_sigma_dph,
     )
@@ -244,8 +274,12 @@ def _by_power_cycle(
     means = []
     for run in dict.fromkeys(row.run for row in rows):
         in_run = [row for row in rows if row.run == run]
-        mean = weighted_mean([row.bias_dph[axis] for row in in_run], [row.sigma_dph[axis] for row in in_run])
-        means.append(PowerCycleMean(power_cycles[run], mean.value, mean.sigma, *_paper_mean(axis, in_run)))
+        sigmas = [row.sigma_dph[axis] for row in in_run]
+        mean = weighted_mean([row.bias_dph[axis] for row in in_run], sigmas)
+        gyro_c = weighted_mean([row.gyro_c[axis] for row in in_run], sigmas).value
+        means.append(
+            PowerCycleMean(power_cycles[run], gyro_c, mean.value, mean.sigma, *_paper_mean(axis, in_run))
+        )
     return tuple(means)
 
 
@@ -283,12 +317,11 @@ class PositionComparison:
     #: position in common.
     p_value: float
     largest_pair: tuple[str, str]  #: The two positions that differ most, the higher bias first.
-    #: largest_difference_dph, largest_difference_sigma_dph: Their difference and its standard uncertainty.
+    #: largest_difference_dph, largest_difference_sigma_dph: Their difference at one temperature and its
+    #: standard uncertainty.
     largest_difference_dph: float
     largest_difference_sigma_dph: float
-    #: Largest difference of the positions' mean temperatures inside the bin. The test does not account for
-    #: it: the slope of the bias times this can look like a difference of positions.
-    temperature_spread_c: float
+    temperature_spread_c: float  #: Largest difference of the positions' mean temperatures inside the bin.
 
 
 def compare_positions(bins: Iterable[BiasBin]) -> list[PositionComparison]:
@@ -299,7 +332,15 @@ def compare_positions(bins: Iterable[BiasBin]) -> list[PositionComparison]:
     ``bins``: of one unit, in any order; :func:`gyrobench.bench.bias.bins.paper_bins` for the paper's method.
     Result: by gyro and temperature.
     """
-    compared = (_compare_group(group) for group in _groups(bins))
+    curves: dict[str, CubicBiasCurve] = {}
+    groups = _groups(bins)
+    for gyro in dict.fromkeys(group[0].gyro for group in groups):
+        means = [mean for group in groups if group[0].gyro == gyro for mean in _power_cycle_means(group)]
+        values = [(each.temperature_c, each.bias_dph, each.sigma_dph) for _, each in means]
+        gyro_c, bias_dph, sigma_dph = np.array(values).T
+        runs, positions = [each.number for _, each in means], [position for position, _ in means]
+        curves[gyro] = fit_curve(gyro_c, bias_dph, sigma_dph, runs, positions)
+    compared = (_compare_group(group, curves[group[0].gyro]) for group in groups)
     return [each for each in compared if each is not None]
 
 
@@ -308,11 +349,8 @@ def disconnected_bins(bins: Iterable[BiasBin]) -> list[BiasBin]:
 
     There, power cycles have no position in common.
     """
-    return [
-        group[0]
-        for group in _groups(bins)
-        if (means := _power_cycle_means(group)) and not _compare_over_power_cycles(means).are_all_connected
-    ]
+    compared = ((group[0], _compare(_power_cycle_means(group), _NO_CURVE)) for group in _groups(bins))
+    return [each for each, comparison in compared if not comparison.are_all_connected]
 
 
 def _groups(bins: Iterable[BiasBin]) -> list[list[BiasBin]]:
@@ -328,43 +366,35 @@ def _power_cycle_means(group: Iterable[BiasBin]) -> list[tuple[str, PowerCycleMe
     """Means by position and power cycle, with uncertainties that include errors common to the dwells."""
     means = []
     for each in group:
-        weight = sum(mean.sigma_dph**-2.0 for mean in each.by_power_cycle)
+        of_one = (PowerCycleMean(0, each.temperature_c, each.bias_dph, each.sigma_dph),)
+        by_power_cycle = each.by_power_cycle or of_one
+        weight = sum(mean.sigma_dph**-2.0 for mean in by_power_cycle)
         factor = max(1.0, each.sigma_dph * math.sqrt(weight))
         means += [
-            (each.position, replace(mean, sigma_dph=factor * mean.sigma_dph)) for mean in each.by_power_cycle
+            (each.position, replace(mean, sigma_dph=factor * mean.sigma_dph)) for mean in by_power_cycle
         ]
     return means
 
 
-def _compare_group(group: Sequence[BiasBin]) -> PositionComparison | None:
-    if means := _power_cycle_means(group):
-        comparison = _compare_over_power_cycles(means)
-        if not comparison.dof:
-            return None
-        p_value, pair = comparison.p_value, comparison.pair
-        difference_dph, sigma_dph = comparison.difference_dph, comparison.sigma_dph
-    else:
-        p_value = weighted_mean([each.bias_dph for each in group], [each.sigma_dph for each in group]).p_value
-        pairs = combinations(sorted(group, key=lambda each: -each.bias_dph), 2)
-        high, low = max(pairs, key=lambda pair: pair[0].bias_dph - pair[1].bias_dph)
-        pair = high.position, low.position
-        difference_dph = high.bias_dph - low.bias_dph
-        sigma_dph = float(np.hypot(high.sigma_dph, low.sigma_dph))
+def _compare_group(group: Sequence[BiasBin], curve: CubicBiasCurve) -> PositionComparison | None:
+    comparison = _compare(_power_cycle_means(group), curve)
+    if not comparison.dof:
+        return None
     return PositionComparison(
         gyro=group[0].gyro,
         bin_low_c=group[0].bin_low_c,
         bin_high_c=group[0].bin_high_c,
-        p_value=p_value,
-        largest_pair=pair,
-        largest_difference_dph=difference_dph,
-        largest_difference_sigma_dph=sigma_dph,
+        p_value=comparison.p_value,
+        largest_pair=comparison.pair,
+        largest_difference_dph=comparison.difference_dph,
+        largest_difference_sigma_dph=comparison.sigma_dph,
         temperature_spread_c=float(np.ptp([each.temperature_c for each in group])),
     )
 
 
 @dataclass(frozen=True)
-class _ConnectedComparison:
-    """Comparison of the positions of a bin with a constant for each power cycle."""
+class _Comparison:
+    """Comparison of the positions of a bin at one temperature, with a constant for each power cycle."""
 
     #: dof, p_value: Of the chi-square test of equal positions; 0 and NaN if none are comparable.
     dof: int
@@ -376,26 +406,26 @@ class _ConnectedComparison:
     are_all_connected: bool  #: Whether every position is compared with every other.
 
 
-def _compare_over_power_cycles(means: Sequence[tuple[str, PowerCycleMean]]) -> _ConnectedComparison:
+def _compare(means: Sequence[tuple[str, PowerCycleMean]], curve: CubicBiasCurve) -> _Comparison:
     """Compare positions by their means in each power cycle."""
     positions = list(dict.fromkeys(position for position, _ in means))
     cycles = list(dict.fromkeys(each.number for _, each in means))
     constants = np.array([[each.number == cycle for cycle in cycles] for _, each in means], dtype=np.float64)
     position_columns = np.array([[name == each for each in positions] for name, _ in means], dtype=np.float64)
     design = np.hstack([position_columns, constants])
-    sigma_dph = np.array([each.sigma_dph for _, each in means])
-    data = np.array([each.bias_dph for _, each in means]) / sigma_dph
+    values = [(each.bias_dph, each.sigma_dph, each.temperature_c) for _, each in means]
+    bias_dph, sigma_dph, gyro_c = np.array(values).T
+    reduced_dph, by_curve = curve.reduce(bias_dph, gyro_c, float(gyro_c.mean()))
+    white = np.linalg.inv(np.linalg.cholesky(np.diag(sigma_dph**2) + by_curve))
+    data, rows = white @ reduced_dph, white @ design
 
-    def fit(columns: FloatArray) -> tuple[FloatArray, float]:
-        rows = columns / sigma_dph[:, np.newaxis]
-        values = np.linalg.lstsq(rows, data)[0]
-        return values, float(((data - rows @ values) ** 2).sum())
+    def chi2(columns: FloatArray) -> float:
+        return float(((data - columns @ np.linalg.lstsq(columns, data)[0]) ** 2).sum())
 
-    values, chi2 = fit(design)
     dof = int(np.linalg.matrix_rank(design)) - len(cycles)
-    p_value = chi2_p_value(dof, fit(constants)[1] - chi2) if dof else math.nan
-    rows = design / sigma_dph[:, np.newaxis]
+    p_value = chi2_p_value(dof, chi2(white @ constants) - chi2(rows)) if dof else math.nan
     covariance = np.linalg.pinv(rows.T @ rows)
+    values_dph = covariance @ (rows.T @ data)
     projection = np.linalg.pinv(design) @ design  # onto the combinations that the data determine
     largest = ("", ""), -math.inf, math.nan
     are_all_connected = True
@@ -404,6 +434,18 @@ def _compare_over_power_cycles(means: Sequence[tuple[str, PowerCycleMean]]) -> _
         contrast[[a, b]] = 1.0, -1.0
         if np.abs(projection @ contrast - contrast).max() > _MAX_ROUNDING:
             are_all_connected = False
-        elif (difference := float(contrast @ values)) > largest[1]:
+        elif (difference := float(contrast @ values_dph)) > largest[1]:
             largest = (positions[a], positions[b]), difference, math.sqrt(contrast @ covariance @ contrast)
-    return _ConnectedComparison(dof, p_value, *largest, are_all_connected)
+    return _Comparison(dof, p_value, *largest, are_all_connected)
+
+
+def _reduced_mean(
+    curve: CubicBiasCurve, bias_dph: FloatArray, sigma_dph: FloatArray, gyro_c: FloatArray, to_c: float
+) -> WeightedMean:
+    """Mean of biases (n,) reduced to one temperature."""
+    reduced_dph, by_curve = curve.reduce(bias_dph, gyro_c, to_c)
+    white = np.linalg.inv(np.linalg.cholesky(np.diag(sigma_dph**2) + by_curve))
+    data, ones = white @ reduced_dph, white.sum(axis=1)
+    information = float(ones @ ones)
+    mean = float(ones @ data) / information
+    return WeightedMean(mean, information**-0.5, float(((data - mean * ones) ** 2).sum()), len(data) - 1)

@@ -35,9 +35,13 @@ _Plateau = Sequence[DwellRow]
 
 #: Prior standard deviation of the slope of a gyro's bias, (deg/h)/K, if the run does not determine it.
 SLOPE_SIGMA_DPH_PER_C = 0.002
+#: Prior standard deviation of the constant of a position, deg/h.
+_POSITION_SIGMA_DPH = 0.1
 #: Scale of temperatures in the cubic, K: of the order of the range of a campaign.
 _SCALE_C = 50.0
 _POWERS = np.arange(1, 4)
+#: Temperatures count as different from this distance on, K: those of one plateau differ by less.
+_MIN_DISTANCE_K = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +58,13 @@ class CubicBiasCurve:
         """Responses (n, 3) of biases at temperatures (n,) to the coefficients."""
         scaled = (temperature_c - self.reference_c) / _SCALE_C
         return np.asarray(scaled[:, np.newaxis] ** _POWERS)
+
+    def reduce(
+        self, bias_dph: FloatArray, temperature_c: FloatArray, to_c: FloatArray | float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Biases (n,) at temperatures (n,), reduced to others, and the covariance (n, n) of the change."""
+        responses = self.responses(temperature_c) - self.responses(np.broadcast_to(to_c, temperature_c.shape))
+        return bias_dph - responses @ self.coefficients, responses @ self.covariance @ responses.T
 
 
 @dataclass(frozen=True)
@@ -82,28 +93,65 @@ def fit_bias_curve(plateaus: Sequence[_Plateau], axis: int) -> CubicBiasCurve:
     ``plateaus``: of the whole run, with a result for this gyro in each dwell. ``axis``: 0, 1 or 2. Without
     plateaus, or with one temperature only, the slope is zero with an uncertainty of 0.002 (deg/h)/K.
     """
-    prior = np.full(len(_POWERS), (SLOPE_SIGMA_DPH_PER_C * _SCALE_C) ** -2.0)
-    temperature_c = np.array([mean_c(plateau, axis) for plateau in plateaus])
-    curve = CubicBiasCurve(
-        float(temperature_c.mean()) if plateaus else 0.0, np.zeros(len(_POWERS)), np.diag(1.0 / prior)
-    )
-    if not plateaus:
-        return curve
     bias_dph = np.array([np.mean([row.bias_dph[axis] for row in plateau]) for plateau in plateaus])
     sigma_dph = np.array(
         [np.linalg.norm([row.sigma_dph[axis] for row in plateau]) / len(plateau) for plateau in plateaus]
     )
-    runs = sorted({plateau[0].run for plateau in plateaus})
-    constants = np.array([[plateau[0].run == run for run in runs] for plateau in plateaus], dtype=np.float64)
-    rows = np.hstack([constants, curve.responses(temperature_c)]) / sigma_dph[:, np.newaxis]
+    temperature_c = np.array([mean_c(plateau, axis) for plateau in plateaus])
+    return fit_curve(temperature_c, bias_dph, sigma_dph, [plateau[0].run for plateau in plateaus])
+
+
+def fit_curve(
+    temperature_c: FloatArray,
+    bias_dph: FloatArray,
+    sigma_dph: FloatArray,
+    runs: Sequence[object],
+    positions: Sequence[str] = (),
+) -> CubicBiasCurve:
+    """Fit the curve of one gyro to biases (n,) with their standard uncertainties, at temperatures (n,).
+
+    ``runs``: power cycle of each, which has a constant. ``positions``: that of each, which has one as well if
+    given; the curve then has no higher degree than the temperatures determine. Without data, or with one
+    temperature only, as :func:`fit_bias_curve`.
+    """
+    prior = np.full(len(_POWERS), (SLOPE_SIGMA_DPH_PER_C * _SCALE_C) ** -2.0)
+    curve = CubicBiasCurve(
+        float(temperature_c.mean()) if len(temperature_c) else 0.0,
+        np.zeros(len(_POWERS)),
+        np.diag(1.0 / prior),
+    )
+    if not len(temperature_c):
+        return curve
+    of_runs, of_positions = (
+        [[each == value for value in dict.fromkeys(values)] for each in values]
+        for values in (runs, positions or [""] * len(temperature_c))
+    )
+    constants = np.hstack([of_runs, of_positions]).astype(np.float64)
+    information = np.r_[np.zeros(len(of_runs[0])), np.full(len(of_positions[0]), _POSITION_SIGMA_DPH**-2.0)]
+    first, powers = len(information), len(_POWERS)
+    if positions:  # at few temperatures a cubic would follow the positions
+        powers = min(max(_different_temperatures(temperature_c) - 1, 1), powers)
+    rows = np.hstack([constants, curve.responses(temperature_c)[:, :powers]]) / sigma_dph[:, np.newaxis]
     data = bias_dph / sigma_dph
-    covariance = np.linalg.inv(rows.T @ rows + np.diag(np.r_[np.zeros(len(runs)), prior]))
+    covariance = np.linalg.inv(rows.T @ rows + np.diag(np.r_[information, prior[:powers]]))
     parameters = covariance @ (rows.T @ data)
-    dof = len(plateaus) - float(np.trace(rows @ covariance @ rows.T))
+    dof = len(data) - float(np.trace(rows @ covariance @ rows.T))
     scatter = float(np.sum((data - rows @ parameters) ** 2)) / dof if dof > 0.5 else 1.0
-    first = len(runs)
-    curve_covariance = max(1.0, scatter) * covariance[first:, first:]
-    return CubicBiasCurve(curve.reference_c, parameters[first:], curve_covariance)
+    missing = (0, len(_POWERS) - powers)
+    return CubicBiasCurve(
+        curve.reference_c,
+        np.pad(parameters[first:], missing),
+        np.pad(max(1.0, scatter) * covariance[first:, first:], missing),
+    )
+
+
+def _different_temperatures(temperature_c: FloatArray) -> int:
+    """Number of temperatures that lie far enough apart to determine a curve."""
+    count, last_c = 0, -np.inf
+    for each_c in np.sort(temperature_c):
+        if each_c >= last_c + _MIN_DISTANCE_K:
+            count, last_c = count + 1, each_c
+    return count
 
 
 def position_differences(
@@ -117,12 +165,11 @@ def position_differences(
     rows = [row for each in passes for row in each]
     index = [number for number, each in enumerate(passes) for _ in each]
     plateau_c = np.array([mean_c(each, axis) for each in passes])[index]
-    responses = curve.responses(np.array([row.gyro_c[axis] for row in rows])) - curve.responses(plateau_c)
-    reduced_dph = np.array([row.bias_dph[axis] for row in rows]) - responses @ curve.coefficients
-    variances, by_curve = (
-        np.array([row.sigma_dph[axis] ** 2 for row in rows]),
-        responses @ curve.covariance @ responses.T,
+    bias_dph, gyro_c = (
+        np.array([getattr(row, name)[axis] for row in rows]) for name in ("bias_dph", "gyro_c")
     )
+    reduced_dph, by_curve = curve.reduce(bias_dph, gyro_c, plateau_c)
+    variances = np.array([row.sigma_dph[axis] ** 2 for row in rows])
     white = np.linalg.inv(np.linalg.cholesky(np.diag(variances) + by_curve))
     positions = [name for name in POSITIONS if any(row.position == name for row in rows)]
     columns = [[number == each for number in index] for each in range(len(passes))]

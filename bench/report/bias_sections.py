@@ -36,10 +36,10 @@ from gyrobench.bench.report.run_text import (
 )
 
 _DIFFERENCE_CAPTION = (
-    "Largest difference between two positions in each temperature bin, with its standard uncertainty (k ="
-    " 1). Noise alone makes the largest of several differences greater than zero: with six equal "
-    "positions it is usually about 2.5 times the uncertainty of one of them, so the p-value decides. "
-    "Filled markers: significant difference."
+    "Largest difference between two positions in each temperature bin, reduced to one temperature, with its "
+    "standard uncertainty (k = 1). Noise alone makes the largest of several differences greater than zero: "
+    "with six equal positions it is usually about 2.5 times the uncertainty of one of them, so the p-value "
+    "decides. Filled markers: significant difference."
 )
 _LIMITS_CAPTION = (
     " Red lines are acceptance limits, which hold within one plateau: a bin with dwells of several "
@@ -57,7 +57,8 @@ _PAIR_CAPTION = (
 _BOTH_SIDES = ", on the left by the state-space estimator, on the right by the paper's method"
 _COMPARISON_CAPTION = (
     "Comparison of positions{}. p: probability of differences this large if the bias were the same in all "
-    "positions. Spread: difference of the positions' mean temperatures inside the bin."
+    "positions, with all biases reduced to one temperature. Spread: difference of the positions' mean "
+    "temperatures inside the bin."
 )
 _PAPER_P = "; in grey by the paper's method, whose systematic errors are not in its p"
 _P_EQUAL_NOTE = (

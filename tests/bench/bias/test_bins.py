@@ -21,6 +21,7 @@ from gyrobench.bench.bias.bins import (
     write_bins,
 )
 from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.position_differences import SLOPE_SIGMA_DPH_PER_C
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 from gyrobench.bench.navigation.positions import POSITIONS
 
@@ -54,8 +55,42 @@ def test_weights_by_the_uncertainty():
     assert each.temperature_c == pytest.approx(21.6)
     assert each.sigma_dph == pytest.approx(1 / math.sqrt(1e6 + 0.25e6))
     assert each.count == 2
+    (each,) = only(bin_biases([replace(dwell, gyro_c=(21.6,) * 3) for dwell in rows]), "x")
+    assert each.bias_dph == pytest.approx(0.012)
     assert each.chi2_reduced == pytest.approx(2.0**2 + 4.0**2)
     assert each.spread_p_value == pytest.approx(math.erfc(math.sqrt(20.0 / 2.0)))
+
+
+def rows_on_a_slope(random, extra_dph=0.0, plateaus_c=(-22.0, 8.0, 38.0, 68.0)):
+    """Dwells of six positions in a row at each plateau, with gyros that settle, and a bias of 0.002 deg/h/K.
+
+    ``extra_dph``: more in z_down.
+    """
+    rows = []
+    for final_c in plateaus_c:
+        for side in (-1.0, 1.0):
+            for number, position in enumerate(POSITION_NAMES[::-1] if side > 0.0 else POSITION_NAMES):
+                gyro_c = final_c + side * 4.0 * math.exp(-0.67 * number)
+                bias_dph = 0.002 * gyro_c + 0.001 * random.normal() + extra_dph * (position == "z_down")
+                rows.append(row(position, (gyro_c,) * 3, (bias_dph, 0.0, 0.0)))
+    return rows
+
+
+def test_a_bias_that_follows_the_temperature_is_no_difference_of_positions_and_no_scatter():
+    random = np.random.default_rng(5)
+    bins = [[each for each in bin_biases(rows_on_a_slope(random)) if each.gyro == "x"] for _ in range(20)]
+    spreads = [each.spread_p_value for run in bins for each in run if each.count > 1]
+    assert len(spreads) > 100
+    assert min(spreads) > 0.01 / len(spreads)
+    p_values = [each.p_value for run in bins for each in compare_positions(run)]
+    assert min(p_values) > 0.01 / len(p_values)
+
+
+@pytest.mark.parametrize("plateaus_c", [(8.0, 38.0), (-22.0, 8.0, 38.0), (-22.0, 8.0, 38.0, 68.0)])
+def test_positions_that_differ_are_told_from_a_slope_over_any_number_of_plateaus(plateaus_c):
+    rows = rows_on_a_slope(np.random.default_rng(5), 0.01, plateaus_c)
+    found = compare_positions(bin_biases(rows))
+    assert min(each.p_value for each in found if each.gyro == "x") < 1e-9
 
 
 def test_bins_by_the_temperature_of_the_gyro_itself():
@@ -199,17 +234,25 @@ def position_bin(position, bias_dph, sigma_dph=0.001, low_c=20.0, temperature_c=
 
 
 def test_two_positions_by_hand():
+    (result,) = compare_positions([position_bin("z_up", 0.010, 0.001), position_bin("y_up", 0.015, 0.002)])
+    assert result.p_value == pytest.approx(math.erfc(math.sqrt(5.0 / 2.0)))
+    assert result.largest_pair == ("y_up", "z_up")
+    assert result.largest_difference_dph == pytest.approx(0.005)
+    assert result.largest_difference_sigma_dph == pytest.approx(math.hypot(0.001, 0.002))
+
+
+def test_with_one_temperature_only_the_slope_of_the_bias_is_uncertain():
     (result,) = compare_positions(
         [
             position_bin("z_up", 0.010, 0.001, temperature_c=22.0),
             position_bin("y_up", 0.015, 0.002, temperature_c=23.5),
         ]
     )
-    assert result.p_value == pytest.approx(math.erfc(math.sqrt(5.0 / 2.0)))
-    assert result.largest_pair == ("y_up", "z_up")
-    assert result.largest_difference_dph == pytest.approx(0.005)
-    assert result.largest_difference_sigma_dph == pytest.approx(math.hypot(0.001, 0.002))
     assert result.temperature_spread_c == pytest.approx(1.5)
+    assert result.largest_difference_dph == pytest.approx(0.005, rel=1e-3)
+    assert result.largest_difference_sigma_dph == pytest.approx(
+        math.hypot(0.001, 0.002, SLOPE_SIGMA_DPH_PER_C * 1.5), rel=1e-3
+    )
 
 
 def test_the_papers_method_is_compared_in_the_same_way():
