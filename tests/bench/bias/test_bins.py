@@ -87,7 +87,7 @@ def test_a_bias_that_follows_the_temperature_is_no_difference_of_positions_and_n
 
 
 @pytest.mark.parametrize("plateaus_c", [(8.0, 38.0), (-22.0, 8.0, 38.0), (-22.0, 8.0, 38.0, 68.0)])
-def test_positions_that_differ_are_told_from_a_slope_over_any_number_of_plateaus(plateaus_c):
+def test_positions_that_differ_are_found_beside_a_slope_over_any_number_of_plateaus(plateaus_c):
     rows = rows_on_a_slope(np.random.default_rng(5), 0.01, plateaus_c)
     found = compare_positions(bin_biases(rows))
     assert min(each.p_value for each in found if each.gyro == "x") < 1e-9
