@@ -332,15 +332,12 @@ def compare_positions(bins: Iterable[BiasBin]) -> list[PositionComparison]:
     ``bins``: of one unit, in any order; :func:`gyrobench.bench.bias.bins.paper_bins` for the paper's method.
     Result: by gyro and temperature.
     """
-    curves: dict[str, CubicBiasCurve] = {}
-    groups = _groups(bins)
-    for gyro in dict.fromkeys(group[0].gyro for group in groups):
-        means = [mean for group in groups if group[0].gyro == gyro for mean in _power_cycle_means(group)]
-        values = [(each.temperature_c, each.bias_dph, each.sigma_dph) for _, each in means]
-        gyro_c, bias_dph, sigma_dph = np.array(values).T
-        runs, positions = [each.number for _, each in means], [position for position, _ in means]
-        curves[gyro] = fit_curve(gyro_c, bias_dph, sigma_dph, runs, positions)
-    compared = (_compare_group(group, curves[group[0].gyro]) for group in groups)
+    groups = [(group, _power_cycle_means(group)) for group in _groups(bins)]
+    curves = {
+        gyro: _curve_of_means([mean for group, means in groups if group[0].gyro == gyro for mean in means])
+        for gyro in dict.fromkeys(group[0].gyro for group, _ in groups)
+    }
+    compared = (_compare_group(group, means, curves[group[0].gyro]) for group, means in groups)
     return [each for each in compared if each is not None]
 
 
@@ -376,8 +373,17 @@ def _power_cycle_means(group: Iterable[BiasBin]) -> list[tuple[str, PowerCycleMe
     return means
 
 
-def _compare_group(group: Sequence[BiasBin], curve: CubicBiasCurve) -> PositionComparison | None:
-    comparison = _compare(_power_cycle_means(group), curve)
+def _curve_of_means(means: Sequence[tuple[str, PowerCycleMean]]) -> CubicBiasCurve:
+    values = [(each.temperature_c, each.bias_dph, each.sigma_dph) for _, each in means]
+    gyro_c, bias_dph, sigma_dph = np.array(values).T
+    runs, positions = [each.number for _, each in means], [position for position, _ in means]
+    return fit_curve(gyro_c, bias_dph, sigma_dph, runs, positions)
+
+
+def _compare_group(
+    group: Sequence[BiasBin], means: Sequence[tuple[str, PowerCycleMean]], curve: CubicBiasCurve
+) -> PositionComparison | None:
+    comparison = _compare(means, curve)
     if not comparison.dof:
         return None
     return PositionComparison(
@@ -415,8 +421,7 @@ def _compare(means: Sequence[tuple[str, PowerCycleMean]], curve: CubicBiasCurve)
     design = np.hstack([position_columns, constants])
     values = [(each.bias_dph, each.sigma_dph, each.temperature_c) for _, each in means]
     bias_dph, sigma_dph, gyro_c = np.array(values).T
-    reduced_dph, by_curve = curve.reduce(bias_dph, gyro_c, float(gyro_c.mean()))
-    white = np.linalg.inv(np.linalg.cholesky(np.diag(sigma_dph**2) + by_curve))
+    reduced_dph, _, white = curve.reduce(bias_dph, sigma_dph, gyro_c, float(gyro_c.mean()))
     data, rows = white @ reduced_dph, white @ design
 
     def chi2(columns: FloatArray) -> float:
@@ -443,8 +448,7 @@ def _reduced_mean(
     curve: CubicBiasCurve, bias_dph: FloatArray, sigma_dph: FloatArray, gyro_c: FloatArray, to_c: float
 ) -> WeightedMean:
     """Mean of biases (n,) reduced to one temperature."""
-    reduced_dph, by_curve = curve.reduce(bias_dph, gyro_c, to_c)
-    white = np.linalg.inv(np.linalg.cholesky(np.diag(sigma_dph**2) + by_curve))
+    reduced_dph, _, white = curve.reduce(bias_dph, sigma_dph, gyro_c, to_c)
     data, ones = white @ reduced_dph, white.sum(axis=1)
     information = float(ones @ ones)
     mean = float(ones @ data) / information

@@ -60,11 +60,16 @@ class CubicBiasCurve:
         return np.asarray(scaled[:, np.newaxis] ** _POWERS)
 
     def reduce(
-        self, bias_dph: FloatArray, temperature_c: FloatArray, to_c: FloatArray | float
-    ) -> tuple[FloatArray, FloatArray]:
-        """Biases (n,) at temperatures (n,), reduced to others, and the covariance (n, n) of the change."""
+        self, bias_dph: FloatArray, sigma_dph: FloatArray, temperature_c: FloatArray, to_c: FloatArray | float
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Biases (n,) at temperatures (n,), reduced to others.
+
+        Also returns the covariance (n, n) of the change, and the matrix (n, n) that whitens the result.
+        """
         responses = self.responses(temperature_c) - self.responses(np.broadcast_to(to_c, temperature_c.shape))
-        return bias_dph - responses @ self.coefficients, responses @ self.covariance @ responses.T
+        covariance = responses @ self.covariance @ responses.T
+        white = np.linalg.inv(np.linalg.cholesky(np.diag(sigma_dph**2) + covariance))
+        return bias_dph - responses @ self.coefficients, covariance, white
 
 
 @dataclass(frozen=True)
@@ -165,12 +170,10 @@ def position_differences(
     rows = [row for each in passes for row in each]
     index = [number for number, each in enumerate(passes) for _ in each]
     plateau_c = np.array([mean_c(each, axis) for each in passes])[index]
-    bias_dph, gyro_c = (
-        np.array([getattr(row, name)[axis] for row in rows]) for name in ("bias_dph", "gyro_c")
+    bias_dph, sigma_dph, gyro_c = (
+        np.array([getattr(row, name)[axis] for row in rows]) for name in ("bias_dph", "sigma_dph", "gyro_c")
     )
-    reduced_dph, by_curve = curve.reduce(bias_dph, gyro_c, plateau_c)
-    variances = np.array([row.sigma_dph[axis] ** 2 for row in rows])
-    white = np.linalg.inv(np.linalg.cholesky(np.diag(variances) + by_curve))
+    reduced_dph, by_curve, white = curve.reduce(bias_dph, sigma_dph, gyro_c, plateau_c)
     positions = [name for name in POSITIONS if any(row.position == name for row in rows)]
     columns = [[number == each for number in index] for each in range(len(passes))]
     # The first position is the reference: only differences are observable.
@@ -183,7 +186,7 @@ def position_differences(
     dof = len(rows) - len(parameters)
     chi2 = float(np.sum((data - design @ parameters) ** 2))
     common = np.array([shared[row.dwell][axis] if shared else [] for row in rows])
-    independent = np.diag(np.maximum(variances - (common**2).sum(axis=1), 0.0))
+    independent = np.diag(np.maximum(sigma_dph**2 - (common**2).sum(axis=1), 0.0))
     by_rows = gain @ white
     by_common = by_rows @ common @ common.T @ by_rows.T
     with_common = by_rows @ (independent + by_curve) @ by_rows.T + by_common

@@ -109,22 +109,11 @@ def write_report(
     An existing report is replaced. The report lists the files that are missing because the run failed or was
     interrupted. A run that has ended is sealed with its report.
 
-    Raises RunFolderError if a file can't be written.
-
-    Parameters
-    ----------
-    prepared_by : str
-        Name for the sign-off, stored in the run; default: the stored name, or a blank line.
-    out : Path, optional
-        Output folder; default: the run folder.
-    before : RunFolder, optional
-        Run before a change, compared with this one.
-    mark_temperatures_c : sequence of float
-        Temperatures in degC that figures mark in addition to those of the procedure.
-    vectors : sequence of str
-        Further formats of the figures, besides PNG: ``svg``, ``pdf``.
-    are_tables_new : bool
-        Whether the tables were recomputed since the last seal.
+    ``prepared_by``: name for the sign-off, stored in the run; default: the stored name, or a blank line.
+    ``out``: output folder; default: the run folder. ``before``: run before a change, compared with this one.
+    ``mark_temperatures_c``: temperatures that figures mark in addition to those of the procedure.
+    ``vectors``: further formats of the figures, besides PNG: ``svg``, ``pdf``. ``are_tables_new``: whether
+    the tables were recomputed since the last seal. Raises RunFolderError if a file can't be written.
     """
     target = RunFolder(out or folder.path)
     if prepared_by:
