@@ -306,10 +306,10 @@ def _parse_bin(table: CsvTable, index: int) -> BiasBin:
 
 @dataclass(frozen=True)
 class PositionComparison:
-    """Comparison of the positions of one gyro in one temperature bin."""
+    """Comparison of the positions of one gyro in one temperature bin, or in two that share a plateau."""
 
     gyro: str  #: "x", "y" or "z".
-    #: bin_low_c, bin_high_c: Range of the gyro's temperature.
+    #: bin_low_c, bin_high_c: Range of the gyro's temperature, of both bins if there are two.
     bin_low_c: float
     bin_high_c: float
     #: Probability of differences at least as large if the positions were equal: the chi-square test of
@@ -321,13 +321,14 @@ class PositionComparison:
     #: standard uncertainty.
     largest_difference_dph: float
     largest_difference_sigma_dph: float
-    temperature_spread_c: float  #: Largest difference of the positions' mean temperatures inside the bin.
+    temperature_spread_c: float  #: Largest difference of the positions' mean temperatures.
 
 
 def compare_positions(bins: Iterable[BiasBin]) -> list[PositionComparison]:
     """Compare the positions of each gyro and bin; bins without two comparable positions are left out.
 
-    If the dwells of a bin are from several power cycles, each power cycle has a constant.
+    Where the border of two bins divides the positions of a plateau, they are compared over both. If the
+    dwells of a bin are from several power cycles, each power cycle has a constant.
 
     ``bins``: of one unit, in any order; :func:`gyrobench.bench.bias.bins.paper_bins` for the paper's method.
     Result: by gyro and temperature.
@@ -351,12 +352,31 @@ def disconnected_bins(bins: Iterable[BiasBin]) -> list[BiasBin]:
 
 
 def _groups(bins: Iterable[BiasBin]) -> list[list[BiasBin]]:
-    """Bins of each gyro and range with two positions or more."""
-    groups: dict[tuple[str, float], list[BiasBin]] = defaultdict(list)
+    """Bins of each gyro and range with two positions or more; of two ranges if these share a plateau."""
+    by_range: dict[tuple[str, float], list[BiasBin]] = defaultdict(list)
     for each in bins:
         if not each.is_empty:
-            groups[each.gyro, each.bin_low_c].append(each)
-    return [group for _, group in sorted(groups.items()) if len(group) > 1]
+            by_range[each.gyro, each.bin_low_c].append(each)
+    groups: list[list[BiasBin]] = []
+    for _, group in sorted(by_range.items()):
+        if groups and _share_plateau(groups[-1], group):
+            groups[-1] += group
+        else:
+            groups.append(group)
+    return [group for group in groups if len(group) > 1]
+
+
+def _share_plateau(lower: Sequence[BiasBin], upper: Sequence[BiasBin]) -> bool:
+    """Whether the border of two bins of a gyro divides the positions of a plateau.
+
+    Their temperatures are then within the width of one bin, and no position is in both.
+    """
+    both = [*lower, *upper]
+    return (
+        lower[0].gyro == upper[0].gyro
+        and len({each.position for each in both}) == len(both)
+        and float(np.ptp([each.temperature_c for each in both])) <= upper[0].bin_high_c - upper[0].bin_low_c
+    )
 
 
 def _power_cycle_means(group: Iterable[BiasBin]) -> list[tuple[str, PowerCycleMean]]:
@@ -389,7 +409,7 @@ def _compare_group(
     return PositionComparison(
         gyro=group[0].gyro,
         bin_low_c=group[0].bin_low_c,
-        bin_high_c=group[0].bin_high_c,
+        bin_high_c=group[-1].bin_high_c,
         p_value=comparison.p_value,
         largest_pair=comparison.pair,
         largest_difference_dph=comparison.difference_dph,

@@ -63,7 +63,7 @@ _COMPARISON_CAPTION = (
 _PAPER_P = "; in grey by the paper's method, whose systematic errors are not in its p"
 _P_EQUAL_NOTE = (
     "p equal: probability of differences this large if the bias were the same in all positions; * "
-    "significant."
+    "significant. Two bins between which the positions of a plateau are divided are compared as one."
 )
 _PAPER_NOTE = (
     "Second line: result of the paper's method, which neglects the Schuler loop, the coupling by the Earth's "
@@ -148,7 +148,7 @@ def bins_summary(bins: Sequence[BiasBin]) -> Section:
         rows = []
         for low, high, members in bins_by_temperature(gyro_bins):
             cells = _bin_cells(members, positions, scale, has_count=False) or ["empty"] * len(positions)
-            p_value = "\n".join(each[low] for each in p_values if low in each)
+            p_value = "\n".join(text for each in p_values for ends, text in each if ends[0] <= low < ends[1])
             rows.append([bin_label(low, high, ".."), *cells, *([p_value] if p_values[0] else [])])
         caption = f"Bias ± standard uncertainty in {scale.unit} by gyro temperature"
         header = ["bin / °C", *map(position_label, positions), *(["p equal"] if p_values[0] else [])]
@@ -160,12 +160,13 @@ def bins_summary(bins: Sequence[BiasBin]) -> Section:
     return Section("", sections=[*sections, Section("Notes", notes)])
 
 
-def _p_values(comparisons: Sequence[PositionComparison]) -> dict[float, str]:
-    """P-values as text by the lower end of their bin; a star marks a significant difference."""
+def _p_values(comparisons: Sequence[PositionComparison]) -> list[tuple[tuple[float, float], str]]:
+    """Ranges compared and their p-values as text; a star marks a significant difference."""
     different = significant_differences(comparisons)
-    return {
-        each.bin_low_c: f"{p_text(each.p_value)}{'*' if each in different else ' '}" for each in comparisons
-    }
+    return [
+        ((each.bin_low_c, each.bin_high_c), f"{p_text(each.p_value)}{'*' if each in different else ' '}")
+        for each in comparisons
+    ]
 
 
 def _bin_cells(

@@ -56,7 +56,9 @@ def add_step_duration(
 
     ``finished_steps``: numbers of the steps finished before; the number of this step is added.
     """
-    if entry.get("event") == "step_finished" and {"kind", "step", "planned_s", "took_s"} <= entry.keys():
+    planned_s, took_s = (_valid_seconds(entry.get(key)) for key in ("planned_s", "took_s"))
+    is_end = entry.get("event") == "step_finished" and "kind" in entry and isinstance(entry.get("step"), int)
+    if is_end and planned_s is not None and took_s is not None:
         kind = str(entry["kind"]).replace("_", " ")
         sums = durations.get(kind, KindDuration(kind, 0, 0.0, 0.0))
         is_repeat = entry["step"] in finished_steps
@@ -64,8 +66,8 @@ def add_step_duration(
         durations[kind] = KindDuration(
             kind,
             sums.count + (not is_repeat),
-            sums.planned_s + (0.0 if is_repeat else float(entry["planned_s"])),
-            sums.actual_s + float(entry["took_s"]),
+            sums.planned_s + (0.0 if is_repeat else planned_s),
+            sums.actual_s + took_s,
             sums.repeats + is_repeat,
         )
 

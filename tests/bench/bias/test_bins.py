@@ -304,6 +304,30 @@ def test_gyros_and_bins_are_kept_apart():
     ]
 
 
+def test_positions_of_a_plateau_that_a_border_divides_are_compared_over_both_bins():
+    settling = [position_bin(p, 0.0, temperature_c=24.0 + 0.1 * n) for n, p in enumerate(POSITIONS)]
+    first = position_bin("z_up", 0.02, low_c=25.0, temperature_c=25.3)
+    (result,) = compare_positions([first, *(each for each in settling if each.position != "z_up")])
+    assert (result.bin_low_c, result.bin_high_c) == (20.0, 30.0)
+    assert result.largest_pair[0] == "z_up"
+    assert result.p_value < 1e-9
+    assert result.temperature_spread_c == pytest.approx(1.2)
+
+
+@pytest.mark.parametrize(
+    "upper",
+    [
+        [position_bin("y_up", 0.0, low_c=25.0, temperature_c=26.0)],  # as of another cycle
+        [position_bin("x_up", 0.0, low_c=25.0, temperature_c=27.5)],  # as of another plateau
+        [position_bin("x_up", 0.0, low_c=25.0, temperature_c=26.0, gyro="y")],
+    ],
+)
+def test_other_bins_are_compared_each_for_itself(upper):
+    lower = [position_bin(p, 0.0, temperature_c=22.0) for p in ("z_up", "y_up")]
+    (result,) = compare_positions([*lower, *upper])
+    assert (result.bin_low_c, result.bin_high_c) == (20.0, 25.0)
+
+
 def test_needs_two_positions_that_were_measured():
     empty = position_bin("y_up", math.nan, math.nan, temperature_c=math.nan, count=0)
     assert compare_positions([position_bin("z_up", 0.0), empty]) == []

@@ -50,7 +50,9 @@ def test_other_and_damaged_entries_of_a_journal_are_passed_over():
     unfinished = {"event": "step_started", "step": 1, "kind": "soak", "what": "soak 1 min"}
     damaged = {"event": "step_finished", "step": 2, "kind": "soak", "took_s": 2.0}
     without_kind = {"event": "step_finished", "planned_s": 3.0, "took_s": 4.0}
-    assert kinds_of(unfinished, damaged, without_kind, {}) == []
+    of_text = finished(2, "soak", "align", 2.0)
+    of_list = finished([2], "soak", 1.0, 2.0)
+    assert kinds_of(unfinished, damaged, without_kind, of_text, of_list, {}) == []
 
 
 def entry(time_s, event, **details):

@@ -106,6 +106,13 @@ def test_p_values_are_beside_the_biases_that_they_are_of_where_uncertainties_are
     assert ["±" in line for line in lines[first : first + 4]] == [False, True, False, True]
 
 
+def test_both_bins_that_divide_a_plateau_show_the_p_value_of_their_positions(bins):
+    first, *others = coldest_of_x(bins)
+    moved = [replace(first, bin_low_c=-20.0, bin_high_c=-15.0), *others]
+    lines = printed_lines(section_view(bins_summary(moved)))
+    assert [line.split()[-1] for line in lines if line.startswith(("-25..-20", "-20..-15"))] == ["<1e-9*"] * 2
+
+
 def test_single_position_is_not_compared_and_that_is_said_once(bins):
     alone = [each for each in bins if each.position == "z_up"]
     lines = printed_lines(section_view(bins_summary(alone)))
