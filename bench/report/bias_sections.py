@@ -52,7 +52,7 @@ _BIAS_CAPTION = (
 )
 _PAIR_CAPTION = (
     "Biases in Z-Up and in Y-Up (Yu et al., Figs. 8, 9, 12 and 13): lines join the weighted means of the "
-    "temperature bins, numbers are those of their dwells, bars are standard uncertainties (k = 1)."
+    "temperature bins, numbers those of their dwells if several, bars are standard uncertainties (k = 1)."
 )
 _BOTH_SIDES = ", on the left by the state-space estimator, on the right by the paper's method"
 _COMPARISON_CAPTION = (

@@ -37,7 +37,7 @@ from gyrobench.bench.report.number_format import PAPER, STATE_SPACE, BiasScale, 
 from gyrobench.bench.report.run_text import POSITION_SIGNIFICANCE, significant_differences
 
 #: Legend title: meaning of bars and numbers.
-_LEGEND_TITLE = f"{BARS}; numbers: dwells"
+_LEGEND_TITLE = f"{BARS}; numbers: dwells, if several"
 #: Offset of the number of dwells from the end of a bar, points. Each position or gyro has a slot, so that the
 #: numbers of coinciding lines do not overlap: three columns above the bar, three below.
 _NUMBER_COLUMN_PT, _NUMBER_ROW_PT = 7.5, (2.0, -6.5)
@@ -194,7 +194,7 @@ def _draw_bins(axes: Axes, bins: Sequence[BiasBin], scale: BiasScale) -> None:
 def _draw_line(
     axes: Axes, bins: Sequence[BiasBin], scale: BiasScale, slot: int, **style_options: Any
 ) -> None:
-    """Join bins by a line, each with its bar and its number of dwells in one of six slots around it."""
+    """Join bins by a line, each with its bar; a number of several dwells is in one of six slots around it."""
     row, column = divmod(slot, 3)
     axes.errorbar(
         [each.temperature_c for each in bins],
@@ -204,7 +204,7 @@ def _draw_line(
         capsize=2.0,
         **style_options,
     )
-    for each in bins:
+    for each in (each for each in bins if each.count > 1):
         axes.annotate(
             str(each.count),
             (each.temperature_c, (each.bias_dph + (1 - 2 * row) * each.sigma_dph) * scale.factor),
