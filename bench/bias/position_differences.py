@@ -2,9 +2,10 @@
 
 The dwells of a plateau are measured one after the other, while the gyros still drift by a kelvin or more, so
 a bias that depends on temperature would look like one that depends on position. Each dwell is therefore
-reduced to the mean temperature of its plateau by the curve of its gyro: a cubic through the means of all
-plateaus, common to all positions, with a constant for each power-on. The uncertainty of the curve, larger if
-the plateaus scatter about it by more than their noise, contributes to that of the differences.
+reduced to the mean temperature of its plateau by the curve of its gyro: a polynomial through the means of all
+plateaus, common to all positions, with a constant for each power-on. The plateaus determine its degree, at
+most 3. The uncertainty of the curve, larger if the plateaus scatter about it by more than their noise,
+contributes to that of the differences, and so do the powers that they do not determine.
 
 Passes of the same plateau, in several cycles, are averaged if they agree. The uncertainty of their mean is
 the larger one of two: with independent errors of all dwells, and with the errors of common sources, as
@@ -40,6 +41,9 @@ _POSITION_SIGMA_DPH = 0.1
 #: Scale of temperatures in the cubic, K: of the order of the range of a campaign.
 _SCALE_C = 50.0
 _POWERS = np.arange(1, 4)
+#: Prior standard deviation of the powers that the temperatures do not determine, relative to the highest one
+#: that they do: in smooth curves no power is much larger than the one below.
+_HIGHER_SIZE = 2.0
 #: Temperatures count as different from this distance on, K: those of one plateau differ by less.
 _MIN_DISTANCE_K = 10.0
 
@@ -116,14 +120,15 @@ def fit_curve(
     """Fit the curve of one gyro to biases (n,) with their standard uncertainties, at temperatures (n,).
 
     ``runs``: power cycle of each, which has a constant. ``positions``: that of each, which has one as well if
-    given; the curve then has no higher degree than the temperatures determine. Without data, or with one
+    given. The curve has no higher degree than the temperatures determine: a higher one would follow the
+    positions. Higher powers are zero, uncertain by the size of the last one. Without data, or with one
     temperature only, as :func:`fit_bias_curve`.
     """
-    prior = np.full(len(_POWERS), (SLOPE_SIGMA_DPH_PER_C * _SCALE_C) ** -2.0)
+    max_size_dph = SLOPE_SIGMA_DPH_PER_C * _SCALE_C
     curve = CubicBiasCurve(
         float(temperature_c.mean()) if len(temperature_c) else 0.0,
         np.zeros(len(_POWERS)),
-        np.diag(1.0 / prior),
+        max_size_dph**2 * np.eye(len(_POWERS)),
     )
     if not len(temperature_c):
         return curve
@@ -131,22 +136,28 @@ def fit_curve(
         [[each == value for value in dict.fromkeys(values)] for each in values]
         for values in (runs, positions or [""] * len(temperature_c))
     )
-    constants = np.hstack([of_runs, of_positions]).astype(np.float64)
-    information = np.r_[np.zeros(len(of_runs[0])), np.full(len(of_positions[0]), _POSITION_SIGMA_DPH**-2.0)]
-    first, powers = len(information), len(_POWERS)
-    if positions:  # at few temperatures a cubic would follow the positions
-        powers = min(max(_different_temperatures(temperature_c) - 1, 1), powers)
-    rows = np.hstack([constants, curve.responses(temperature_c)[:, :powers]]) / sigma_dph[:, np.newaxis]
+    powers = min(max(_different_temperatures(temperature_c) - 1, 1), len(_POWERS))
+    columns = np.hstack([of_runs, of_positions, curve.responses(temperature_c)]) / sigma_dph[:, np.newaxis]
+    rows, higher_rows = np.hsplit(columns, [columns.shape[1] - len(_POWERS) + powers])
+    information = np.r_[
+        np.zeros(len(of_runs[0])),
+        np.full(len(of_positions[0]), _POSITION_SIGMA_DPH**-2.0),
+        np.full(powers, max_size_dph**-2.0),
+    ]
     data = bias_dph / sigma_dph
-    covariance = np.linalg.inv(rows.T @ rows + np.diag(np.r_[information, prior[:powers]]))
-    parameters = covariance @ (rows.T @ data)
-    dof = len(data) - float(np.trace(rows @ covariance @ rows.T))
+    covariance = np.linalg.inv(rows.T @ rows + np.diag(information))
+    gain = covariance @ rows.T
+    parameters = gain @ data
+    dof = len(data) - float(np.trace(rows @ gain))
     scatter = float(np.sum((data - rows @ parameters) ** 2)) / dof if dof > 0.5 else 1.0
-    missing = (0, len(_POWERS) - powers)
+    coefficients, errors = parameters[-powers:], max(1.0, scatter) * covariance[-powers:, -powers:]
+    higher_dph = min(_HIGHER_SIZE * math.hypot(coefficients[-1], math.sqrt(errors[-1, -1])), max_size_dph)
+    missing = len(_POWERS) - powers
+    by_higher = np.vstack([(gain @ higher_rows)[-powers:], -np.eye(missing)])
     return CubicBiasCurve(
         curve.reference_c,
-        np.pad(parameters[first:], missing),
-        np.pad(max(1.0, scatter) * covariance[first:, first:], missing),
+        np.pad(coefficients, (0, missing)),
+        np.pad(errors, (0, missing)) + higher_dph**2 * by_higher @ by_higher.T,
     )
 
 

@@ -61,17 +61,18 @@ def test_weights_by_the_uncertainty():
     assert each.spread_p_value == pytest.approx(math.erfc(math.sqrt(20.0 / 2.0)))
 
 
-def rows_on_a_slope(random, extra_dph=0.0, plateaus_c=(-22.0, 8.0, 38.0, 68.0)):
+def rows_on_a_slope(random, extra_dph=0.0, plateaus_c=(-22.0, 8.0, 38.0, 68.0), curvature=0.0):
     """Dwells of six positions in a row at each plateau, with gyros that settle, and a bias of 0.002 deg/h/K.
 
-    ``extra_dph``: more in z_down.
+    ``extra_dph``: more in z_down; ``curvature``: of the bias, deg/h/K^2.
     """
     rows = []
     for final_c in plateaus_c:
         for side in (-1.0, 1.0):
             for number, position in enumerate(POSITION_NAMES[::-1] if side > 0.0 else POSITION_NAMES):
                 gyro_c = final_c + side * 4.0 * math.exp(-0.67 * number)
-                bias_dph = 0.002 * gyro_c + 0.001 * random.normal() + extra_dph * (position == "z_down")
+                bias_dph = 0.002 * gyro_c + curvature * gyro_c**2 + 0.001 * random.normal()
+                bias_dph += extra_dph * (position == "z_down")
                 rows.append(row(position, (gyro_c,) * 3, (bias_dph, 0.0, 0.0)))
     return rows
 
@@ -84,6 +85,13 @@ def test_a_bias_that_follows_the_temperature_is_no_difference_of_positions_and_n
     assert min(spreads) > 0.01 / len(spreads)
     p_values = [each.p_value for run in bins for each in compare_positions(run)]
     assert min(p_values) > 0.01 / len(p_values)
+
+
+def test_a_curvature_that_two_plateaus_do_not_show_is_no_difference_of_positions():
+    random = np.random.default_rng(5)
+    for _ in range(20):
+        bins = bin_biases(rows_on_a_slope(random, plateaus_c=(8.0, 68.0), curvature=2e-5), 20.0)
+        assert min(each.p_value for each in compare_positions(bins) if each.gyro == "x") > 1e-3
 
 
 @pytest.mark.parametrize("plateaus_c", [(8.0, 38.0), (-22.0, 8.0, 38.0), (-22.0, 8.0, 38.0, 68.0)])

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -71,6 +72,26 @@ def test_without_plateaus_the_curve_is_flat_and_uncertain():
     curve = fit_bias_curve([], 0)
     assert not curve.coefficients.any()
     assert (np.diag(curve.covariance) > 0.0).all()
+
+
+def test_three_plateaus_of_a_nearly_straight_curve_leave_the_differences_as_certain_as_their_noise():
+    plateaus = [
+        [replace(row, bias_dph=(2e-5 * row.gyro_c[0],) * 3) for row in pair(gyro_c)]
+        for gyro_c in (-10.0, 25.0, 60.0)
+    ]
+    curve = fit_bias_curve(plateaus, 0)
+    for plateau in plateaus:
+        found = difference(position_differences([plateau], 0, curve))
+        assert found.sigma_dph < 1.1 * math.sqrt(2.0) * 0.001
+
+
+def test_a_power_that_two_plateaus_do_not_show_is_as_uncertain_as_the_others_are_large():
+    plateaus = [pair(gyro_c, drift_c=3.0) for gyro_c in (-10.0, 60.0)]
+    curve = fit_bias_curve(plateaus, 0)
+    for plateau in plateaus:
+        found = difference(position_differences([plateau], 0, curve))
+        assert 2.0 * math.sqrt(2.0) * 0.001 < abs(found.value_dph) + found.sigma_dph
+        assert abs(found.value_dph) < 2.0 * found.sigma_dph
 
 
 def test_passes_that_agree_halve_the_variance_and_those_that_differ_are_found():
