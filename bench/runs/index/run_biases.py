@@ -1,7 +1,8 @@
 """Biases of many runs: levels and position differences by gyro and bin, and their drift over calendar time.
 
 Runs are compared by the positions that they have in common, since means over different positions differ
-even if no bias changed.
+even if no bias changed; and at one temperature, to which the curve of each gyro over all runs of its unit
+reduces the biases: runs may have measured a bin at temperatures that differ by almost its width.
 """
 
 from __future__ import annotations
@@ -16,7 +17,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
+from gyrobench.bench.bias.position_differences import CubicBiasCurve, fit_curve
 from gyrobench.bench.bias.statistics import excess_variance, holm, weighted_fit
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.text import bin_label
 from gyrobench.bench.navigation.positions import POSITIONS, gyro_label, position_label
 from gyrobench.bench.runs.index.run_index import RunIndex
@@ -34,6 +37,8 @@ class RunBias:
     #: bias_dph, sigma_dph: Value and standard uncertainty.
     bias_dph: float
     sigma_dph: float
+    #: Errors due to the unit's curve, which is the same in all runs: three independent parts, with signs.
+    by_curve_dph: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, order=True)
@@ -68,8 +73,8 @@ def read_run_biases(index: RunIndex, paths: Sequence[str]) -> dict[BiasQuantity,
     Runs in which the INS compensated biases are left out: they measured residuals.
     """
     sql = (
-        "SELECT path, unit, started_utc, gyro, bin_low_c, bin_high_c, position, bias_dph, sigma_dph "
-        "FROM bins JOIN runs USING (path) WHERE bins.count > 0 AND NOT compensated "
+        "SELECT path, unit, started_utc, gyro, bin_low_c, bin_high_c, position, temperature_c, bias_dph, "
+        "sigma_dph FROM bins JOIN runs USING (path) WHERE isfinite(temperature_c) AND NOT compensated "
         "AND path IN (SELECT unnest(?)) ORDER BY started_utc, path"
     )
     return run_biases(index.query(sql, [list(paths)]).records())
@@ -81,13 +86,19 @@ def run_biases(rows: Iterable[Mapping[str, Any]]) -> dict[BiasQuantity, list[Run
     For each gyro and bin the positions common to most runs are used; runs that lack one are left out.
     """
     cells: dict[tuple[str, float, float], dict[str, dict[str, Mapping[str, Any]]]] = defaultdict(dict)
+    by_unit: dict[tuple[str, str], list[Mapping[str, Any]]] = defaultdict(list)
     for row in rows:
+        by_unit[row["unit"], row["gyro"]].append(row)
         rows_by_run = cells[row["gyro"], row["bin_low_c"], row["bin_high_c"]]
         rows_by_run.setdefault(row["path"], {})[row["position"]] = row
+    curves = {key: _curve(of_unit) for key, of_unit in by_unit.items()}
     result: dict[BiasQuantity, list[RunBias]] = {}
     for (gyro, low_c, high_c), runs in sorted(cells.items()):
         positions = _common_positions(runs.values())
-        complete_runs = [run for run in runs.values() if set(positions) <= run.keys()]
+        complete_runs = [
+            [run[each] for each in positions] for run in runs.values() if set(positions) <= run.keys()
+        ]
+        to_c = float(np.mean([row["temperature_c"] for run in complete_runs for row in run]))
         # With two positions, one difference is the negative of the other.
         names = [LEVEL, *(positions if len(positions) > 2 else positions[1:])]
         for name in names:
@@ -96,9 +107,21 @@ def run_biases(rows: Iterable[Mapping[str, Any]]) -> dict[BiasQuantity, list[Run
                 weights = np.eye(len(positions))[positions.index(name)] - weights
             quantity = BiasQuantity(gyro, low_c, high_c, name, positions)
             result[quantity] = [
-                _weighted_sum([run[each] for each in positions], weights) for run in complete_runs
+                _weighted_sum(run, weights, curves[run[0]["unit"], gyro], to_c) for run in complete_runs
             ]
     return result
+
+
+def _columns(rows: Sequence[Mapping[str, Any]]) -> FloatArray:
+    """Temperatures, biases and their uncertainties, shape (3, n)."""
+    return np.array([[row[name] for row in rows] for name in ("temperature_c", "bias_dph", "sigma_dph")])
+
+
+def _curve(rows: Sequence[Mapping[str, Any]]) -> CubicBiasCurve:
+    """Curve of one gyro of a unit; each run has a constant."""
+    temperature_c, bias_dph, sigma_dph = _columns(rows)
+    runs, positions = [row["path"] for row in rows], [row["position"] for row in rows]
+    return fit_curve(temperature_c, bias_dph, sigma_dph, runs, positions)
 
 
 def _common_positions(runs: Iterable[Mapping[str, object]]) -> tuple[str, ...]:
@@ -114,17 +137,18 @@ def _common_positions(runs: Iterable[Mapping[str, object]]) -> tuple[str, ...]:
 
 
 def _weighted_sum(
-    rows: Sequence[Mapping[str, Any]], weights: np.ndarray[Any, np.dtype[np.float64]]
+    rows: Sequence[Mapping[str, Any]], weights: FloatArray, curve: CubicBiasCurve, to_c: float
 ) -> RunBias:
-    """Weighted sum of the biases of one run, which are taken as independent."""
-    bias_dph = np.array([row["bias_dph"] for row in rows])
-    sigma_dph = np.array([row["sigma_dph"] for row in rows])
-    first = rows[0]
+    """Weighted sum of the biases of one run at one temperature, which are taken as independent."""
+    temperature_c, bias_dph, sigma_dph = _columns(rows)
+    change = curve.responses(temperature_c) - curve.responses(np.array([to_c]))
+    x, y, z = (weights @ change @ np.linalg.cholesky(curve.covariance)).tolist()
     return RunBias(
-        first["unit"],
-        first["started_utc"],
-        float(weights @ bias_dph),
-        float(np.sqrt(weights**2 @ sigma_dph**2)),
+        rows[0]["unit"],
+        rows[0]["started_utc"],
+        float(weights @ (bias_dph - change @ curve.coefficients)),
+        math.sqrt(float(weights**2 @ sigma_dph**2) + x**2 + y**2 + z**2),
+        (x, y, z),
     )
 
 
@@ -164,8 +188,9 @@ class Trend:
 def trends(biases: Mapping[BiasQuantity, Sequence[RunBias]]) -> list[Trend]:
     """Fit a line to the level of each gyro and bin of one unit.
 
-    The uncertainty of a slope includes the scatter of the runs about the line in excess of
-    their uncertainties; its p-value is that of Student's t.
+    The uncertainty of a slope includes the scatter of the runs about the line in excess of their
+    uncertainties, and the error of the curve, which is the same in all runs; its p-value is that of
+    Student's t.
     """
     levels = [(quantity, runs) for quantity, runs in biases.items() if quantity.name == LEVEL and runs]
     unadjusted = [_fit_trend(quantity, runs) for quantity, runs in levels]
@@ -195,7 +220,8 @@ def mixed_origins(runs: Sequence[Mapping[str, Any]]) -> list[str]:
 def _fit_trend(quantity: BiasQuantity, runs: Sequence[RunBias]) -> Trend:
     """Level and slope of one quantity over the runs of a unit; ``p_adjusted`` is NaN."""
     values = np.array([run.bias_dph for run in runs])
-    variances = np.array([run.sigma_dph for run in runs]) ** 2
+    by_curve = np.array([run.by_curve_dph for run in runs])
+    variances = np.array([run.sigma_dph for run in runs]) ** 2 - (by_curve**2).sum(axis=1)
     months = np.array(months_since_first(runs))
     constant = np.ones((len(runs), 1))
     slope = slope_sigma = p_value = math.nan
@@ -206,7 +232,8 @@ def _fit_trend(quantity: BiasQuantity, runs: Sequence[RunBias]) -> Trend:
     fit = weighted_fit(values, variances + excess, design)
     # Runs that agree better than their uncertainties do not reduce the uncertainty.
     scale = max(fit.chi2 / fit.dof, 1.0) if fit.dof else 1.0
-    sigmas = np.sqrt(scale * np.diag(fit.covariance))
+    shared = fit.covariance @ (design.T / (variances + excess)) @ by_curve
+    sigmas = np.sqrt(scale * np.diag(fit.covariance) + (shared**2).sum(axis=1))
     if design.shape[1] > 1:
         slope, slope_sigma = float(fit.values[1]), float(sigmas[1])
         p_value = float(2.0 * student.sf(abs(slope) / slope_sigma, fit.dof))

@@ -1,5 +1,6 @@
 """A drift is found where there is one, and seldom where there is none."""
 
+from dataclasses import replace
 from datetime import datetime, timedelta
 
 import numpy as np
@@ -46,6 +47,16 @@ def test_without_drift_one_is_proven_no_oftener_than_stated():
         for _ in range(100)
     )
     assert alarms <= 5  # 1 % is stated; more than 5 of 100 has a chance of 0.0005
+
+
+def test_temperatures_that_drift_over_the_runs_are_no_drift_of_a_bias_with_an_unknown_slope():
+    own_dph, by_curve_dph = 0.0005, 0.002
+    drifting = [
+        replace(run, sigma_dph=float(np.hypot(own_dph, part)), by_curve_dph=(float(part), 0.0, 0.0))
+        for run, part in zip(runs(np.zeros(8)), np.linspace(-1.0, 1.0, 8) * by_curve_dph, strict=True)
+    ]
+    (trend,) = trends({QUANTITIES[0]: drifting})
+    assert trend.slope_sigma_dph_per_month > 2.0 * by_curve_dph / 7.0
 
 
 def test_a_drift_is_proven_in_the_gyro_that_has_it():
