@@ -325,7 +325,7 @@ def _budget(
         combine = _common_sigma if SOURCES[name].is_common else _independent_sigma
         sigma, dof = combine([(part.columns[axis] * RADPS_TO_DPH, part.dof, w) for part, w in of_source])
         input_sigma = math.sqrt(float(np.mean([part.sigma**2 for part, _ in of_source])))
-        is_resolution = math.isinf(dof) and input_sigma <= 1.001 * resolutions.get(name, 0.0)
+        is_resolution = math.isinf(dof) and 0.0 < input_sigma <= 1.001 * resolutions.get(name, 0.0)
         contributions.append(
             Contribution(
                 name,

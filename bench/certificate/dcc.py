@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gyrobench.bench import __version__
-from gyrobench.bench.bias.budget import COVERAGE
+from gyrobench.bench.bias.budget import COVERAGE, NORMAL_K
 from gyrobench.bench.certificate.content import BiasResult, Certificate, ModelNumber
 from gyrobench.bench.foundations.arrays import STANDARD_GRAVITY
 from gyrobench.bench.foundations.errors import DocumentError
@@ -356,7 +356,7 @@ def _bias_result(gyro: str, position: str, results: Sequence[BiasResult]) -> etr
         _si("valueExpandedMUXMLList", _number_list(each.expanded_dph for each in results)),
         _si("coverageFactorXMLList", " ".join(f"{each.k:.4f}" for each in results)),
         _si("coverageProbabilityXMLList", f"{COVERAGE:g}"),
-        _si("distributionXMLList", "normal"),
+        _si("distributionXMLList", " ".join(_distribution(each.k) for each in results)),
     )
     biases = _si(
         "realListXMLList",
@@ -397,10 +397,15 @@ def _real_quantity(value: float, unit: str, expanded: float | None = None, k: fl
                 _si("valueExpandedMU", f"{factor * expanded:.9g}"),
                 _si("coverageFactor", f"{k:.4f}"),
                 _si("coverageProbability", f"{COVERAGE:g}"),
-                _si("distribution", "normal"),
+                _si("distribution", _distribution(k)),
             ),
         )
     return _si("real", _si("value", f"{factor * value:.9g}"), _si("unit", dsi), uncertainty)
+
+
+def _distribution(k: float) -> str:
+    """Distribution of a result: normal, or Student's with finite degrees of freedom."""
+    return "normal" if math.isclose(k, NORMAL_K, rel_tol=1e-6) else "t"
 
 
 def _number_list(values: Iterable[float]) -> str:

@@ -114,9 +114,7 @@ class RunContent:
 
     @cached_property
     def doubts(self) -> dict[str, str]:
-        """See :func:`gyrobench.bench.report.run_findings.run_findings`; none if the journal is damaged."""
-        if JOURNAL in self.damage:
-            return {}
+        """See :func:`gyrobench.bench.report.run_findings.run_findings`."""
         sources = self.dwells, self.station, self.noise, self.joint_plateaus
         identities = identities_sentence(self.facts)
         doubts = {"The INS changed.": identities} if identities else {}

@@ -167,7 +167,7 @@ def _figures_key(content: RunContent, before: RunContent | None, marked_c: Seque
     inputs = (
         *(content.dwells, content.bins, content.acceptance, content.noise, variance_shares(content.budget)),
         *(content.coefficients, content.characteristics, before.bins if before else None),
-        [content.station, marked_c, code, __version__, matplotlib.__version__],
+        [content.station, content.watermark, marked_c, code, __version__, matplotlib.__version__],
     )
     digest = hashlib.sha256()
     with np.printoptions(threshold=sys.maxsize, floatmode="unique"):

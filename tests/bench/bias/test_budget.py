@@ -153,10 +153,14 @@ def test_a_bias_corrected_for_the_latitude_has_the_budget_of_its_stated_uncertai
         assert latitude.input_sigma == pytest.approx(latitude_dph / 2e-3 * RAD_TO_ARCMIN)
 
 
-def test_the_resolution_of_an_output_is_rectangular():
+def test_only_the_resolution_of_an_output_is_rectangular():
+    none = ErrorPart(np.zeros((3, 1)), 0.0)
     [of_x, *_] = budgets(
-        dwells_of({"velocity_output": part(1e-3), "heading_output": part(1e-3)}), BudgetInputs(1.0, 0.5)
+        dwells_of({"velocity_output": part(1e-3), "heading_output": part(1e-3), "accelerometer_slope": none}),
+        BudgetInputs(1.0, 0.5),
     )
+    assert contribution(of_x.budget, "accelerometer_slope").distribution == "normal"
+    assert "resolution" not in contribution(of_x.budget, "accelerometer_slope").note
     assert contribution(of_x.budget, "velocity_output").distribution == "rectangular"
     assert contribution(of_x.budget, "heading_output").distribution == "normal"
 

@@ -112,7 +112,9 @@ def test_a_coefficient_has_k_and_u_of_its_budget(measured_run):
     known, unknown = made.coefficients
     assert (known.k, known.expanded) == pytest.approx((2.5706, 2.5706 * 0.18), abs=1e-4)
     assert (unknown.k, unknown.expanded) == (NORMAL_K, NORMAL_K * 0.18)
-    assert "2.5706" in texts(certificate_dcc(made), ".//si:coverageFactor")
+    document = certificate_dcc(made)
+    assert "2.5706" in texts(document, ".//si:coverageFactor")
+    assert texts(document, ".//si:distribution")[-2:] == ["t", "normal"]
 
 
 def test_a_polynomial_whose_scatter_is_estimated_has_its_degrees_of_freedom(measured_run):

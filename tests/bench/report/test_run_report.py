@@ -407,6 +407,16 @@ def test_equal_runs_give_equal_reports(page, run_folder):
     assert write_report(run_folder).path.read_bytes() == first
 
 
+@pytest.mark.draws
+def test_figures_are_drawn_again_for_another_watermark(empty_folder, dwells):
+    write_dwells(empty_folder.dwells, dwells[:1])
+    write_report(empty_folder)
+    unmarked = (empty_folder.figures / "temperature.png").read_bytes()
+    empty_folder.provenance.write_text('{"options": {"world": "gyro_a"}}', encoding="utf-8")
+    assert write_report(empty_folder).content.watermark
+    assert (empty_folder.figures / "temperature.png").read_bytes() != unmarked
+
+
 def test_run_whose_positions_agree_says_so(empty_folder, equal_dwells):
     write_dwells(empty_folder.dwells, equal_dwells)
     write_bins(empty_folder.bias_bins, bin_biases(equal_dwells))
