@@ -140,7 +140,7 @@ def bin_biases(rows: Iterable[DwellRow], width_c: float = DEFAULT_WIDTH_C) -> li
     result = []
     for axis, gyro in enumerate(AXES):
         members = _by_position_and_number(axis, rows, width_c)
-        curve = _curve_of_dwells(axis, [row for dwells in members.values() for row in dwells])
+        curve = curve_of_dwells(axis, [row for dwells in members.values() for row in dwells])
         numbers = [number for _, number in members]
         for position in positions:
             for number in range(min(numbers, default=0), max(numbers, default=-1) + 1):
@@ -225,7 +225,8 @@ def _by_position_and_number(
     return members
 
 
-def _curve_of_dwells(axis: int, rows: Sequence[DwellRow]) -> CubicBiasCurve:
+def curve_of_dwells(axis: int, rows: Sequence[DwellRow]) -> CubicBiasCurve:
+    """Curve of one gyro by dwells with results; see :func:`fit_curve`."""
     values = [(row.gyro_c[axis], row.bias_dph[axis], row.sigma_dph[axis]) for row in rows]
     gyro_c, bias_dph, sigma_dph = np.array(values).reshape(-1, 3).T
     runs, positions = [row.run for row in rows], [row.position for row in rows]

@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrobench.bench.bias.bins import BiasBin
+from gyrobench.bench.bias.bins import BiasBin, curve_of_dwells
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.error_sources import SOURCES
 from gyrobench.bench.bias.error_split import (
@@ -258,18 +258,29 @@ def _external_errors(dwells: Sequence[BudgetedDwell], inputs: BudgetInputs) -> l
     return [_ExternalErrors.of(axis, [each.row for each in good], errors, inputs) for axis in range(3)]
 
 
-#: Width of the temperature cells in which power cycles are compared, K.
+#: Range of temperatures within which power cycles are compared, K.
 _PLATEAU_C = 5.0
 
 
 def _between_power_cycles(
     axis: int, rows: Sequence[DwellRow], errors: SplitErrors
 ) -> tuple[float, float, str]:
-    """Standard deviation of a gyro's bias between power cycles without noise, deg/h, its dof, and a note."""
-    cells: dict[tuple[str, int], dict[str, list[DwellRow]]] = defaultdict(lambda: defaultdict(list))
-    for row in rows:
-        cells[row.position, math.floor(row.gyro_c[axis] / _PLATEAU_C)][row.run].append(row)
-    repeated = [by_run for by_run in cells.values() if len(by_run) > 1]
+    """Standard deviation of a gyro's bias between power cycles without noise, deg/h, its dof, and a note.
+
+    Power cycles are compared by position at one temperature, to which the curve of the gyro reduces them.
+    """
+    cells: list[dict[str, list[DwellRow]]] = []
+    lowest: DwellRow | None = None
+    for row in sorted(rows, key=lambda each: (each.position, each.gyro_c[axis])):
+        if (
+            lowest is None
+            or row.position != lowest.position
+            or row.gyro_c[axis] - lowest.gyro_c[axis] > _PLATEAU_C
+        ):
+            lowest = row
+            cells.append(defaultdict(list))
+        cells[-1][row.run].append(row)
+    repeated = [by_run for by_run in cells if len(by_run) > 1]
     if not repeated:
         return (
             math.nan,
@@ -277,9 +288,14 @@ def _between_power_cycles(
             "not evaluated: no position and temperature was measured in two power cycles",
         )
     runs = {run for by_run in repeated for run in by_run}
+    curve = curve_of_dwells(axis, rows)
     squares, noise, dof = 0.0, 0.0, 0
     for by_run in repeated:
-        means = [np.mean([row.bias_dph[axis] for row in run_rows]) for run_rows in by_run.values()]
+        gyro_c, means = (
+            np.array([np.mean([getattr(row, name)[axis] for row in each]) for each in by_run.values()])
+            for name in ("gyro_c", "bias_dph")
+        )
+        means -= curve.responses(gyro_c) @ curve.coefficients
         mean_errors = [
             mean_error(
                 [errors[row.dwell] for row in run_rows], np.full((len(run_rows), 3), 1.0 / len(run_rows))

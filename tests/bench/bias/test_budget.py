@@ -206,6 +206,25 @@ def test_common_errors_that_differ_between_power_cycles_are_noise_of_their_scatt
     assert contribution(budgets([first, second])[0].budget, "power_cycles").sigma == 0.0
 
 
+def test_power_cycles_on_both_sides_of_a_limit_of_a_bin_are_compared():
+    dwells = dwells_of({"angle_random_walk": part(1e-4)}, run=["1", "2"], gyro_c=[24.9, 25.1])
+    assert contribution(budgets(dwells)[0].budget, "power_cycles").note.startswith("2 power cycles")
+
+
+def test_a_temperature_that_differs_between_power_cycles_is_no_repeatability():
+    slope_dph_per_c, sigma_dph = 0.002, 1e-4
+    gyro_c = [level_c + 0.6 * (-1) ** run for run in range(6) for level_c in (-13.0, 22.0, 57.0)]
+    dwells = dwells_of(
+        {"angle_random_walk": part(sigma_dph)},
+        run=[str(number // 3) for number in range(18)],
+        gyro_c=gyro_c,
+        bias_dph=[slope_dph_per_c * each for each in gyro_c],
+    )
+    found = contribution(budgets(dwells)[0].budget, "power_cycles")
+    assert found.note.startswith("6 power cycles")
+    assert found.sigma < 0.1 * slope_dph_per_c
+
+
 def test_power_cycles_that_differ_by_no_more_than_noise_are_said_to():
     dwells = dwells_of({"angle_random_walk": part(1e-3)}, run=["1", "2"], bias_dph=[0.01, 0.01])
     found = contribution(budgets(dwells)[0].budget, "power_cycles")
