@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gyrobench.bench.bias.dwell_table import noise_and_common
 from gyrobench.bench.foundations.files import write_whole
 from gyrobench.bench.foundations.text import counted, of_units
 from gyrobench.bench.navigation.positions import AXES, gyro_label
@@ -96,8 +97,8 @@ def _section_of_units(run: RunContent, units: Sequence[RunContent]) -> Section:
         rows.append([unit.name, "dropped" if unit.name in drop_reasons else verdict, dwells, *cells])
     header = ["unit", "verdict", "dwells", *map(gyro_label, AXES)]
     caption = (
-        f"Mean bias over the dwells without flags with its standard error, {scale.unit}; it includes the "
-        "change with temperature. The bins are in the report of each unit."
+        f"Mean bias over the dwells without flags with its standard uncertainty, {scale.unit}; it includes "
+        "the change with temperature. The bins are in the report of each unit."
     )
     marks: list[Mark] = ["bad" if unit.name in drop_reasons else "" for unit in units]
     reasons = [f"Unit {unit_name} was dropped: {reason}" for unit_name, reason in drop_reasons.items()]
@@ -106,11 +107,16 @@ def _section_of_units(run: RunContent, units: Sequence[RunContent]) -> Section:
 
 
 def _mean_biases(unit: RunContent) -> list[tuple[float, float]]:
-    """Mean bias of each gyro over the unflagged dwells and its standard error, deg/h; empty without any."""
-    biases_dph = np.array([row.bias_dph for row in unit.dwells if not row.flags])
-    if not len(biases_dph):
+    """Mean bias of each gyro over the unflagged dwells, its standard uncertainty, deg/h; empty without any.
+
+    Errors that are the same in all dwells of an attitude average out over the positions alone.
+    """
+    rows = [row for row in unit.dwells if not row.flags]
+    if not rows:
         return []
-    sigmas_dph = np.array([row.sigma_dph for row in unit.dwells if not row.flags])
-    scatter_dph = biases_dph.std(axis=0, ddof=1) if len(biases_dph) > 1 else sigmas_dph[0]
-    mean_sigma_dph = np.maximum(scatter_dph, np.sqrt((sigmas_dph**2).mean(axis=0))) / np.sqrt(len(biases_dph))
-    return list(zip(biases_dph.mean(axis=0).tolist(), mean_sigma_dph.tolist(), strict=True))
+    biases_dph = np.array([row.bias_dph for row in rows])
+    noise_dph, common_dph = noise_and_common(rows)
+    scatter_dph = biases_dph.std(axis=0, ddof=1) if len(rows) > 1 else noise_dph[0]
+    variances = np.maximum(scatter_dph**2, (noise_dph**2).mean(axis=0)) / len(rows)
+    variances += (common_dph**2).mean(axis=0) / len({row.position for row in rows})
+    return list(zip(biases_dph.mean(axis=0).tolist(), np.sqrt(variances).tolist(), strict=True))
