@@ -23,6 +23,7 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.error_split import SplitError, SplitErrors, mean_error, scatter_variances
+from gyrobench.bench.bias.plateaus import set_point_c
 from gyrobench.bench.bias.statistics import excess_variance, weighted_fit
 from gyrobench.bench.characteristics.results import Coefficient, Curve, TestResult, coefficient
 from gyrobench.bench.foundations.arrays import FloatArray
@@ -126,7 +127,7 @@ def _runs(rows: Sequence[DwellRow]) -> list[str]:
 
 
 def _cell(row: DwellRow) -> tuple[str, float | None]:
-    return row.position, None if math.isnan(row.chamber_set_c) else row.chamber_set_c
+    return row.position, set_point_c(row.chamber_set_c)
 
 
 def _means(rows: Sequence[DwellRow], errors: SplitErrors) -> tuple[FloatArray, FloatArray, SplitError]:

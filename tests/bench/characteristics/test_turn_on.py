@@ -45,6 +45,12 @@ def test_the_interval_holds_the_scatter_of_power_cycles_with_an_error_in_common(
     assert np.sqrt(np.mean([each.value**2 for each in found])) == pytest.approx(0.001, rel=0.1)
 
 
+def test_set_points_that_differ_by_rounding_are_one():
+    rows = power_cycles(np.random.default_rng(2), 5, 0.0, 0.001)
+    rounded = [replace(row, chamber_set_c=22.0 + 1e-12 * number) for number, row in enumerate(rows)]
+    assert not any("left out" in note for note in turn_on_repeatability(rounded).notes)
+
+
 def test_an_error_that_all_power_cycles_share_is_not_subtracted_from_their_scatter():
     rows, errors = _with_common_error(np.random.default_rng(7), 60, 0.001, own_dph=0.0005, common_dph=0.003)
     found = [each for each in turn_on_repeatability(rows, errors).coefficients if each.name == STD]
