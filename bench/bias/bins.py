@@ -25,7 +25,7 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.position_differences import CubicBiasCurve, fit_curve
-from gyrobench.bench.bias.statistics import WeightedMean, chi2_p_value, weighted_mean
+from gyrobench.bench.bias.statistics import WeightedMean, chi2_p_value, indicator_columns, weighted_mean
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.csv_tables import (
     CellReader,
@@ -436,10 +436,8 @@ class _Comparison:
 def _compare(means: Sequence[tuple[str, PowerCycleMean]], curve: CubicBiasCurve) -> _Comparison:
     """Compare positions by their means in each power cycle."""
     positions = list(dict.fromkeys(position for position, _ in means))
-    cycles = list(dict.fromkeys(each.number for _, each in means))
-    constants = np.array([[each.number == cycle for cycle in cycles] for _, each in means], dtype=np.float64)
-    position_columns = np.array([[name == each for each in positions] for name, _ in means], dtype=np.float64)
-    design = np.hstack([position_columns, constants])
+    constants = indicator_columns([each.number for _, each in means])
+    design = np.hstack([indicator_columns([position for position, _ in means]), constants])
     values = [(each.bias_dph, each.sigma_dph, each.temperature_c) for _, each in means]
     bias_dph, sigma_dph, gyro_c = np.array(values).T
     reduced_dph, _, white = curve.reduce(bias_dph, sigma_dph, gyro_c, float(gyro_c.mean()))
@@ -448,7 +446,7 @@ def _compare(means: Sequence[tuple[str, PowerCycleMean]], curve: CubicBiasCurve)
     def chi2(columns: FloatArray) -> float:
         return float(((data - columns @ np.linalg.lstsq(columns, data)[0]) ** 2).sum())
 
-    dof = int(np.linalg.matrix_rank(design)) - len(cycles)
+    dof = int(np.linalg.matrix_rank(design)) - constants.shape[1]
     p_value = chi2_p_value(dof, chi2(white @ constants) - chi2(rows)) if dof else math.nan
     covariance = np.linalg.pinv(rows.T @ rows)
     values_dph = covariance @ (rows.T @ data)

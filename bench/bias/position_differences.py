@@ -28,7 +28,7 @@ import numpy as np
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.error_split import NONE_SHARED, SharedErrors
 from gyrobench.bench.bias.plateaus import mean_c
-from gyrobench.bench.bias.statistics import chi2_p_value
+from gyrobench.bench.bias.statistics import chi2_p_value, indicator_columns
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.positions import POSITIONS
 
@@ -132,16 +132,14 @@ def fit_curve(
     )
     if not len(temperature_c):
         return curve
-    of_runs, of_positions = (
-        [[each == value for value in dict.fromkeys(values)] for each in values]
-        for values in (runs, positions or [""] * len(temperature_c))
-    )
+    of_runs = indicator_columns(runs)
+    of_positions = indicator_columns(positions or [""] * len(temperature_c))
     powers = min(max(_different_temperatures(temperature_c) - 1, 1), len(_POWERS))
     columns = np.hstack([of_runs, of_positions, curve.responses(temperature_c)]) / sigma_dph[:, np.newaxis]
     rows, higher_rows = np.hsplit(columns, [columns.shape[1] - len(_POWERS) + powers])
     information = np.r_[
-        np.zeros(len(of_runs[0])),
-        np.full(len(of_positions[0]), _POSITION_SIGMA_DPH**-2.0),
+        np.zeros(of_runs.shape[1]),
+        np.full(of_positions.shape[1], _POSITION_SIGMA_DPH**-2.0),
         np.full(powers, max_size_dph**-2.0),
     ]
     data = bias_dph / sigma_dph
@@ -186,10 +184,9 @@ def position_differences(
     )
     reduced_dph, by_curve, white = curve.reduce(bias_dph, sigma_dph, gyro_c, plateau_c)
     positions = [name for name in POSITIONS if any(row.position == name for row in rows)]
-    columns = [[number == each for number in index] for each in range(len(passes))]
     # The first position is the reference: only differences are observable.
-    columns += [[row.position == name for row in rows] for name in positions[1:]]
-    design = white @ np.array(columns, dtype=np.float64).T
+    columns = [[float(row.position == name) for name in positions[1:]] for row in rows]
+    design = white @ np.hstack([indicator_columns(index), columns])
     data = white @ reduced_dph
     covariance = np.asarray(np.linalg.inv(design.T @ design), dtype=np.float64)
     gain = covariance @ design.T

@@ -168,6 +168,12 @@ def weighted_mean(values: Sequence[float], sigmas: Sequence[float]) -> WeightedM
     )
 
 
+def indicator_columns(groups: Sequence[object]) -> FloatArray:
+    """Columns (n, g) of ones and zeros, one for each distinct group in the order of appearance."""
+    numbers = {group: number for number, group in enumerate(dict.fromkeys(groups))}
+    return np.asarray(np.eye(len(numbers))[np.array([numbers[each] for each in groups], dtype=int)])
+
+
 #: Rise of the deviance at the ends of a 95 % interval of one number.
 _DEVIANCE_95 = 3.841
 #: Variances are searched up to this multiple of those of the values.

@@ -148,12 +148,6 @@ def refine(grid: FloatArray, weights: FloatArray) -> FloatArray:
     return np.sort(np.append(grid, 0.5 * (grid[1:] + grid[:-1])[is_refined]))
 
 
-def indicator_columns(groups: Sequence[object]) -> FloatArray:
-    """Indicator columns (n, g) of ones and zeros, one for each distinct group in the order of appearance."""
-    names = list(dict.fromkeys(groups))
-    return np.array([[float(group == name) for name in names] for group in groups])
-
-
 def shared_error_columns(shared: SharedErrors, rows: Sequence[DwellRow], axis: int) -> FloatArray | None:
     """Errors (n, s) of a gyro in these dwells due to each shared source; None without any."""
     return np.array([shared[row.dwell][axis] for row in rows]) if shared else None

@@ -26,9 +26,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrobench.bench.bias.statistics import excess_variance, weighted_fit, weighted_mean
+from gyrobench.bench.bias.statistics import excess_variance, indicator_columns, weighted_fit, weighted_mean
 from gyrobench.bench.calibration.spins import SpinScaleFactor
-from gyrobench.bench.characteristics.profile_fit import indicator_columns
 from gyrobench.bench.characteristics.results import Coefficient, Curve, TestResult, coefficient
 from gyrobench.bench.characteristics.turn_on import MAX_TEMPERATURE_SPREAD_C, variance_interval
 from gyrobench.bench.foundations.arrays import FloatArray

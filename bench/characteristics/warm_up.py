@@ -15,11 +15,11 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.error_split import NONE_SHARED, SharedErrors
+from gyrobench.bench.bias.statistics import indicator_columns
 from gyrobench.bench.characteristics.profile_fit import (
     MAX_REFINEMENTS,
     ProfileFit,
     cell_widths,
-    indicator_columns,
     profile_fit,
     refine,
     shared_error_columns,

@@ -36,6 +36,7 @@ from gyrobench.bench.bias.statistics import (
     excess_sigma,
     excess_variance,
     holm,
+    indicator_columns,
     restricted_deviance,
     weighted_fit,
 )
@@ -197,7 +198,8 @@ def _between_runs(repeated: Sequence[Sequence[RunBias]]) -> float | None:
     if not repeated:
         return None
     biases, variances = _arrays([run for runs in repeated for run in runs])
-    return excess_variance(biases, variances, _block_design([len(runs) for runs in repeated]))
+    design = indicator_columns([number for number, runs in enumerate(repeated) for _ in runs])
+    return excess_variance(biases, variances, design)
 
 
 def _fit_family(family: Sequence[_UnitMeans]) -> list[QuantityStatistics]:
@@ -244,7 +246,7 @@ def _spreads_without(unit: str, family: Sequence[_UnitMeans]) -> list[_Spread]:
     separate = [excess_variance(*other, one) for other, one in zip(others, ones, strict=True)]
     means = np.concatenate([means for means, _ in others])
     variances = np.concatenate([variances for _, variances in others])
-    design = _block_design([len(one) for one in ones])
+    design = indicator_columns([number for number, one in enumerate(ones) for _ in one])
     common = excess_variance(means, variances, design)
     deviance = restricted_deviance(means, variances + common, design) - sum(
         restricted_deviance(means, variances + variance, one)
@@ -280,12 +282,6 @@ def _prediction(unit_means: _UnitMeans, index: int, spread: _Spread) -> tuple[fl
     distance = abs(float(unit_means.means[index]) - expected) / math.sqrt(variance)
     dof = min(2.0 * variance**2 / spread.variance, spread.dof)
     return expected, math.sqrt(variance), float(2.0 * student.sf(distance, dof))
-
-
-def _block_design(sizes: Sequence[int]) -> FloatArray:
-    """Design with one column of ones for each group of values."""
-    group_index = np.repeat(np.arange(len(sizes)), sizes)
-    return np.asarray(group_index[:, np.newaxis] == np.arange(len(sizes)), dtype=np.float64)
 
 
 def _arrays(runs: Sequence[RunBias]) -> tuple[FloatArray, FloatArray]:
