@@ -137,6 +137,13 @@ class Acceptance(StrictModel):
     #: Positions in groups between which no plateau compares; empty where plateaus connect all.
     unconnected: list[list[str]] = Field(default_factory=list)
 
+    @property
+    def dwells_not_measured(self) -> list[tuple[int, float | None, str]]:
+        """Cycle, set point and position of each dwell of :attr:`not_measured`, for all gyros once."""
+        return list(
+            dict.fromkeys((each.cycle, each.chamber_set_c, each.position) for each in self.not_measured)
+        )
+
     def deciding(self, gyro: str) -> Judgement | None:
         """Return the judgement that decides on a gyro, which is the most severe; None without any.
 

@@ -371,9 +371,7 @@ def _disagreement_sentence(acceptance: Acceptance) -> str:
 
 
 def _not_compared_sentence(acceptance: Acceptance) -> str:
-    dwells = list(
-        dict.fromkeys((each.cycle, each.chamber_set_c, each.position) for each in acceptance.not_measured)
-    )
+    dwells = acceptance.dwells_not_measured
     if not dwells:
         return ""
     names = [

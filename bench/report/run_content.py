@@ -194,7 +194,9 @@ def with_joint_solution(content: RunContent, folder: RunFolder) -> RunContent:
     read = _FileReader(content.problems).read
     return replace(
         content,
-        joint_sigmas=read(folder.joint_biases, _read_joint_sigmas, {}, is_optional=True),
+        joint_sigmas=read(
+            folder.joint_biases, lambda path: JointSigmas.of(read_joint_biases(path)), {}, is_optional=True
+        ),
         joint_plateaus=read(folder.joint, read_joint_plateaus, [], is_optional=True),
     )
 
@@ -234,7 +236,9 @@ def read_run(
         dwell_purposes=purposes,
         bins=_bins_with_power_cycles(bins, dwells, procedure, problems),
         telemetry=read(folder.telemetry, partial(read_telemetry, columns=telemetry_columns), {}),
-        budget=read(folder.budget, _read_budget_summary, BudgetSummary(), is_optional=True),
+        budget=read(
+            folder.budget, lambda path: BudgetSummary.of(read_budget(path)), BudgetSummary(), is_optional=True
+        ),
         noise=read(folder.noise, read_noise, None, is_optional=True),
         calibration_check=calibration_check,
         coefficients=read(folder.coefficients, read_coefficients, [], is_optional=True),
@@ -380,14 +384,6 @@ def _chapters(folder: RunFolder, problems: list[str]) -> list[Findings]:
         except GyrobenchError as error:
             problems.append(f"{page_folder.name} can't be used: {error}")
     return chapters
-
-
-def _read_budget_summary(path: Path) -> BudgetSummary:
-    return BudgetSummary.of(read_budget(path))
-
-
-def _read_joint_sigmas(path: Path) -> dict[tuple[int, bool], JointSigmas]:
-    return JointSigmas.of(read_joint_biases(path))
 
 
 def _read_mapping(path: Path) -> Entry:

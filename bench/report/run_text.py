@@ -237,8 +237,7 @@ def _limits_text(acceptance: Acceptance) -> str:
 
 
 def _not_measured_sentence(acceptance: Acceptance) -> str:
-    dwells_of_gyros = ((each.cycle, each.chamber_set_c, each.position) for each in acceptance.not_measured)
-    dwells = list(dict.fromkeys(dwells_of_gyros))
+    dwells = acceptance.dwells_not_measured
     plateaus = list(dict.fromkeys((cycle, set_c) for cycle, set_c, _ in dwells))
     plateau_names = [
         f"cycle {cycle}" + ("" if set_c is None else f" at {set_c:zg} °C in the chamber")
