@@ -217,22 +217,29 @@ def temperature_charts(bins: Sequence[LiveBin]) -> list[BiasChart]:
 
 
 def _temperature_chart(gyro: str, bins: Sequence[LiveBin], scale: BiasScale) -> BiasChart:
-    points: dict[str, list[tuple[float, float]]] = {}
+    points: dict[str, list[tuple[float, float, float]]] = {}
     for each in bins:
-        point = (each.low_c + each.high_c) / 2.0, scale.factor * each.bias_dph
+        point = (each.low_c + each.high_c) / 2.0, scale.factor * each.bias_dph, scale.factor * each.sigma_dph
         points.setdefault(each.position, []).append(point)
     all_points = [point for position_points in points.values() for point in position_points]
     x = _temperature_axis(point[0] for point in all_points)
-    y = value_axis(f"Bias, {scale.unit}", [point[1] for point in all_points], _MIN_SPAN_BIAS)
+    ends = [bias + side * sigma for _, bias, sigma in all_points for side in (-1.0, 1.0)]
+    y = value_axis(f"Bias, {scale.unit}", ends, _MIN_SPAN_BIAS)
     curves = tuple(
-        CurvePath(
-            f"position {position}", line_path(x, y, *zip(*sorted(points[position]), strict=True)), label
-        )
+        CurvePath(f"position {position}", _path_with_bars(x, y, sorted(points[position])), label)
         for position, label in ((each, position_label(each)) for each in POSITIONS)
         if position in points
     )
     chart = Chart(f"Bias of the {gyro_label(gyro)} over its temperature", x, y, curves)
     return BiasChart(gyro, gyro_label(gyro), "", scale.unit, chart)
+
+
+def _path_with_bars(x: Axis, y: Axis, points: Sequence[tuple[float, float, float]]) -> str:
+    """SVG path of a line through points (x, y, sigma), with an upright bar of ± sigma at each."""
+    bars = (
+        line_path(x, y, (each_x, each_x), (value - sigma, value + sigma)) for each_x, value, sigma in points
+    )
+    return line_path(x, y, *list(zip(*points, strict=True))[:2]) + "".join(bars)
 
 
 def _velocity_chart(number: int, window: WindowTrace, x: Axis, y: Axis) -> Chart:
@@ -336,13 +343,14 @@ def _temperatures(planned: PlannedProfile, measured: MeasuredProfile) -> list[fl
 def _planned_path(
     x: Axis, y: Axis, time_s: Sequence[float], values: Sequence[float], snapshot: RunSnapshot
 ) -> str:
-    """Path of a planned curve: the past as planned, the future shifted by the delay."""
+    """Path of a planned curve: up to now as planned, the future shifted by the delay."""
     if not time_s:
         return ""
     plan_now_s = snapshot.plan_now_s
     pairs = list(zip(time_s, values, strict=True))
     present = (plan_now_s, float(np.interp(plan_now_s, time_s, values)))
-    past = [*(pair for pair in pairs if pair[0] < plan_now_s), present]
+    end_s = min(plan_now_s, snapshot.now_s)  # a run ahead of its plan leaves out what it saved
+    past = [*(pair for pair in pairs if pair[0] < end_s), (end_s, float(np.interp(end_s, time_s, values)))]
     future = [
         (plan_s + snapshot.behind_s, value) for plan_s, value in (present, *pairs) if plan_s >= plan_now_s
     ]
@@ -355,7 +363,9 @@ def _lanes(x: Axis, snapshot: RunSnapshot) -> dict[str, list[PositionBar]]:
     lanes: dict[str, list[PositionBar]] = {position: [] for position in POSITIONS if position in used}
     for span in snapshot.planned.positions:
         is_over = span.end_s <= snapshot.plan_now_s
-        start_s = span.start_s if span.start_s <= snapshot.plan_now_s else span.start_s + snapshot.behind_s
+        start_s = span.start_s if is_over else min(span.start_s, snapshot.now_s)
+        if span.start_s > snapshot.plan_now_s:
+            start_s = span.start_s + snapshot.behind_s
         end_s = span.end_s if is_over else span.end_s + snapshot.behind_s
         start_percent, end_percent = x.percent(start_s), x.percent(end_s)
         lanes.setdefault(span.position, []).append(

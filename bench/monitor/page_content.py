@@ -25,6 +25,7 @@ from gyrobench.bench.report.number_format import BiasScale, group_by_temperature
 
 #: Age from which a run is silent; it writes every two seconds, or less often under load.
 _SILENT_AFTER_S = 20.0
+_UNKNOWN = "unknown"
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,8 @@ _PROGRESSING = {RunState.STARTING, RunState.RUNNING}
 #: States that need attention.
 _ATTENTION_STATES = {RunState.HOLDING, RunState.PAUSED, RunState.WAITING, RunState.STOPPED}
 _MIN_DELAY_S = 300.0
+#: The clock of a faster run is soon further ahead of the calendar.
+_MAX_AHEAD_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -145,7 +148,7 @@ def _symbol(state: RunState, verdict: str) -> str:
 def _temperature_text(temperature_c: float, decimals: int = 1) -> str:
     """Format a temperature with its unit; "unknown" for NaN."""
     if math.isnan(temperature_c):
-        return "unknown"
+        return _UNKNOWN
     return true_minus(f"{temperature_c:z.{decimals}f} °C")
 
 
@@ -154,7 +157,8 @@ def _expected_end(snapshot: RunSnapshot) -> datetime | None:
     started, updated = parse_utc(snapshot.started_utc), parse_utc(snapshot.updated_utc)
     if started is None or updated is None:
         return None
-    is_real_time = abs((started + timedelta(seconds=snapshot.now_s) - updated).total_seconds()) < 3600.0
+    ahead_s = (started + timedelta(seconds=snapshot.now_s) - updated).total_seconds()
+    is_real_time = -3600.0 < ahead_s < _MAX_AHEAD_S
     return updated + timedelta(seconds=snapshot.left_s) if is_real_time else None
 
 
@@ -168,7 +172,7 @@ def _time_tile(snapshot: RunSnapshot) -> Tile:
 
 def _temperature_tile(bench: BenchReadings | None) -> Tile:
     if bench is None:
-        return Tile("Chamber", "unknown", "")
+        return Tile("Chamber", _UNKNOWN, "")
     gyro_c = mean_known(bench.gyro_c)
     gyros = "INS silent" if math.isnan(gyro_c) else f"gyros {_temperature_text(gyro_c)}"
     target = (
@@ -239,19 +243,23 @@ def dwell_table(dwells: Sequence[SnapshotDwell]) -> tuple[str, list[DwellTableRo
 
 
 def reading_rows(bench: BenchReadings) -> list[tuple[str, str, str]]:
-    """Present readings: quantity, value, and age of the instrument's last reply."""
+    """Present readings: quantity, value, and age of the instrument's last reply.
+
+    Temperatures that not every INS sends are left out while unknown.
+    """
     chamber, table, ins = (
         "never" if math.isnan(age_s) else f"{age_s:.1f} s"
         for age_s in (bench.chamber_age_s, bench.table_age_s, bench.ins_age_s)
     )
     has_set_point = not math.isnan(bench.chamber_set_c)
     set_point = _temperature_text(bench.chamber_set_c, 2) if has_set_point else "not controlled"
+    electronics, case = _triple_text(bench.electronics_c), _temperature_text(bench.case_c, 2)
+    optional = [("electronics x, y, z", electronics, ins), ("INS case", case, ins)]
     return [
         ("chamber air", _temperature_text(bench.chamber_c, 2), chamber),
         ("chamber set", set_point, chamber),
         ("gyro optics x, y, z", _triple_text(bench.gyro_c), ins),
-        ("electronics x, y, z", _triple_text(bench.electronics_c), ins),
-        ("INS case", _temperature_text(bench.case_c, 2), ins),
+        *(row for row in optional if row[1] != _UNKNOWN),
         ("INS mode", bench.ins_mode, ins),
         ("table outer axis", _axis_text(bench.outer_deg, bench.outer_rate_dps), table),
         ("table inner axis", _axis_text(bench.inner_deg, bench.inner_rate_dps), table),
@@ -303,13 +311,13 @@ def _dwell_table_row(dwell: SnapshotDwell, scale: BiasScale) -> DwellTableRow:
 def _triple_text(values_c: Iterable[float]) -> str:
     values = list(values_c)
     if all(math.isnan(value) for value in values):
-        return "unknown"
+        return _UNKNOWN
     return true_minus(", ".join("–" if math.isnan(value) else f"{value:z.2f}" for value in values)) + " °C"
 
 
 def _axis_text(angle_deg: float, rate_dps: float) -> str:
     if math.isnan(angle_deg):
-        return "unknown"
+        return _UNKNOWN
     rate = "" if math.isnan(rate_dps) else f", {rate_dps:z.2f} deg/s"
     return true_minus(f"{angle_deg:z.3f}°{rate}")
 

@@ -218,3 +218,19 @@ def test_bins_are_drawn_over_temperature_with_a_line_for_each_position():
     ticks = [tick.percent for tick in charts[0].chart.x.ticks]
     assert ticks == sorted(ticks)
     assert temperature_charts([]) == []
+
+
+def test_the_scale_of_bins_covers_their_uncertainties_and_each_mean_has_its_bar():
+    only = next(each for each in made_up_snapshot().bins if each.count and each.gyro == "x")
+    chart = temperature_charts([replace(only, bias_dph=2e-3, sigma_dph=1e-3)])[0].chart
+    assert chart.y.low < 1.0 < 3.0 < chart.y.high < 4.0
+    mean, low, high = (y for _, y in places(chart.curves[0].path))
+    assert [low, mean, high] == pytest.approx(
+        [10.0 * chart.y.percent(value) for value in (1.0, 2.0, 3.0)], abs=0.1
+    )
+
+
+def test_the_past_of_the_plan_ends_now_where_the_run_is_ahead_of_it(snapshot):
+    chart = profile_chart(replace(snapshot, now_s=snapshot.plan_now_s - 1200.0)).chart
+    past = curve(chart, "gyro planned").path.replace("M", "|M").split("|")[1]
+    assert max(x for x, _ in places(past)) == pytest.approx(10.0 * chart.now_percent, abs=0.1)

@@ -107,6 +107,8 @@ def test_the_end_is_expected_on_the_calendar_only_where_the_run_keeps_to_it():
     real = headline(made_up_snapshot())
     assert real.end.isoformat() == "2026-03-02T22:42:00+00:00"
     assert headline(replace(made_up_snapshot(), started_utc="2000-01-01T00:00:00+00:00")).end is None
+    tenfold = replace(made_up_snapshot(), started_utc="2026-03-02T16:36:00+00:00", now_s=3600.0)
+    assert headline(replace(tenfold, updated_utc="2026-03-02T16:42:00+00:00")).end is None
     assert headline(replace(made_up_snapshot(), started_utc="")).end is None
     assert headline(replace(made_up_snapshot(), state=RunState.STOPPED)).end is None
     assert headline(replace(made_up_snapshot(), state=RunState.HOLDING)).end is None
@@ -166,6 +168,11 @@ def test_readings_that_are_not_known_say_so():
     assert rows["table outer axis"] == ("unknown", "0.4 s")
     assert rows["chamber set"] == ("not controlled", "0.6 s")
     assert not any("nan" in value for value, _ in rows.values())
+
+
+def test_temperatures_that_the_ins_does_not_send_are_left_out():
+    without = replace(made_up_snapshot().bench, electronics_c=(math.nan,) * 3, case_c=math.nan)
+    assert {"electronics x, y, z", "INS case"}.isdisjoint(what for what, _, _ in reading_rows(without))
 
 
 RUN = RunSummary(
