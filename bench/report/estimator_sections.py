@@ -125,8 +125,8 @@ _RATE_UP_TEXT = (
     "the two results is the bias and half the difference is the rate."
 )
 _LATITUDE_CONCLUSION = (
-    "they do with a free rate North, so the latitude error exceeds the declared uncertainty. Use the biases "
-    "without the rate Up, and check the latitude in station file and INS."
+    "with a free rate North they agree, so the latitude error exceeds the declared uncertainty. Use the "
+    "biases without the rate Up, and check the latitude in station file and INS."
 )
 _INVALID_CONCLUSION = "the joint biases of this plateau are invalid."
 _MISFIT_P = 1e-3
@@ -139,21 +139,28 @@ _JointSigmasByGroup = Mapping[tuple[int, bool], JointSigmas]
 
 
 def joint_section(sigmas: _JointSigmasByGroup, plateaus: Sequence[JointPlateauRow]) -> Section | None:
-    """Results of the joint solution; None without its tables."""
-    if not (sigmas and plateaus):
+    """Results of the joint solution; None without its tables, and where no plateau has several dwells.
+
+    The contradiction between a single dwell and the declared latitude is stated all the same.
+    """
+    shared = [row for row in plateaus if row.dwells > 1]
+    misfits = _misfit_sentences(plateaus)
+    if not (sigmas and plateaus and (any(row.plateau for row in shared) or misfits)):
         return None
+    reductions = _reductions(sigmas)
     return Section(
         "Joint solution of each plateau",
         [
-            f"{_JOINT_TEXT} {_gain_sentence(sigmas)}",
+            f"{_JOINT_TEXT} {_gain_sentence(*reductions)}",
             f"{_RATE_UP_TEXT} {_finding_sentence(plateaus)}",
-            *_misfit_sentences(plateaus),
+            *misfits,
         ],
-        tables=[_gain_table(sigmas), _plateau_table(plateaus)],
+        tables=[*[_gain_table(sigmas)] * any(reductions), *[_plateau_table(shared)] * bool(shared)],
     )
 
 
-def _gain_sentence(sigmas: _JointSigmasByGroup) -> str:
+def _reductions(sigmas: _JointSigmasByGroup) -> tuple[str, str]:
+    """Median reduction of the uncertainties of level and of vertical gyros; empty where there is none."""
     gains_by_orientation = [
         [group.gains for (_, up), group in sigmas.items() if up is is_vertical]
         for is_vertical in (False, True)
@@ -162,6 +169,10 @@ def _gain_sentence(sigmas: _JointSigmasByGroup) -> str:
         _reduction_text(float(np.median([gain for each in group for gain in each])))
         for group in gains_by_orientation
     )
+    return level, vertical
+
+
+def _gain_sentence(level: str, vertical: str) -> str:
     if not (level or vertical):
         return "The joint solution does not reduce the uncertainties (medians)."
     return (
@@ -193,11 +204,18 @@ def _finding_sentence(plateaus: Sequence[JointPlateauRow]) -> str:
 
 def _misfit_sentences(plateaus: Sequence[JointPlateauRow]) -> list[str]:
     return [
-        f"At plateau {row.plateau} dwells disagree on shared parameters{p_in_brackets(row.fit_p_value)}: "
+        f"At plateau {row.plateau} {_subject(row)}{p_in_brackets(row.fit_p_value)}: "
         + (_LATITUDE_CONCLUSION if row.any_north_p_value >= _MISFIT_P else _INVALID_CONCLUSION)
         for row in plateaus
-        if row.fit_p_value < _MISFIT_P
+        # What else a dwell of its own contradicts, its goodness of fit states.
+        if row.fit_p_value < _MISFIT_P and (row.dwells > 1 or row.any_north_p_value >= _MISFIT_P)
     ]
+
+
+def _subject(row: JointPlateauRow) -> str:
+    return (
+        "dwells disagree on shared parameters" if row.dwells > 1 else "dwell and declared latitude disagree"
+    )
 
 
 def _gain_table(sigmas: _JointSigmasByGroup) -> SectionTable:
@@ -223,8 +241,8 @@ def _gain_table(sigmas: _JointSigmasByGroup) -> SectionTable:
 
 def _plateau_table(plateaus: Sequence[JointPlateauRow]) -> SectionTable:
     return SectionTable(
-        "Shared parameters of each plateau: accelerometer biases in µg where observable, rates in "
-        "0.001 deg/h, p-value of the fit",
+        "Shared parameters of each plateau of several dwells: accelerometer biases in µg where observable, "
+        "rates in 0.001 deg/h, p-value of the fit",
         ["plateau", "chamber °C", "dwells", "x", "y", "z", "rate North", "rate Up", "p"],
         [
             [

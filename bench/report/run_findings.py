@@ -250,7 +250,9 @@ def joint_solution_sentences(plateaus: Sequence[JointPlateauRow]) -> dict[str, s
             "gyro_scale_factor_ppm of ins.uncertainty by that number, or calibrate the gyros by rotations."
         )
     contradictory = [
-        each for each in plateaus if max(each.fit_p_value, each.any_north_p_value) < _CONTRADICTION_P
+        each
+        for each in plateaus
+        if each.dwells > 1 and max(each.fit_p_value, each.any_north_p_value) < _CONTRADICTION_P
     ]
     if contradictory:
         p_value = min(max(each.fit_p_value, each.any_north_p_value) for each in contradictory)

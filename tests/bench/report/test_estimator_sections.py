@@ -76,7 +76,7 @@ def plateau_row(plateau=1, finding="different", **changed):
         "fit_p_value": 0.98,
         "any_north_p_value": 0.97,
     }
-    return JointPlateauRow(plateau=plateau, cycle=1, dwells=4, finding=finding, **{**values, **changed})
+    return JointPlateauRow(plateau=plateau, cycle=1, finding=finding, **{**values, "dwells": 4, **changed})
 
 
 def bias_row(position, gyro, single_dph, joint_dph, plateau=1):
@@ -109,7 +109,9 @@ def test_gain_of_level_and_vertical_gyros_is_distinguished():
 @pytest.mark.parametrize("joint", [0.00199999, 0.002, 0.0021])
 def test_a_solution_that_gains_nothing_says_so(joint):
     rows = [replace(row, single_sigma_dph=0.002, joint_sigma_dph=joint) for row in bias_rows()]
-    text = joint_section_of([plateau_row()], rows).paragraphs[0]
+    section = joint_section_of([plateau_row()], rows)
+    assert [table.header[1] for table in section.tables] == ["chamber °C"]
+    text = section.paragraphs[0]
     assert text.endswith("The joint solution does not reduce the uncertainties (medians).")
     half = [replace(row, joint_sigma_dph=0.001) if row.gyro == "x" else row for row in rows]
     assert (
@@ -160,6 +162,22 @@ def test_plateaus_whose_dwells_do_not_agree_are_named():
     ]
     assert "are invalid" in section.paragraphs[2]
     assert "the latitude error exceeds the declared uncertainty" in section.paragraphs[3]
+
+
+def test_a_plateau_of_one_dwell_shares_nothing():
+    alone = plateau_row(2, dwells=1, fit_p_value=1e-5, any_north_p_value=1e-5)
+    section = joint_section_of([plateau_row(), alone])
+    assert [row[0] for row in section.tables[1].rows] == ["1"]
+    assert len(section.paragraphs) == 2
+    assert joint_section_of([alone, plateau_row(0, dwells=2)]) is None
+    latitude = replace(alone, any_north_p_value=0.3)
+    assert (
+        joint_section_of([latitude])
+        .paragraphs[-1]
+        .startswith(
+            "At plateau 2 dwell and declared latitude disagree (p = 1e-5): with a free rate North they agree"
+        )
+    )
 
 
 def test_table_of_plateaus_has_values_with_uncertainties_and_a_row_of_all():

@@ -49,6 +49,8 @@ def test_what_the_joint_solution_finds_wrong_with_the_bench_is_stated(finding, p
     numbers = [0.0] * 6 + [0.0, 0.001, 0.006, 0.001, 10.0, 0.1, 0.5]
     row = JointPlateauRow(1, 1, 6, 25.0, *numbers, finding, *p_values)
     assert list(joint_solution_sentences([row])) == titles
+    alone = joint_solution_sentences([replace(row, dwells=1)])
+    assert list(alone) == [title for title in titles if not title.startswith("Dwells")]
     assert joint_solution_sentences([]) == {}
 
 
