@@ -21,6 +21,7 @@ import yaml
 from gyrobench.bench.foundations.documents import parse_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.files import write_whole
+from gyrobench.bench.foundations.packages import CAN_FORMATS, installed
 from gyrobench.bench.station.station import Station
 from gyrobench.bench.station.station_file import StationFile
 from gyrobench.drivers import ins
@@ -42,13 +43,16 @@ def write_station_file(path: Path, station: Station, urls: Mapping[str, str], sp
 
     All but the addresses comes from ``station``. ``urls`` are the addresses of ``table``, ``chamber`` and
     ``ins``, and of further units: ``ins-2`` and so on; ``speed`` is the emulators' factor on real time.
-    Raises DocumentError if no emulated INS sends the frames of the station's DBC file.
+    A DBC file that is not shipped is copied beside it. Raises DocumentError if no emulated INS sends the
+    frames of the station's DBC file.
     """
-    if emulated_dbc(station) is None:
+    if emulated_frames(station) is None:
         raise DocumentError(
             f"{station.path}: no emulated INS sends the frames of {station.dbc_path.name}; serve a station "
-            "with a shipped DBC file, such as `emulated`"
+            "with a shipped DBC file, such as `emulated`, or install a package with its frames"
         )
+    if station.dbc_path.parent.resolve() not in (Path(ins.__file__).parent.resolve(), path.parent.resolve()):
+        write_whole(path.with_name(station.dbc_path.name), station.dbc_path.read_bytes())
     text = _station_text(station, urls, speed)
     validate(parse_document(text, path), StationFile)
     write_whole(path, text.encode())
@@ -68,7 +72,7 @@ def _station_text(station: Station, urls: Mapping[str, str], speed: float) -> st
     data = overrides | {key: value for key, value in data.items() if key not in overrides}
     data["rate_table"] |= {"port": urls["table"]}
     data["chamber"] |= {"port": urls["chamber"]}
-    data["ins"] = _ins_section(data["ins"], urls["ins"]) | {"dbc": f"{emulated_dbc(station)}.dbc"}
+    data["ins"] = _ins_section(data["ins"], urls["ins"])
     for entry, (_, url) in zip(data.get("units", []), _numbered_units(urls), strict=False):
         entry |= _ins_section(entry, url) | {"identifier_offset": 0}
     body = yaml.safe_dump(data, sort_keys=False, width=_WIDTH, allow_unicode=True, default_flow_style=None)
@@ -100,7 +104,7 @@ def guide(urls: Mapping[str, str], station: Station, speed: float, station_path:
     """
     pace = "in real time" if speed == 1.0 else f"{speed:g} times as fast as real time"
     file, table, chamber, units = station.file, urls["table"], urls["chamber"], _numbered_units(urls)
-    frames = f"{emulated_dbc(station) or _DEFAULT_FRAMES}.dbc"
+    frames = station.dbc_path.name if emulated_frames(station) else f"{_DEFAULT_FRAMES}.dbc"
     events = {number: unit.power_event or file.unit.power_event for number, unit in enumerate(file.units, 1)}
     lines = [
         f"The emulated bench runs {pace} until Ctrl-C.",
@@ -115,7 +119,7 @@ def guide(urls: Mapping[str, str], station: Station, speed: float, station_path:
             ),
             f"    It sends frames while event output {event} of the chamber is on.",
         ]
-    if emulated_dbc(station) is None:
+    if emulated_frames(station) is None:
         lines += ["", f"No emulated INS sends the frames of {station.dbc_path.name}: decode with {frames}."]
     if station_path:
         command = f"gyrobench run ten_minute_check --station {station_path}"
@@ -218,11 +222,17 @@ def end_at_sigterm() -> None:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
 
 
-def emulated_dbc(station: Station) -> str | None:
-    """Name of the shipped DBC file with the same content as the station's, or None."""
+def emulated_frames(station: Station) -> str | None:
+    """Name of the emulated INS's frames that the station's DBC file describes; None if there are none.
+
+    Those of the shipped DBC file with the same content; of a package those named in `ins.options.frames`, or
+    as the DBC file.
+    """
     content = station.dbc_path.read_bytes()
     shipped = Path(ins.__file__).parent.glob("*.dbc")
-    return next((path.stem for path in shipped if path.read_bytes() == content), None)
+    name = next((path.stem for path in shipped if path.read_bytes() == content), None)
+    own = str(station.file.ins.options.get("frames", station.dbc_path.stem))
+    return name or (own if own in installed(CAN_FORMATS) else None)
 
 
 def serve_options(
@@ -249,7 +259,7 @@ def serve_options(
     selected = {name: port or own_ports.get(name, "") for name, port in ports.items()}
     options = [f"--{name}-port={port}" for name, port in selected.items() if port]
     options += [f"--table-dialect={file.rate_table.dialect}", f"--chamber-dialect={file.chamber.dialect}"]
-    options += [f"--frames={frames}"] if (frames := emulated_dbc(station)) else []
+    options += [f"--frames={frames}"] if (frames := emulated_frames(station)) else []
     if len(station.units) > 1:
         events = [f"--power-event={unit.file.unit.power_event}" for unit in station.units]
         options += [f"--units={len(events)}", *events]

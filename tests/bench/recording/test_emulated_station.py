@@ -4,9 +4,10 @@ import pytest
 
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.recording import emulated_station
 from gyrobench.bench.recording.emulated_station import (
     EmulationSettings,
-    emulated_dbc,
+    emulated_frames,
     guide,
     serve_options,
     write_station_file,
@@ -64,6 +65,24 @@ def test_for_a_dbc_file_that_is_not_shipped_it_names_the_frames_that_are_sent(tm
     text = guide(TERMINALS, Station(path), 1.0, None)
     assert f"INS      {TERMINALS['ins']}  gyrobench_ins.dbc\n" in text
     assert "No emulated INS sends the frames of mine.dbc: decode with gyrobench_ins.dbc." in text
+
+
+@pytest.mark.parametrize("options", ["{frames: ours}", "{}"])
+def test_the_frames_of_a_package_are_served_with_their_dbc_file(tmp_path, monkeypatch, options):
+    monkeypatch.setattr(emulated_station, "installed", lambda group: ["mine", "ours"])
+    source = shipped("emulated_sbg")
+    (tmp_path / "mine.dbc").write_bytes(source.dbc_path.read_bytes() + b"\n")
+    text = source.path.read_text().replace("dbc: sbg.dbc", "dbc: mine.dbc")
+    (tmp_path / "mine.yaml").write_text(text.replace("{frames: sbg}", options))
+    station = Station(tmp_path / "mine.yaml")
+    assert f"--frames={'mine' if options == '{}' else 'ours'}" in serve_options(station, NOWHERE, False, None)
+    assert "mine.dbc" in guide(TERMINALS, station, 1.0, None)
+    assert "No emulated INS" not in guide(TERMINALS, station, 1.0, None)
+    (tmp_path / "elsewhere").mkdir()
+    write_station_file(tmp_path / "elsewhere" / "served.yaml", station, TERMINALS, 1.0)
+    assert (
+        Station(tmp_path / "elsewhere" / "served.yaml").dbc_path.read_bytes() == station.dbc_path.read_bytes()
+    )
 
 
 NOWHERE = {"table": "", "chamber": "", "ins": ""}
@@ -142,7 +161,7 @@ def test_the_station_file_written_is_the_station_with_other_addresses(tmp_path, 
     assert station.file.ins.signals == original.file.ins.signals
     assert station.file.ins.commands == original.file.ins.commands
     assert station.file.safe_state == original.file.safe_state
-    assert emulated_dbc(station) == emulated_dbc(original)
+    assert emulated_frames(station) == emulated_frames(original)
 
 
 def test_the_bus_has_python_cans_names(tmp_path):
@@ -158,7 +177,7 @@ def test_a_station_whose_frames_no_emulated_ins_sends_is_not_written(tmp_path):
         source = find_document("stations", "emulated") if name.endswith("yaml") else shipped().dbc_path
         (tmp_path / name).write_text(source.read_text().replace('VERSION "', 'VERSION "other '))
     station = Station(tmp_path / "emulated.yaml")
-    assert emulated_dbc(station) is None
+    assert emulated_frames(station) is None
     assert not [o for o in serve_options(station, NOWHERE, False, None) if o.startswith("--frames")]
     with pytest.raises(DocumentError, match=r"no emulated INS sends the frames of gyrobench_ins\.dbc"):
         write_station_file(tmp_path / "out.yaml", station, TERMINALS, 1.0)
