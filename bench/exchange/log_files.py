@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from gyrobench.bench.exchange.import_map import Column, RecordFormat, TextFormat
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.text import did_you_mean
 
 if TYPE_CHECKING:
     from pyarrow import DataType
@@ -148,8 +149,8 @@ class TextLog:
         elif self.columns.count(column) > 1:
             raise DocumentError(f"{self._path}: the header gives '{column}' twice; map it by its number")
         raise DocumentError(
-            f"{self._path}: there is no column '{column}'. It has {len(self.columns)}: "
-            f"{', '.join(self.columns)}. Correct the import map"
+            f"{self._path}: there is no column '{column}'{did_you_mean(str(column), self.columns)}. It has "
+            f"{len(self.columns)}: {', '.join(map(repr, self.columns))}. Correct the import map"
         )
 
     def _numbered_samples(self) -> Iterator[tuple[int, list[str]]]:

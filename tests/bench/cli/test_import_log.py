@@ -17,7 +17,7 @@ def test_a_wrong_mapping_and_a_useless_log_have_their_exit_codes(log, tmp_path):
     problem = refusal_of(
         "import", path, "--map", log.mapping(gyro="{unit: deg/s, x: a, y: gy, z: gz}"), cwd=tmp_path
     )
-    assert "there is no column 'a'. It has 5: time, gx, gy, gz, temp" in problem
+    assert "there is no column 'a'. It has 5: 'time', 'gx', 'gy', 'gz', 'temp'" in problem
     refusal = refusal_of(
         "import", path, "--map", log.mapping(window_s=7200), cwd=tmp_path, code=EXIT_NOT_FINISHED
     )

@@ -80,8 +80,12 @@ def test_the_other_decimal_point_is_shown_with_its_place(tmp_path, decimal, othe
 
 
 def test_a_missing_column_is_shown_with_those_that_exist(tmp_path):
-    with pytest.raises(DocumentError, match=r"log\.txt: there is no column 'c'. It has 2: a, b"):
+    with pytest.raises(DocumentError, match=r"log\.txt: there is no column 'c'. It has 2: 'a', 'b'"):
         read(tmp_path, "a,b\n1,2\n", numbers=("c",))
+    with pytest.raises(
+        DocumentError, match=r"no column 'gx \[deg/s\]' \(did you mean 'gx \[deg/h\]'\?\)\. It has 2"
+    ):
+        read(tmp_path, "gx [deg/h];b, raw\n1;2\n", numbers=("gx [deg/s]",))
     with pytest.raises(DocumentError, match=r"there is no column '3'\. It has 2"):
         read(tmp_path, "a,b\n1,2\n", numbers=(3,))
 
