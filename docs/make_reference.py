@@ -23,6 +23,7 @@ import typer.main
 from pydantic import BaseModel, TypeAdapter
 from pydantic.fields import FieldInfo
 
+from gyrobench.bench.authoring.new_files import NO_BOUND
 from gyrobench.bench.cli import app
 
 PAGES = Path(__file__).parent / "reference"
@@ -227,6 +228,7 @@ def _in_words(schema: dict[str, Any]) -> str:
 
 def _bounds(schema: dict[str, Any]) -> str:
     low, high = schema.get("minimum"), schema.get("maximum")
+    low, high = (None if bound is None or abs(bound) >= NO_BOUND else bound for bound in (low, high))
     above, below = schema.get("exclusiveMinimum"), schema.get("exclusiveMaximum")
     parts = []
     if above is not None:
@@ -256,8 +258,10 @@ def _discriminating(model: type[BaseModel]) -> str:
     """``(kind: bias_jump)`` where one key distinguishes the model from its alternatives."""
     for key in ("kind", "fault"):
         if key in model.model_fields:
-            values = get_args(model.model_fields[key].annotation)
-            return f"({key}: {', '.join(map(str, values))})"
+            annotation = model.model_fields[key].annotation
+            if get_origin(annotation) is Literal:
+                values = get_args(annotation)
+                return f"({key}: {', '.join(map(str, values))})"
     return ""
 
 

@@ -36,6 +36,8 @@ from gyrobench.bench.station.instrument_sections import section_of
 from gyrobench.bench.station.station import FILL_IN
 from gyrobench.bench.station.station_file import StationFile
 
+#: A bound this large only keeps computations finite: templates and pages leave it out.
+NO_BOUND = 1e9
 _WIDTH = 100
 _BOUNDS = (
     ("minimum", "at least"),
@@ -158,9 +160,10 @@ def _description_of(schema: Schema, resolved: Schema) -> str:
 def _allowed_values(schema: Schema) -> str:
     if "enum" in schema:
         return f"one of {', '.join(map(str, schema['enum']))}"
-    if "minimum" in schema and "maximum" in schema:
-        return f"{schema['minimum']:g} to {schema['maximum']:g}"
-    bounds = [f"{word} {schema[key]:g}" for key, word in _BOUNDS if key in schema]
+    limits = {key: schema[key] for key, _ in _BOUNDS if key in schema and abs(schema[key]) < NO_BOUND}
+    if "minimum" in limits and "maximum" in limits:
+        return f"{limits['minimum']:g} to {limits['maximum']:g}"
+    bounds = [f"{word} {limits[key]:g}" for key, word in _BOUNDS if key in limits]
     return ", ".join(bounds)
 
 

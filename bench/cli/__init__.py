@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args, get_origin
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -41,21 +41,11 @@ from gyrobench.bench.foundations.errors import (
 
 #: Commands by task; a command without a group is listed last.
 GROUPS: dict[str, tuple[str, ...]] = {
-    "Measure": ("run", "resume", "control", "verify"),
     "Before a run": ("plan", "check", "jog", "message"),
-    "Watch and report": (
-        "monitor",
-        "report",
-        "seal",
-        "certificate",
-        "export",
-        "bins",
-        "close",
-        "investigate",
-        "import",
-        "raw-rate",
-        "calibrate",
-    ),
+    "Measure": ("run", "resume", "control", "monitor"),
+    "Find and compensate effects": ("close", "investigate", "verify"),
+    "Results": ("report", "export", "seal", "certificate", "bins"),
+    "Logs of other benches": ("import", "raw-rate", "calibrate"),
     "Many runs": ("runs", "fleet"),
     "Files": ("new", "validate", "schema"),
     "Try and learn": ("emulate", "record", "replay"),
@@ -70,6 +60,8 @@ _SUGGESTIONS = {
     "help": "gyrobench --help, or gyrobench COMMAND --help",
     "init": "gyrobench new station NAME",
 }
+#: What stands for a value of each type in the help.
+_VALUE_NAMES = {str: "TEXT", Path: "PATH", int: "INTEGER", float: "NUMBER"}
 #: Old names that are still accepted, with module and function.
 _HIDDEN = {"tell": "control.tell"}
 #: Maximum length of a command's first sentence in the list of commands.
@@ -111,7 +103,24 @@ def _command(name: str) -> Any:
         single_command_app.command(cls=_Command, hidden=name in _HIDDEN)(callback)
         command = typer.main.get_command(single_command_app)
     command.name = name
+    for each in getattr(command, "commands", {name: command}).values():
+        for parameter in each.params:
+            _name_value(parameter)
     return command
+
+
+def _name_value(parameter: Any) -> None:
+    """Set what stands for the value of an argument or option in the help, in place of its Python type."""
+    descriptor = parameter.type_descriptor
+    if parameter.param_type_name == "argument":
+        parameter.metavar = parameter.metavar or parameter.name.upper()
+        if not descriptor.is_choice:
+            parameter.display_type_rich = lambda ctx: ""  # noqa: ARG005
+    elif not (parameter.metavar or parameter.is_flag):
+        is_list = get_origin(descriptor.annotation) is list
+        kind = get_args(descriptor.annotation)[0] if is_list else descriptor.annotation
+        choices = "|".join(str(getattr(each, "value", each)) for each in descriptor.choices or ())
+        parameter.metavar = choices or _VALUE_NAMES.get(kind)
 
 
 class _Commands(Mapping[str, Any]):

@@ -130,13 +130,19 @@ PROCEDURE_HELP = "Procedure file, or the name of a shipped one."
 
 ProcedureArgument = Annotated[str, typer.Argument(help=PROCEDURE_HELP, autocompletion=complete_procedure)]
 StationArgument = Annotated[str, typer.Argument(help=STATION_HELP, autocompletion=complete_station)]
-StationOption = Annotated[str, typer.Option(help=STATION_HELP, autocompletion=complete_station)]
-WorldOption = Annotated[str | None, typer.Option(help=_WORLD_HELP, autocompletion=complete_world)]
+StationOption = Annotated[
+    str, typer.Option(metavar="FILE|NAME", help=STATION_HELP, autocompletion=complete_station)
+]
+WorldOption = Annotated[
+    str | None, typer.Option(metavar="FILE|NAME", help=_WORLD_HELP, autocompletion=complete_world)
+]
 SeedOption = Annotated[int, typer.Option(min=0, help=_SEED_HELP)]
 FaultsOption = Annotated[
     str | None,
     typer.Option(
-        help="Faults of the emulated instruments: file or shipped name.", autocompletion=complete_faults
+        metavar="FILE|NAME",
+        help="Faults of the emulated instruments: file or shipped name.",
+        autocompletion=complete_faults,
     ),
 ]
 _RUN = typer.Argument(metavar="RUN", help="Run folder.", autocompletion=complete_run)

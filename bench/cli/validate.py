@@ -63,9 +63,8 @@ def validate(
 def _line(check: FileCheck) -> str:
     if not check.is_good:
         return check.text
-    return (
-        f"{check.path}: valid {check.kind.replace('_', ' ')} file{f', {check.found}' if check.found else ''}"
-    )
+    noun = "import map" if check.kind == "import" else f"{check.kind.replace('_', ' ')} file"
+    return f"{check.path}: valid {noun}{f', {check.found}' if check.found else ''}"
 
 
 def _record(check: FileCheck) -> dict[str, object]:

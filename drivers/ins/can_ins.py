@@ -170,7 +170,8 @@ class CanIns:
         """Return the identification of the INS as text; raises as :meth:`identity`."""
         numbers = self.identity()
         if not numbers:
-            return f"INS on {self._bus.channel_info}, DBC version '{self.codec.database.version or ''}'"
+            version = self.codec.database.version
+            return f"INS on {self._bus.channel_info}{f', DBC version {version!r}' if version else ''}"
         return ", ".join(f"{name.replace('_', ' ')} {number}" for name, number in numbers.items())
 
     def supports(self, command: str) -> bool:

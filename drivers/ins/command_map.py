@@ -58,7 +58,7 @@ IntVector = Annotated[list[int], Field(min_length=3, max_length=3)]
 
 
 class TermIndices(StrictModel):
-    """Indices of the terms beyond the polynomial, named as in :class:`Compensation`."""
+    """Indices of the terms beyond the polynomial, named as in compensation.yaml."""
 
     rate_dph_per_c_per_h: int | None = Field(None, description="index: rate of the temperature")
     rate_limit_c_per_h: int | None = Field(None, description="index: highest rate used")
@@ -97,7 +97,7 @@ _REQUIRED_WITH = {
 
 
 class CorrectionIndices(StrictModel):
-    """First of the eight indices of each other coefficient of a sensor: see :meth:`Correction.numbers`."""
+    """First of the eight indices of each other coefficient of a sensor: T^0 to T^3, rate, x, y, z of Up."""
 
     gyro: IntVector = Field(description="first indices: how much the gyro senses of rates about x, y, z")
     accelerometer_bias: int = Field(description="first index: bias of the accelerometer")

@@ -105,7 +105,7 @@ class SequenceMap(StrictModel):
 
 
 class EulerMap(StrictModel):
-    """Euler angles, as defined in :mod:`gyrobench.drivers.ins.attitude`."""
+    """Euler angles: roll about body y (forward), pitch about body x (right), yaw about the vertical."""
 
     roll: Source = Field(description="signal of roll")
     pitch: Source = Field(description="signal of pitch")
@@ -113,7 +113,10 @@ class EulerMap(StrictModel):
     sequence: Annotated[
         SequenceMap,
         BeforeValidator(_from_sequence_name, json_schema_input_type=_SequenceName | SignalName | SequenceMap),
-    ] = Field(description="rpy_321, pry_231, or the signal of the sequence")
+    ] = Field(
+        description="order of the rotations: rpy_321 (yaw, pitch, roll: the usual one), pry_231 (yaw, roll, "
+        "pitch), or the signal of the sequence"
+    )
     yaw_positive: Literal["up", "down"] = Field(
         description="up: counter-clockwise seen from above; down: a heading, clockwise"
     )

@@ -1,5 +1,6 @@
 """The reference pages are those that the models and the command line give."""
 
+import re
 import subprocess
 import sys
 
@@ -29,3 +30,8 @@ def test_keys_that_are_alike_have_one_table_on_their_page():
         text = (DOCS / "reference" / f"{page}.md").read_text()
         tables = [part.partition("\n")[2].strip() for part in text.split("\n**`")[1:]]
         assert len(tables) == len(set(tables)) > 5, page
+
+
+def test_no_page_has_words_of_the_code_that_made_it():
+    for page in (DOCS / "reference").glob("*.md"):
+        assert not re.findall(r"<class|:\w+:`|1e\+(?:09|12)", page.read_text(encoding="utf-8")), page

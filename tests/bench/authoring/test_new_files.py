@@ -83,6 +83,12 @@ def test_optional_keys_of_a_station_show_their_defaults(tmp_path):
     )
 
 
+def test_a_bound_that_only_keeps_computations_finite_is_left_out(tmp_path):
+    text = new_station("mine", tmp_path / "mine.yaml")
+    assert "1e+09" not in text
+    assert re.search(r"jerk_dps3: fill_in +# largest jerk, deg/s3; above 0\n", text)
+
+
 def test_lines_are_not_longer_than_a_screen(tmp_path):
     texts = new_station("mine", tmp_path / "a.yaml"), new_procedure("mine", "check", tmp_path / "a.yaml")
     lines = "\n".join(texts).splitlines()

@@ -1,5 +1,7 @@
 """The list of commands in the help."""
 
+import re
+
 import pytest
 import typer
 from typer.testing import CliRunner
@@ -26,3 +28,18 @@ def test_a_command_that_does_not_exist_names_the_one_that_does_its_task(word, in
     result = CliRunner().invoke(app, [word])
     assert result.exit_code == EXIT_WRONG_INPUT
     assert f"No such command '{word}'. Use gyrobench {instead}" in result.output
+
+
+@pytest.mark.parametrize(
+    ("command", "shown"),
+    [
+        ("run", ["PROCEDURE  Procedure file", "--seed INTEGER", "--station FILE|NAME", "--view live|lines"]),
+        ("control", ["COMMAND <pause|continue|hold|skip|finish|abort>"]),
+        ("fleet bins", ["--workers INTEGER"]),
+    ],
+)
+def test_help_names_values_in_words_instead_of_types_of_python(command, shown):
+    text = CliRunner().invoke(app, [*command.split(), "--help"], env={"COLUMNS": "100"}).output
+    assert all(each in text for each in shown), text
+    assert "list[" not in text
+    assert not re.search(r"<[a-z ]+>", text)

@@ -110,7 +110,7 @@ def test_a_new_import_map_is_valid(tmp_path):
     made = gyrobench("new", "import", "my_log", cwd=tmp_path)
     assert made.stdout == "my_log.yaml: written. Edit it. Next: gyrobench validate my_log.yaml\n"
     checked = gyrobench("validate", "my_log.yaml", cwd=tmp_path)
-    assert checked.stdout == "my_log.yaml: valid import file\n"
+    assert checked.stdout == "my_log.yaml: valid import map\n"
     assert gyrobench("new", "import", "x", "--like", "nowhere", cwd=tmp_path).returncode == 2
 
 

@@ -41,7 +41,7 @@ def test_no_option_that_is_a_number_takes_one_without_an_end(name, command, opti
 @pytest.mark.parametrize(
     ("command", "message"),
     [
-        (("schema", "proc"), "'kind': 'proc' is not one of 'procedure', 'station', "),
+        (("schema", "proc"), "'KIND': 'proc' is not one of 'procedure', 'station', "),
         (("schema", "proc"), "'rotation_list' (did you mean 'procedure'?).\n"),
         (("monitor", "runs", "--port", "x"), "'--port': the value must be a whole number.\n"),
         (("fleet", "close", "runs", "--workers", "0"), "'--workers': the value must be at least 1.\n"),
