@@ -165,6 +165,8 @@ _ARCSEC_PER_DEG = 3600.0
 _MIN_SPAN_MMPS = 2.0
 _MIN_SPAN_ARCSEC = 2.0
 _MIN_SPAN_BIAS = 1e-4
+#: Half the width of the dash at a mean, as a share of the plot.
+_HALF_DASH = 0.01
 #: Estimates after this share set the scale, since the first ones are very uncertain.
 _SETTLED_SHARE = 0.5
 
@@ -235,11 +237,14 @@ def _temperature_chart(gyro: str, bins: Sequence[LiveBin], scale: BiasScale) -> 
 
 
 def _path_with_bars(x: Axis, y: Axis, points: Sequence[tuple[float, float, float]]) -> str:
-    """SVG path of a line through points (x, y, sigma), with an upright bar of ± sigma at each."""
-    bars = (
-        line_path(x, y, (each_x, each_x), (value - sigma, value + sigma)) for each_x, value, sigma in points
-    )
-    return line_path(x, y, *list(zip(*points, strict=True))[:2]) + "".join(bars)
+    """SVG path of a line through points (x, y, sigma), each a dash with an upright bar of ± sigma."""
+    half = _HALF_DASH * (x.high - x.low)
+    marks = [
+        line_path(x, y, (each_x - half, each_x + half), (value, value))
+        + line_path(x, y, (each_x, each_x), (value - sigma, value + sigma))
+        for each_x, value, sigma in points
+    ]
+    return line_path(x, y, *list(zip(*points, strict=True))[:2]) + "".join(marks)
 
 
 def _velocity_chart(number: int, window: WindowTrace, x: Axis, y: Axis) -> Chart:

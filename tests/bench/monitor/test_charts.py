@@ -224,7 +224,8 @@ def test_the_scale_of_bins_covers_their_uncertainties_and_each_mean_has_its_bar(
     only = next(each for each in made_up_snapshot().bins if each.count and each.gyro == "x")
     chart = temperature_charts([replace(only, bias_dph=2e-3, sigma_dph=1e-3)])[0].chart
     assert chart.y.low < 1.0 < 3.0 < chart.y.high < 4.0
-    mean, low, high = (y for _, y in places(chart.curves[0].path))
+    mean, left, right, low, high = (y for _, y in places(chart.curves[0].path))
+    assert left == right == mean
     assert [low, mean, high] == pytest.approx(
         [10.0 * chart.y.percent(value) for value in (1.0, 2.0, 3.0)], abs=0.1
     )
