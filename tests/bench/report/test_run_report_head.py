@@ -1,5 +1,6 @@
 import json
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -48,6 +49,13 @@ def test_a_run_that_was_stopped_resumed_and_killed_has_not_ended(stopped: RunFol
     assert content.facts.safe_state == ()
     assert "ended" not in lines
     assert lines["duration"] == "2:30 h, resumed 1 time"
+
+
+def test_a_run_faster_than_real_time_states_its_speed(stopped: RunFolder):
+    content = read_run(stopped)
+    assert "speed" not in head_facts(content)["options"]
+    fast = replace(content, station={**content.station, "speed": 10})
+    assert head_facts(fast)["options"].endswith("speed 10 (the run's clock, relative to real time)")
 
 
 def test_a_run_that_was_stopped_and_resumed_has_its_new_end(stopped: RunFolder):
