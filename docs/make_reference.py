@@ -28,6 +28,8 @@ from gyrobench.bench.cli import app
 
 PAGES = Path(__file__).parent / "reference"
 _MAX_DEFAULT_LENGTH = 60
+#: Keys that distinguish a model from its alternatives; its heading has their value.
+_MARKS = ("kind", "fault")
 _PART = re.compile(
     r"(?P<head><!-- (?P<kind>keys|commands)(?P<words>[^>]*) -->\n).*?(?=<!-- end -->)", re.DOTALL
 )
@@ -66,7 +68,7 @@ def _keys_section(sections: list[Section], left_out: set[str]) -> str:
     rows = [
         (f"`{key.name}`", key.meaning, key.values, _shown(key.default))
         for key in section.keys
-        if key.name not in left_out
+        if key.name not in left_out and (key.meaning or key.name not in _MARKS)
     ]
     parts = [
         f"**`{section.path}`**{'; also ' * bool(others)}{', '.join(f'`{each.path}`' for each in others)}\n"
@@ -256,7 +258,7 @@ def _is_list(annotation: Any) -> bool:
 
 def _discriminating(model: type[BaseModel]) -> str:
     """``(kind: bias_jump)`` where one key distinguishes the model from its alternatives."""
-    for key in ("kind", "fault"):
+    for key in _MARKS:
         if key in model.model_fields:
             annotation = model.model_fields[key].annotation
             if get_origin(annotation) is Literal:
