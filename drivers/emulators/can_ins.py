@@ -84,7 +84,10 @@ class CanInsEmulator:
             self.format.receive(message)
 
     def _send_epochs(self, epochs: Epochs) -> None:
-        frames = self.format.frames(epochs)
+        try:
+            frames = self.format.frames(epochs)
+        except (ValueError, LookupError) as error:  # which a driver takes for bytes that are no frame
+            raise RuntimeError(f"{type(self.format).__name__}.frames failed: {error}") from error
         for listener in self.listeners:
             listener(frames)
 

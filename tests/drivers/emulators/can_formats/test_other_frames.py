@@ -128,6 +128,18 @@ def test_a_package_adds_the_frames_of_its_ins(make_world, offered):
         emulator.use_format("thiers")
 
 
+def test_a_mistake_in_the_frames_of_a_package_is_no_error_of_the_bus(make_world, offered):
+    class Broken(SbgFormat):
+        def frames(self, epochs):  # noqa: ARG002
+            raise IndexError("too many indices")
+
+    offered(Broken)
+    emulator = CanInsEmulator(make_world())
+    emulator.use_format("theirs")
+    with pytest.raises(RuntimeError, match=r"Broken\.frames failed: too many indices"):
+        emulator._send_epochs(epochs_of(np.arange(500, 500 + 10 * EPOCHS, 10), states()[0]))
+
+
 def test_frames_of_a_package_that_are_no_format_are_refused(make_world, offered):
     offered(dict)
     with pytest.raises(DocumentError, match="'theirs' is dict, no subclass of CanFormat"):
