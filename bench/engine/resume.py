@@ -163,7 +163,7 @@ class Resumption:
         ending = run_ending(state.ended, state.reason) if state.ended else NO_END_RECORDED
         lines = [
             f"{self.folder.path}: {plan.procedure.procedure}{units}; the run {ending.removesuffix('.')}.",
-            f"{len(state.finished)} of {plan.dwell_count} dwells are finished and kept"
+            f"{len(state.finished | state.replaced)} of {plan.dwell_count} dwells are finished and kept"
             f"{f', {len(state.skipped)} skipped' if state.skipped else ''}.",
         ]
         if not state.unsafe:
