@@ -130,7 +130,7 @@ def test_a_package_adds_the_frames_of_its_ins(make_world, offered):
 
 def test_a_mistake_in_the_frames_of_a_package_is_no_error_of_the_bus(make_world, offered):
     class Broken(SbgFormat):
-        def frames(self, epochs):  # noqa: ARG002
+        def frames(self, epochs):
             raise IndexError("too many indices")
 
     offered(Broken)
