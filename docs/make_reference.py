@@ -42,7 +42,8 @@ def page_text(page: Path) -> str:
 
 def _generated(part: re.Match[str]) -> str:
     if part["kind"] == "commands":
-        return "\n".join(_command_section(name, command) for name, command in _commands())
+        first: dict[str, str] = {}
+        return "\n".join(_command_section(name, command, first) for name, command in _commands())
     place, *options = part["words"].split()
     left_out = {key for option in options for key in option.removeprefix("without=").split(",")}
     module, _, name = place.partition(":")
@@ -99,14 +100,19 @@ def _below(name: str, command: Any) -> Iterator[tuple[str, Any]]:
         yield name, command
 
 
-def _command_section(name: str, command: Any) -> str:
+def _command_section(name: str, command: Any, first: dict[str, str]) -> str:
+    """Section of one command; ``first``: the command that had each table of options first."""
     parts = [f"## {name}\n"]
     for text in inspect.cleandoc(command.help or "").split("\n\n"):
         head, example, rest = " ".join(text.split()).partition("Example: ")
         parts += [f"{head.strip()}\n"] if head else []
         parts += [f"```text\n{rest}\n```\n"] if example else []
     rows = [_parameter(each) for each in command.params if not getattr(each, "hidden", False)]
-    return "\n".join([*parts, _table(("argument or option", "meaning", "default"), rows)] if rows else parts)
+    if rows:
+        table = _table(("argument or option", "meaning", "default"), rows)
+        like = first.setdefault(table, name)
+        parts.append(table if like == name else f"Arguments and options as of `{like}`.\n")
+    return "\n".join(parts)
 
 
 def _parameter(parameter: Any) -> tuple[str, str, str]:
