@@ -221,6 +221,10 @@ class VerificationRuns:
                 _coefficients_of(run),
                 read_correlations(run.correlations),
                 self.models[name].compensation.coefficients if name in self.models else {},
+                {
+                    (row.plateau, row.name): row.sigma
+                    for row in read_coefficients_for_fit(run.coefficients, run.budget)
+                },
             )
             for name, run in folders.items()
         ]

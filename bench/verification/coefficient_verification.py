@@ -41,13 +41,23 @@ class PlateauMission:
 
 @dataclass(frozen=True)
 class NoiseSums:
-    """Sums over values v in units of their standard uncertainties, with correlations R at each plateau."""
+    """Sums over values v in some units; the covariance of their noise is C."""
 
     count: int  #: Number of values.
     squares: float  #: v' v.
-    quadratic: float  #: v' R v; its mean is tr(R R) for noise alone.
-    correlation: float  #: tr(R R).
+    variance: float  #: tr C, the mean of v' v for noise alone.
+    quadratic: float  #: v' C v; its mean is tr(C C) for noise alone.
+    square_variance: float  #: tr(C C).
     loaded: int  #: Number of loaded polynomial coefficients, at most one for each value.
+
+    @classmethod
+    def of(cls, values: FloatArray, covariance: FloatArray, units: FloatArray, loaded: int) -> NoiseSums:
+        """Sums over values (n,) with their covariance (n, n), in units (n,)."""
+        values, covariance = values / units, covariance / np.outer(units, units)
+        squares, quadratic = float(values @ values), float(values @ covariance @ values)
+        return cls(
+            len(values), squares, float(np.trace(covariance)), quadratic, float(np.sum(covariance**2)), loaded
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +70,10 @@ class CoefficientResult:
     rms: FloatArray
     noise: FloatArray
     plateaus: FloatArray  #: Shape (21,). Number of plateaus with a value.
-    sums: NoiseSums  #: Sums over all coefficients except gyro biases, at these plateaus.
+    #: sums, stated_sums: Over all coefficients except gyro biases, at these plateaus; in units of the noise,
+    #: and of the stated uncertainties.
+    sums: NoiseSums
+    stated_sums: NoiseSums
     missions: tuple[PlateauMission, ...]  #: One for each plateau.
 
     @property
@@ -79,22 +92,25 @@ class CoefficientResult:
         sums = self.sums
         if not sums.count:
             return math.nan
-        mean = sums.count + sums.loaded
-        variance = 2.0 * sums.correlation * (1.0 + 3.0 * sums.loaded / sums.count)
+        mean = sums.variance + sums.loaded
+        variance = 2.0 * sums.square_variance * (1.0 + 3.0 * sums.loaded / sums.count)
         dof = 2.0 * mean**2 / variance
         return float(chi2.sf(sums.squares * dof / mean, dof))
 
     def is_better_than(self, other: CoefficientResult) -> bool:
         """Whether the rms of these coefficients is smaller than in another run, by more than the noise.
 
-        In units of the noise, with correlations R, a sum of squares about means m has the variance
-        2 tr(R R) + 4 m' R m.
+        In units of the stated uncertainties, with the covariance C, a sum of squares about means m has the
+        variance 2 tr(C C) + 4 m' C m.
         """
         variance = sum(
-            2.0 * each.correlation + 4.0 * max(each.quadratic - each.correlation, 0.0)
-            for each in (self.sums, other.sums)
+            2.0 * each.square_variance + 4.0 * max(each.quadratic - each.square_variance, 0.0)
+            for each in (self.stated_sums, other.stated_sums)
         )
-        difference = other.sums.squares - self.sums.squares
+        excess, excess_of_other = (
+            each.stated_sums.squares - each.stated_sums.variance for each in (self, other)
+        )
+        difference = excess_of_other - excess
         return bool(variance > 0.0 and norm.sf(difference / math.sqrt(variance)) < SIGNIFICANT_P)
 
     @property
@@ -134,9 +150,12 @@ class CoefficientRun:
     compensation: str  #: As in a verification.
     rows: Sequence[PlateauCoefficientRow]
     #: Shape (21, 21) by plateau; NaN if not observable: missions assume that such a coefficient is exactly
-    #: zero. Coefficients of other plateaus count as independent.
+    #: zero.
     correlations: Mapping[int, FloatArray]
     loaded: Mapping[str, Correction] = field(default_factory=dict)  #: Polynomials that the INS subtracts.
+    #: By plateau and name: standard uncertainty without what all plateaus share, as the error of gravity; by
+    #: default they share nothing. A loaded polynomial was measured with the same error, which cancels.
+    independent: Mapping[tuple[int, str], float] = field(default_factory=dict)
 
 
 def compare_coefficients(runs: Sequence[CoefficientRun], site: Site) -> tuple[CoefficientResult, ...]:
@@ -172,13 +191,20 @@ def compare_coefficients(runs: Sequence[CoefficientRun], site: Site) -> tuple[Co
             for plateau, each in run.correlations.items()
             if plateau in joint_number
         }
+        independent = {
+            (joint_number[plateau], name): sigma
+            for (plateau, name), sigma in run.independent.items()
+            if plateau in joint_number
+        }
         results.append(
             CoefficientResult(
                 run.compensation,
                 np.array([rms(each[:, 0]) for each in pairs]),
                 np.array([rms(each[:, 1]) for each in pairs]),
                 np.array([len(each) for each in pairs]),
-                _noise_sums([run_values[key] for key in sorted(shared)], correlations, run.loaded),
+                *_noise_sums(
+                    [run_values[key] for key in sorted(shared)], correlations, run.loaded, independent
+                ),
                 tuple(_missions(rows, correlations, in_all, site)),
             )
         )
@@ -189,23 +215,30 @@ def _noise_sums(
     rows: Sequence[PlateauCoefficientRow],
     correlations: Mapping[int, FloatArray],
     loaded: Mapping[str, Correction],
-) -> NoiseSums:
-    """Sums over rows, without those of gyro biases."""
+    independent: Mapping[tuple[int, str], float],
+) -> tuple[NoiseSums, NoiseSums]:
+    """Sums over rows except gyro biases, in units of their noise and of the stated uncertainties."""
     used = [row for row in rows if row.coefficient != "gyro_bias"]
-    indices_of = {
-        plateau: [each for each, row in enumerate(used) if row.plateau == plateau]
-        for plateau in {row.plateau for row in used}
-    }
-    names = [row.name for row in used]
-    ratios = np.array([row.value / row.sigma for row in used])
-    quadratic = correlation = 0.0
-    for plateau, indices in indices_of.items():
-        columns = [_NAMES.index(names[each]) for each in indices]
-        plateau_correlations = _filled_correlations(correlations, plateau)[np.ix_(columns, columns)]
-        quadratic += float(ratios[indices] @ plateau_correlations @ ratios[indices])
-        correlation += float(np.sum(plateau_correlations**2))
+    names, plateaus = [row.name for row in used], np.array([row.plateau for row in used])
+    columns = np.array([_NAMES.index(name) for name in names], dtype=np.intp)
+    values, stated = np.array([(row.value, row.sigma) for row in used]).reshape(-1, 2).T
+    own = np.array([independent.get((row.plateau, row.name), row.sigma) for row in used])
+    by_plateau = {each: _filled_correlations(correlations, each) for each in set(plateaus.tolist())}
+    pairs = np.array([by_plateau[row.plateau][_NAMES.index(row.name), columns] for row in used])
+    pairs = pairs.reshape(len(used), len(used))
+    shared = np.sqrt(np.maximum(stated**2 - own**2, 0.0))
+    signs = np.where(columns[:, np.newaxis] == columns, 1.0, np.sign(pairs))
+    of_shared = signs * np.outer(shared, shared)
+    is_loaded = np.array([name in loaded for name in names], dtype=bool)
+    is_same_plateau = plateaus[:, np.newaxis] == plateaus
+    covariance = np.where(is_same_plateau, pairs * np.outer(stated, stated), of_shared)
+    covariance -= np.where(is_loaded[:, np.newaxis] | is_loaded, of_shared, 0.0)
     loaded_count = sum(min(names.count(name), len(each.polynomial)) for name, each in loaded.items())
-    return NoiseSums(len(used), float(np.sum(ratios**2)), quadratic, correlation, loaded_count)
+    of_noise, of_stated = (
+        NoiseSums.of(values, covariance, units, loaded_count)
+        for units in (np.where(is_loaded, own, stated), stated)
+    )
+    return of_noise, of_stated
 
 
 def _filled_correlations(correlations: Mapping[int, FloatArray], plateau: int) -> FloatArray:

@@ -19,6 +19,7 @@ from tests.bench.verification.runs_alone import coefficient_result
 SITE = Site(np.radians(45.0))
 TEMPERATURES_C = (-20.0, 0.0, 20.0, 40.0, 60.0)
 SIGMA = 0.1
+NAMES = [f"{each.name}_{each.axis}" for each in COEFFICIENTS]
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -94,7 +95,7 @@ def test_what_is_left_is_compared_with_the_noise(results):
     assert before.ratio > 100.0
     assert 0.7 < after.ratio < 1.4
     np.testing.assert_allclose(before.noise, SIGMA)
-    z = [f"{each.name}_{each.axis}" for each in COEFFICIENTS].index("gyro_scale_factor_z")
+    z = NAMES.index("gyro_scale_factor_z")
     assert np.isnan(after.rms[z])
     assert after.plateaus[z] == 0
     assert before.plateaus[z] == len(TEMPERATURES_C)
@@ -162,3 +163,27 @@ def test_the_noise_of_what_was_loaded_is_noise_of_coefficients_too():
     loaded = corrections([row for row in rows_of({}) if row.plateau == 1])
     assert one_plateau(1.6, {}).noise_p_value < 1e-3 < one_plateau(1.6, {}, loaded=loaded).noise_p_value
     assert one_plateau(3.0, {}, loaded=loaded).noise_p_value < 1e-6
+
+
+def test_an_error_that_all_plateaus_share_hides_no_remainder_and_is_no_improvement():
+    """The error of gravity in the scale factors of the accelerometers cancels where it was loaded."""
+    gravity, scale = 300.0 * SIGMA, "accelerometer_scale_factor"
+    loaded = {name: each for name, each in corrections(rows_of({})).items() if name.startswith(scale)}
+    together = [name.startswith(scale) for name in NAMES]
+    correlations = np.where(np.outer(together, together), 1.0, np.eye(COUNT))
+
+    def result(compensation, value, **run):
+        rows = [
+            replace(row, value=value, sigma=gravity) if row.coefficient == scale else row
+            for row in rows_of({})
+        ]
+        by_plateau = dict.fromkeys({row.plateau for row in rows}, correlations)
+        independent = {(row.plateau, row.name): SIGMA for row in rows}
+        return CoefficientRun(compensation, rows, by_plateau, independent=independent, **run)
+
+    runs = [result("none", 2.5 * gravity), result("declared", 10.0 * SIGMA, loaded=loaded)]
+    none, declared = compare_coefficients(runs, SITE)
+    assert declared.noise_p_value < 1e-6
+    assert not declared.is_better_than(none)
+    large, _ = compare_coefficients([result("none", 30.0 * gravity), runs[1]], SITE)
+    assert declared.is_better_than(large)
