@@ -62,6 +62,7 @@ def implausible(rows: Sequence[DwellRow], quantity: Quantity = GYRO_BIAS) -> lis
         *_copies(unflagged),
         *_mixed_units(unflagged, quantity),
         *_temperatures(unflagged),
+        *_sigmas_not_positive(unflagged, quantity),
         *_large_sigmas(unflagged, quantity),
         *(_large_biases(unflagged) if quantity.is_gyro_bias else ()),
     ]
@@ -179,18 +180,34 @@ def _large_biases(rows: Sequence[DwellRow]) -> Iterator[str]:
             )
 
 
+def _sigmas_not_positive(rows: Sequence[DwellRow], quantity: Quantity) -> Iterator[str]:
+    for column, sigma in zip(_sigma_columns(quantity), _values(rows, "sigma_dph").T, strict=True):
+        wrong = np.flatnonzero(sigma <= 0.0)
+        if len(wrong):
+            others = f" and {counted(len(wrong) - 1, 'other')}" if len(wrong) > 1 else ""
+            yield (
+                f"{column} is {sigma[wrong[0]]:g} {quantity.unit} in {quantity.row} {rows[wrong[0]].dwell}"
+                f"{others}; it must be above zero: correct the value, or leave it empty"
+            )
+
+
+def _sigma_columns(quantity: Quantity) -> list[str]:
+    """Names of the columns of uncertainties, in sentences."""
+    if quantity.is_gyro_bias:
+        return [f"sigma_{axis}_dph" for axis in AXES]
+    return [f"the uncertainty of {name}" for name in quantity.coefficients]
+
+
 def _large_sigmas(rows: Sequence[DwellRow], quantity: Quantity) -> Iterator[str]:
     # The uncertainty of an accelerometer's bias in a dwell includes errors common to all dwells.
     if len(rows) < _MIN_DWELLS or quantity.name == "accelerometer_bias":
         return
     biases, sigmas = _values(rows, "bias_dph"), _values(rows, "sigma_dph")
-    for name, axis, bias, sigma in zip(quantity.coefficients, "xyz", biases.T, sigmas.T, strict=True):
+    values = "biases of that gyro" if quantity.is_gyro_bias else "values"
+    for column, bias, sigma in zip(_sigma_columns(quantity), biases.T, sigmas.T, strict=True):
         if not np.isfinite(sigma).any():
             continue
         spread, stated = float(np.nanstd(bias)), float(np.nanmedian(sigma))
-        column, values = f"the uncertainty of {name}", "values"
-        if quantity.is_gyro_bias:
-            column, values = f"sigma_{axis}_dph", "biases of that gyro"
         if stated > _MAX_SIGMA_TO_SPREAD * spread:
             yield (
                 f"{column} is {stated:.2g} {quantity.unit}, although all {values} lie within "

@@ -7,6 +7,7 @@ import pytest
 
 from gyrobench.bench.bias.dwell_table import write_dwells
 from gyrobench.bench.closure.plausibility import implausible
+from gyrobench.bench.closure.quantity import quantity
 from tests.bench.closure.thermal_bench import measure
 from tests.bench.command_line import refusal_of
 
@@ -78,6 +79,20 @@ def test_rows_in_a_unit_a_thousand_times_smaller_or_larger_are_named(rows, facto
 def test_a_gyro_that_fails_is_no_wrong_unit(rows):
     failed = [replace(row, bias_dph=(1000.0 * row.bias_dph[0], *row.bias_dph[1:])) for row in rows[30:]]
     assert implausible([*rows[:30], *failed]) == []
+
+
+@pytest.mark.parametrize(
+    ("searched", "column"),
+    [("gyro_bias", "sigma_y_dph"), ("gyro_scale_factor", "the uncertainty of gyro_scale_factor_y")],
+)
+@pytest.mark.parametrize("sigma", [0.0, -0.002])
+def test_uncertainties_that_are_not_above_zero_are_named(rows, searched, column, sigma):
+    wrong = [replace(row, sigma_dph=(0.002, sigma, 0.002)) for row in rows[:2]]
+    (problem,) = implausible([*wrong, *rows[2:]], quantity(searched))
+    unit = quantity(searched).unit
+    assert problem.startswith(
+        f"{column} is {sigma:g} {unit} in dwell {rows[0].dwell} and 1 other; it must be "
+    )
 
 
 def test_sigmas_too_cautious_by_a_factor_of_five_are_no_problem(rows):
