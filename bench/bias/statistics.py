@@ -103,7 +103,7 @@ def chi2_p_value(dof: int, chi2: float) -> float:
     return min(odd * math.erfc(math.sqrt(half)) + float(terms.sum()), 1.0)
 
 
-def f_p_value(dof: int, residual_dof: int, ratio: float) -> float:
+def f_p_value(dof: float, residual_dof: float, ratio: float) -> float:
     """Probability of at least this ratio of the mean of ``dof`` squares to that of ``residual_dof``."""
     a, b = 0.5 * residual_dof, 0.5 * dof
     x, y = residual_dof / (residual_dof + dof * ratio), dof * ratio / (residual_dof + dof * ratio)

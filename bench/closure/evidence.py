@@ -53,7 +53,9 @@ _DRAWS = 200
 class _Terms:
     """Terms and data of a hypothesis with the declared model projected out, in units of the noise."""
 
-    columns: FloatArray  #: Shape (3, m, k + 1). Terms scaled to rms 1, then the data as last column.
+    #: Shape (3, m, k + 1). Terms scaled to rms 1, then the data as last column; all over the square root of
+    #: :attr:`Problem.correlation_factor`, so that correlated values count as fewer.
+    columns: FloatArray
     kept: BoolArray  #: Shape (3, k). Terms that each gyro keeps.
     owner: IntArray  #: Shape (k,). Index of each term's effect.
     rms: FloatArray  #: Shape (3, k). Rms of the terms before they were scaled.
@@ -69,7 +71,7 @@ class _Terms:
         owner = owners(candidates)
         rms_of_terms = rms_of_terms * _independent_shares(visible / rms_of_terms[:, None], kept, owner)
         columns = np.concatenate([visible / rms_of_terms[:, None], problem.residuals.T[..., None]], axis=2)
-        return cls(columns, kept, owner, rms_of_terms)
+        return cls(columns / math.sqrt(problem.correlation_factor), kept, owner, rms_of_terms)
 
     @cached_property
     def products(self) -> FloatArray:
@@ -108,7 +110,8 @@ class Evidences:
         self._log_weights: dict[object, tuple[float, FloatArray]] = {}
         self._step_columns: dict[Form, tuple[FloatArray, FloatArray]] = {}
         fitted = np.array([basis.shape[1] for basis in problem.bases])
-        self._dof = campaign.is_measured[problem.searched].sum(axis=0) - fitted.astype(np.float64)
+        dof = campaign.is_measured[problem.searched].sum(axis=0) - fitted.astype(np.float64)
+        self._dof = dof / problem.correlation_factor
         self._remainder = remainder_of(problem)
         shares = np.array([_ALL_PROCESSES_SHARE if name == ALL_PROCESSES else 1.0 for name in self.processes])
         self._log_process_prior = np.log(REMAINDER_PRIOR * shares / shares.sum())
@@ -229,7 +232,8 @@ class Evidences:
                 used = np.flatnonzero(terms.kept[gyro] & (np.arange(count) != term))
                 basis, _ = np.linalg.qr(terms.columns[gyro][:, used])
                 fitted, data = terms.columns[gyro][:, [term]], terms.columns[gyro][:, count]
-                columns = np.concatenate([steps[gyro] / max(terms.rms[gyro, term], 1e-9), fitted], axis=1)
+                scale = max(terms.rms[gyro, term], 1e-9) * math.sqrt(self._problem.correlation_factor)
+                columns = np.concatenate([steps[gyro] / scale, fitted], axis=1)
                 columns = columns - basis @ (basis.T @ columns)
                 weight = np.sum(columns**2, axis=0) + scales[gyro, term] ** -2
                 log_evidence += 0.5 * ((columns.T @ data) ** 2 / weight - np.log(weight))
@@ -373,7 +377,8 @@ def _log_parameter_volume(
             change = moved.columns(problem.campaign) - each.columns(problem.campaign)
             own = terms.owner == owner_index
             visible, _ = problem.project_out(change[problem.searched] * (width / step))
-            slopes.append((visible / terms.rms[:, None, own], own))
+            scale = terms.rms[:, None, own] * math.sqrt(problem.correlation_factor)
+            slopes.append((visible / scale, own))
     if not slopes:
         return 0.0
     count = len(terms.owner)

@@ -17,7 +17,7 @@ from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, stack
 from gyrobench.bench.closure.effects.effect import same_for_all_gyros
 from gyrobench.bench.closure.problem import SCALE_C, Problem, declared_problem
-from gyrobench.bench.closure.validation import LackOfFit, lack_of_fit
+from gyrobench.bench.closure.validation import LackOfFit, correlation_factor, lack_of_fit
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.navigation.positions import AXES
@@ -32,8 +32,8 @@ _MAX_OUTLIER_SHARE = 0.1
 _MAX_SCALE = 1.7
 #: p-values below which scatter is larger than stated, and below which it has structure.
 _LARGER_P, _STRUCTURE_P = 1e-2, 1e-2
-#: Two noise estimates agree if their scales differ by less than this share.
-_SCALE_TOLERANCE = 0.03
+#: Two noise estimates agree if their scales, and their correlation factors, differ by less than these shares.
+_SCALE_TOLERANCE, _CORRELATION_TOLERANCE = 0.03, 0.15
 _ROUNDS = 30
 #: If too many deviate, those beyond this share of the largest deviation become outliers first.
 _FARTHEST_SHARE = 0.5
@@ -73,6 +73,7 @@ class CampaignNoise:
     outliers: tuple[Outlier, ...]  #: Farthest first.
     #: Shape (n, 3). Factor on the standard deviation of each bias; 1 except for outliers.
     factors: FloatArray
+    correlation_factor: float = 1.0  #: See :attr:`Problem.correlation_factor`.
 
     @classmethod
     def stated(cls, campaign: Campaign) -> CampaignNoise:
@@ -82,7 +83,8 @@ class CampaignNoise:
     def problem(self, campaign: Campaign, searched: BoolArray) -> Problem:
         """Declared model of a campaign with this noise."""
         reweighted = campaign.with_uncertainties(campaign.sigma_dph * self.factors)
-        return declared_problem(reweighted, searched, self.scale)
+        problem = declared_problem(reweighted, searched, self.scale)
+        return replace(problem, correlation_factor=self.correlation_factor)
 
     def weighted(self, rows: Sequence[DwellRow]) -> list[DwellRow]:
         """Rows of a dwell table with the standard deviations of outliers increased."""
@@ -125,8 +127,12 @@ class CampaignNoise:
         return replace(self, scale=_scale_of(lack_of_fit(unscaled.problem(campaign, searched), 0)))
 
     def is_close_to(self, other: CampaignNoise) -> bool:
-        """Whether the scales are about equal and the outliers are the same."""
-        return self.has_same_outliers(other) and abs(self.scale / other.scale - 1.0) < _SCALE_TOLERANCE
+        """Whether scales and correlations are about equal and the outliers are the same."""
+        is_same_correlation = (
+            abs(self.correlation_factor / other.correlation_factor - 1.0) < _CORRELATION_TOLERANCE
+        )
+        is_same_scale = abs(self.scale / other.scale - 1.0) < _SCALE_TOLERANCE
+        return self.has_same_outliers(other) and is_same_scale and is_same_correlation
 
     def has_same_outliers(self, other: CampaignNoise) -> bool:
         """Whether the outliers are the same."""
@@ -166,10 +172,13 @@ def estimate_campaign_noise(
             break
     if not is_converged:
         noise, problem = stated, _fit_columns(stated, campaign, searched, extra_columns)
+    problem = replace(problem, correlation_factor=correlation_factor(problem))
     test = lack_of_fit(problem, parameters)
-    if test.p_any_structure < _STRUCTURE_P and not extra_columns:
+    has_structure = test.p_any_structure < _STRUCTURE_P
+    if has_structure and not extra_columns:
         return stated
-    return replace(noise, scale=_scale_of(test))
+    factor = 1.0 if has_structure else problem.correlation_factor  # an effect correlates the gyros, too
+    return replace(noise, scale=_scale_of(test), correlation_factor=factor)
 
 
 def outweighing_dwell(campaign: Campaign, searched: BoolArray) -> CampaignNoise:

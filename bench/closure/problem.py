@@ -32,6 +32,8 @@ class Problem:
     #: Shape (m, r) for each gyro. Orthonormal basis of the columns added so far, weighted by the noise.
     bases: tuple[FloatArray, ...]
     residuals: FloatArray  #: Shape (m, 3). Residuals of the measured biases, in standard deviations.
+    #: Number of values that count as one in tests of all gyros, whose noise is correlated; 1 if it is not.
+    correlation_factor: float = 1.0
 
     @cached_property
     def sigma_dph(self) -> FloatArray:

@@ -33,7 +33,9 @@ class Remainder:
 
     names: tuple[str, ...]  #: Driver of each process.
     directions: FloatArray  #: Shape (3, K, m, RANK). Orthonormal for each gyro and process.
-    powers: FloatArray  #: Shape (3, K, RANK). Variance along each direction; zero for unused ones.
+    #: Shape (3, K, RANK). Variance along each direction, zero for unused ones, over
+    #: :attr:`Problem.correlation_factor`.
+    powers: FloatArray
 
 
 def remainder_of(problem: Problem) -> Remainder:
@@ -60,7 +62,7 @@ def remainder_of(problem: Problem) -> Remainder:
     rank = min(RANK, len(campaign))
     directions[:, -1, :, :rank] = vectors[:, :, : -rank - 1 : -1]
     powers[:, -1, :rank] = np.maximum(lengths[:, : -rank - 1 : -1], 0.0)
-    return Remainder((*names, ALL_PROCESSES), directions, powers)
+    return Remainder((*names, ALL_PROCESSES), directions, powers / problem.correlation_factor)
 
 
 def _cosines(values: FloatArray, count: int, length: float) -> FloatArray:

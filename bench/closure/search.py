@@ -250,12 +250,12 @@ class Search:
                 continue
             start = best_start(problem_so_far, effect, form)
             reduction, rank = problem_so_far.chi2_reduction(start.columns(campaign))
-            if chi2_p_value(rank + len(start.values), _MAX_REFINEMENT * reduction) >= EFFECT_SIGNIFICANCE:
+            if self._single_p_value(start, _MAX_REFINEMENT * reduction, rank) >= EFFECT_SIGNIFICANCE:
                 insignificant.append(start)
                 continue
             [candidate] = refine(problem_so_far, [start])
             reduction, rank = problem_so_far.chi2_reduction(candidate.columns(campaign))
-            if chi2_p_value(rank + len(candidate.values), reduction) < EFFECT_SIGNIFICANCE:
+            if self._single_p_value(candidate, reduction, rank) < EFFECT_SIGNIFICANCE:
                 all_terms = [
                     replace(each, kept=np.ones_like(each.kept))
                     for each in (*hypothesis.candidates, candidate)
@@ -347,8 +347,12 @@ class Search:
         """p-value of a candidate added to a problem, corrected for all candidate fits."""
         reduction, rank = problem.chi2_reduction(candidate.columns(self.problem.campaign))
         return min(
-            1.0, chi2_p_value(rank + len(candidate.values), reduction) * self.candidate_fits(candidate.effect)
+            1.0, self._single_p_value(candidate, reduction, rank) * self.candidate_fits(candidate.effect)
         )
+
+    def _single_p_value(self, candidate: Candidate, reduction: float, rank: int) -> float:
+        """p-value of a candidate's reduction of chi2 with ``rank`` terms, as if it were the only fit."""
+        return chi2_p_value(rank + len(candidate.values), reduction / self.problem.correlation_factor)
 
     def _with_others(self, hypothesis: Hypothesis, index: int, problem: Problem | None = None) -> Problem:
         """Problem after a fit of all terms of the other effects."""

@@ -69,7 +69,7 @@ def lack_of_fit(problem: Problem, parameters: int) -> LackOfFit:
     ``problem`` has the declared model and the terms of all effects as columns; ``parameters`` is the
     number of nonlinear parameters of the effects. Without degrees of freedom all p-values are 1.
     """
-    dof = problem.dof - parameters
+    dof, factor = problem.dof - parameters, problem.correlation_factor
     if dof <= 0:
         return LackOfFit(1.0, {_PREVIOUS_DWELL: 1.0}, np.nan)
     # Knots and levels are chosen from the dwells searched.
@@ -81,25 +81,41 @@ def lack_of_fit(problem: Problem, parameters: int) -> LackOfFit:
             ratio = (reduction / rank) / max(
                 (problem.chi2 - reduction) / (dof - rank), problem.min_residual_variance
             )
-            structure[name] = f_p_value(rank, dof - rank, ratio)
+            structure[name] = f_p_value(rank / factor, (dof - rank) / factor, ratio)
     structure[_PREVIOUS_DWELL] = _serial_correlation(problem)
     return LackOfFit(
-        p_noise=chi2_p_value(dof, problem.chi2),
+        p_noise=chi2_p_value(max(round(dof / factor), 1), problem.chi2 / factor),
         p_structure=structure,
         noise_ratio=float(np.sqrt(problem.chi2 / dof)),
         correlated=_correlated(problem),
     )
 
 
-def _correlated(problem: Problem) -> tuple[int, int, float] | None:
-    """The two gyros with the largest correlation of residuals, tested by Fisher's transformation."""
+def correlation_factor(problem: Problem) -> float:
+    """Number of residuals that count as one in a sum of squares of all gyros; 1 if these do not correlate.
+
+    With correlations ``R``, a sum of squares has ``tr R R / 3`` times the variance (Satterthwaite).
+    """
+    if _correlated(problem) is None:
+        return 1.0
+    correlations, dof = _correlations(problem)
+    return max(1.0, float(np.sum(correlations**2)) / 3.0 - 2.0 / dof)
+
+
+def _correlations(problem: Problem) -> tuple[FloatArray, int]:
+    """Correlations (3, 3) of the residuals of the gyros, and their degrees of freedom."""
     is_complete = problem.campaign.is_measured[problem.searched].all(axis=1)
-    dof = int(is_complete.sum()) - max(basis.shape[1] for basis in problem.bases)
-    if dof < _MIN_CORRELATION_DOF:
-        return None
     products = problem.residuals[is_complete].T @ problem.residuals[is_complete]
     lengths = np.sqrt(np.maximum(np.diag(products), problem.min_residual_variance))
-    correlations = products / np.outer(lengths, lengths)
+    dof = int(is_complete.sum()) - max(basis.shape[1] for basis in problem.bases)
+    return products / np.outer(lengths, lengths), dof
+
+
+def _correlated(problem: Problem) -> tuple[int, int, float] | None:
+    """The two gyros with the largest correlation of residuals, tested by Fisher's transformation."""
+    correlations, dof = _correlations(problem)
+    if dof < _MIN_CORRELATION_DOF:
+        return None
     first, second = max(combinations(range(3), 2), key=lambda pair: abs(correlations[pair]))
     value = float(np.clip(correlations[first, second], -_MAX_CORRELATION, _MAX_CORRELATION))
     p_value = 3.0 * math.erfc(abs(math.atanh(value)) * math.sqrt((dof - 2) / 2.0))
@@ -152,7 +168,9 @@ def _serial_correlation(problem: Problem) -> float:
     products = np.sum(problem.residuals[1:] * problem.residuals[:-1])
     expected = -sum(float(np.sum(basis[1:] * basis[:-1])) for basis in problem.bases)
     scale = max(problem.chi2 / problem.dof, problem.min_residual_variance)
-    spread = scale * np.sqrt(problem.campaign.is_measured[problem.searched].sum())
+    spread = scale * np.sqrt(
+        problem.correlation_factor * problem.campaign.is_measured[problem.searched].sum()
+    )
     return math.erfc(abs(products - scale * expected) / max(math.sqrt(2.0) * spread, 1e-300))
 
 

@@ -110,9 +110,14 @@ def _correlation_sentence(closure: Closure) -> str:
         return ""
     *sensors, value = closure.after.correlated
     headings = closure.quantity.place([closure.quantity.axes[each] for each in sensors])
+    sentence = f"The remaining residuals of the {headings} are correlated ({value:+.2f})."
+    if (factor := closure.noise.correlation_factor) > 1.0:
+        return (
+            f"{sentence} In p-values and probabilities, {factor:.1f} values of the three gyros count as one."
+        )
     return (
-        f"The remaining residuals of the {headings} are correlated ({value:+.2f}). Noise that they share "
-        "counts once for each, and looks like an effect more often than the p-values state."
+        f"{sentence} If that is noise, it counts once for each, and looks like an effect more often than the "
+        "p-values state."
     )
 
 

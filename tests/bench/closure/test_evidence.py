@@ -49,6 +49,17 @@ def log_evidence_by_quadrature(problem, column, sigma):
     return logsumexp(together)
 
 
+def test_values_of_correlated_gyros_count_as_fewer_in_evidence_and_p_values(problem):
+    alone = problem({"time_drift": 3.0}, cycles=2, seed=2)
+    odds, p_values = [], []
+    for each in (alone, replace(alone, correlation_factor=3.0)):
+        drift, none = hypothesis_with(each, [whole(TIME_DRIFT)]), hypothesis_with(each, [])
+        odds.append(Evidences(each, [TIME_DRIFT]).log_odds(drift, none))
+        p_values.append(Search(each, [TIME_DRIFT]).p_value(drift, 0))
+    assert 0.2 * odds[0] < odds[1] < 0.5 * odds[0]
+    assert p_values[0] < p_values[1] ** 2
+
+
 @pytest.mark.parametrize("sigma", [0.5, 8.0])
 def test_evidence_of_one_term_is_that_of_numerical_quadrature(problem, monkeypatch, sigma):
     """Difference to the declared model: what does not depend on the hypothesis is left out."""

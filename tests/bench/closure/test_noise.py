@@ -45,6 +45,19 @@ def test_clean_units_with_noise_larger_than_stated_or_outliers_are_called_clean(
     assert np.mean(named) >= 0.95
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [3, 5])
+def test_clean_units_with_noise_that_gyros_share_are_called_clean(seed):
+    rows, truth = make_unit(seed)
+    random, correlations = np.random.default_rng([seed, 99]), np.full((3, 3), 0.8) + 0.2 * np.eye(3)
+    noise = random.standard_normal((len(rows), 3)) @ np.linalg.cholesky(correlations).T
+    biases_dph = truth.bias_dph + noise * [row.sigma_dph for row in rows]
+    rows = [replace(row, bias_dph=tuple(each)) for row, each in zip(rows, biases_dph.tolist(), strict=True)]
+    closure = close_loop(campaign_of(rows))
+    assert (closure.verdict, closure.names) == ("clean", ())
+    assert 1.5 < closure.noise.correlation_factor < 3.0
+
+
 @pytest.mark.parametrize("scale", [1.2, 1.4, 1.6])
 def test_the_scale_is_that_of_the_noise(scale):
     campaign = campaign_of(measure(noise=scale).rows)
