@@ -267,7 +267,8 @@ def _between_power_cycles(
 ) -> tuple[float, float, str]:
     """Standard deviation of a gyro's bias between power cycles without noise, deg/h, its dof, and a note.
 
-    Power cycles are compared by position at one temperature, to which the curve of the gyro reduces them.
+    Power cycles are compared by position at one temperature, to which the curve of the gyro reduces them. Its
+    uncertainty counts as noise.
     """
     cells: list[dict[str, list[DwellRow]]] = []
     lowest: DwellRow | None = None
@@ -291,20 +292,19 @@ def _between_power_cycles(
     curve = curve_of_dwells(axis, rows)
     squares, noise, dof = 0.0, 0.0, 0
     for by_run in repeated:
-        gyro_c, means = (
+        gyro_c, bias_dph = (
             np.array([np.mean([getattr(row, name)[axis] for row in each]) for each in by_run.values()])
             for name in ("gyro_c", "bias_dph")
         )
-        means -= curve.responses(gyro_c) @ curve.coefficients
         mean_errors = [
-            mean_error(
-                [errors[row.dwell] for row in run_rows], np.full((len(run_rows), 3), 1.0 / len(run_rows))
-            )
-            for run_rows in by_run.values()
+            mean_error([errors[row.dwell] for row in each], np.full((len(each), 3), 1.0 / len(each)))
+            for each in by_run.values()
         ]
         variances = scatter_variances(mean_errors)[:, axis]
-        squares += float(np.sum((means - np.mean(means)) ** 2))
+        means, by_curve, _ = curve.reduce(bias_dph, np.sqrt(variances), gyro_c, float(gyro_c.mean()))
+        squares += float(np.sum((means - means.mean()) ** 2))
         noise += float(np.mean(variances)) * (len(means) - 1)
+        noise += float(np.trace(by_curve)) - float(by_curve.mean(axis=0).sum())
         dof += len(means) - 1
     sigma = math.sqrt(max(squares - noise, 0.0) / dof)
     note = f"{len(runs)} power cycles" + ("" if sigma else ": no more than the noise")
