@@ -83,7 +83,8 @@ class StateSpaceEstimate(BiasEstimate):
     steady_p_value: float
     #: Most significant step of the biases in the dwell; None in very short windows, or if not searched for.
     step: BiasStep | None
-    #: Estimated damping of the velocities; the biases assume none, as in a free inertial INS.
+    #: Damping of the velocities, by these data or by the tilt; the biases assume none, as in a free inertial
+    #: INS.
     damping: Damping
     #: latitude_error, latitude_sigma: Of the latitude that the INS uses, rad, by these data without prior.
     latitude_error: float

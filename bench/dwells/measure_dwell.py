@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from gyrobench.bench.bias.bias_filter import StateSpaceEstimate, estimate_state_space, navigation_fit
+from gyrobench.bench.bias.damping import Damping
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell
 from gyrobench.bench.bias.dwell_table import NEIGHBOURS_ON, NOT_MEASURED, DwellRow
 from gyrobench.bench.bias.error_split import ErrorParts
@@ -17,6 +18,7 @@ from gyrobench.bench.bias.joint_solution import JointInformation
 from gyrobench.bench.bias.noise_estimate import RestMotion
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.paper import estimate_paper
+from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.bias.statistics import Chi2Test
 from gyrobench.bench.bias.vertical_pairs import exceeds_declared
 from gyrobench.bench.bias.window_filter import EPOCH_S
@@ -148,7 +150,8 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
         evidence = None if flags else setup.evidence(dwell, noise, faults, navigation.latitude)
         raise_setup_fault(evidence)
         paper = _paper_estimate(dwell, setup.site, noise)
-        estimated = estimate_dwell(dwell, setup, noise, faults)
+        damping = evidence.velocities.damping if evidence else None
+        estimated = estimate_dwell(dwell, setup, noise, faults, damping)
         estimate, persistent_flags = estimated.estimate, estimated.persistent_flags
         if estimate.information:
             joint_information = JointInformation.of(
@@ -186,10 +189,18 @@ class EstimatedDwell:
 
 
 def estimate_dwell(
-    dwell: Dwell, setup: MeasurementSetup, noise: NoiseModel, faults: Sequence[OutputFault] | None = None
+    dwell: Dwell,
+    setup: MeasurementSetup,
+    noise: NoiseModel,
+    faults: Sequence[OutputFault] | None = None,
+    damping: Damping | None = None,
 ) -> EstimatedDwell:
-    """Estimate the biases of a dwell; ``faults`` of its output are searched for unless given."""
-    estimate = _estimate(dwell, setup, noise)
+    """Estimate the biases of a dwell; ``faults`` of its output are searched for unless given.
+
+    ``damping``: of the velocities by the tilt, which a change of a bias does not affect. Without it, damping
+    is estimated together with the biases.
+    """
+    estimate = _estimate(dwell, setup, noise, damping)
     faults = setup.output_faults(dwell.windows, noise) if faults is None else faults
     disturbances = [fault.text for fault in faults if not fault.may_be_noise]
     persistent_flags = _contradictions(estimate)
@@ -215,18 +226,25 @@ def estimate_dwell(
     return EstimatedDwell(estimate, tuple(disturbances), (*by_noise, *persistent_flags))
 
 
-def _estimate(dwell: Dwell, setup: MeasurementSetup, noise: NoiseModel) -> StateSpaceEstimate:
+def _estimate(
+    dwell: Dwell, setup: MeasurementSetup, noise: NoiseModel, damping: Damping | None
+) -> StateSpaceEstimate:
     """Estimate the biases with the declared latitude, or with another one if only that avoids a flag.
 
     All dwells of a run together decide on the latitude. Until then, the uncertainty of the vertical bias
     includes the effect of the whole latitude error.
     """
-    estimate = estimate_state_space(dwell, setup.site, noise, setup.prior)
-    error, prior = abs(estimate.latitude_error), setup.prior
+
+    def estimate_with(prior: PriorKnowledge) -> StateSpaceEstimate:
+        estimate = estimate_state_space(dwell, setup.site, noise, prior)
+        return estimate if damping is None else replace(estimate, damping=damping)
+
+    estimate, prior = estimate_with(setup.prior), setup.prior
+    error = abs(estimate.latitude_error)
     is_consistent = not (_contradictions(estimate) or estimate.probable_step)
     if is_consistent or not exceeds_declared(error, estimate.latitude_sigma, prior.latitude):
         return estimate
-    refit = estimate_state_space(dwell, setup.site, noise, replace(prior, latitude=error))
+    refit = estimate_with(replace(prior, latitude=error))
     if _contradictions(refit) or refit.probable_step:
         return estimate
     _, north_rate, _ = earth_rate_enu(setup.site.latitude)

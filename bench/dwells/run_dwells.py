@@ -54,13 +54,8 @@ _MIN_DAMPING_P_VALUE = 1e-5
 
 def _flag_damping(dwells: list[MeasuredDwell]) -> None:
     """Flag all dwells of an INS that damps its velocity; few dwells reveal it by themselves."""
-    valid = [each for each in dwells if each.estimate and not each.is_disturbed]
-    # By the tilt; if the attitude is too coarse for that, by the error model.
-    by_tilt = [each.evidence.velocities.damping for each in valid if each.evidence]
-    by_model = [each.estimate.damping for each in valid if each.estimate]
-    means = [Damping.mean(each) for each in (by_tilt, by_model) if each]
-    damping = next((each for each in means if each.is_significant(_MIN_DAMPING_P_VALUE)), None)
-    if damping is None:
+    valid = [each.estimate.damping for each in dwells if each.estimate and not each.is_disturbed]
+    if not valid or not (damping := Damping.mean(valid)).is_significant(_MIN_DAMPING_P_VALUE):
         return
     for index, dwell in enumerate(dwells):
         if dwell.estimate and not any(flag.startswith(Damping.FLAG) for flag in dwell.flags):

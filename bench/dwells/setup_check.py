@@ -27,6 +27,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrobench.bench.bias.bias_filter import dwell_chi2, estimate_state_space
+from gyrobench.bench.bias.damping import Damping
 from gyrobench.bench.bias.dwell import Dwell
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
@@ -103,7 +104,9 @@ def setup_evidence(
     if velocities is None:
         return None
     return SetupEvidence(
-        velocities, site.latitude, *_latitude_gains(dwell, site, noise, prior, is_latitude_sent)
+        velocities,
+        site.latitude,
+        *_latitude_gains(dwell, site, noise, prior, velocities.damping, is_latitude_sent),
     )
 
 
@@ -282,7 +285,12 @@ def _latitude_fault(dwells: Sequence[SetupEvidence]) -> str:
 
 
 def _latitude_gains(
-    dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge, is_latitude_sent: bool
+    dwell: Dwell,
+    site: Site,
+    noise: NoiseModel,
+    prior: PriorKnowledge,
+    damping: Damping,
+    is_latitude_sent: bool,
 ) -> tuple[float, FloatArray]:
     """Reduction of chi2 at the opposite latitude, and at others (7,); 0 if neither explains the data.
 
@@ -302,10 +310,10 @@ def _latitude_gains(
     limit = _MAX_CHI2_PER_DATUM * 3 * sum(len(each.time_s) for each in windows)
     gains = np.where(np.minimum(chi2, others) > limit, 0.0, chi2 - others)
     # The opposite latitude may be the exact one; the nearest of the others is not.
-    if _is_step(dwell, (site, opposite), noise, prior, float(gains[0])):
+    if _is_step(dwell, (site, opposite), noise, prior, damping, float(gains[0])):
         gains[0] = 0.0
     best = int(np.argmax(gains))
-    if best and _is_step(dwell, (site, sites[best]), noise, prior, float(gains[best]), _MAX_P_VALUE):
+    if best and _is_step(dwell, (site, sites[best]), noise, prior, damping, float(gains[best]), _MAX_P_VALUE):
         gains = np.zeros_like(gains)
     return float(gains[0]), _NO_GAINS if is_latitude_sent else gains[1:]
 
@@ -315,6 +323,7 @@ def _is_step(
     sites: tuple[Site, Site],
     noise: NoiseModel,
     prior: PriorKnowledge,
+    damping: Damping,
     gain: float,
     max_p_value: float = 1.0,
 ) -> bool:
@@ -325,7 +334,9 @@ def _is_step(
     if gain <= 0.0:
         return False
     try:
-        here, other = (estimate_state_space(dwell, each, noise, prior) for each in sites)
+        here, other = (
+            replace(estimate_state_space(dwell, each, noise, prior), damping=damping) for each in sites
+        )
     except MeasurementError:
         return False
     if other.probable_step is not None or other.damping.p_value < _MAX_P_VALUE:

@@ -212,6 +212,14 @@ def test_the_tilt_shows_a_damped_velocity_in_short_windows(window_s, damping_s):
     assert 1.0 / rate == pytest.approx(damping_s, rel=0.3)
 
 
+@pytest.mark.parametrize("position", ["z_up", "y_down"])
+def test_a_bias_that_changes_with_the_turn_passes_for_no_damping_and_no_wrong_latitude(position):
+    change = {"bias_step_dph": (0.044, 0.017, 0.033), "bias_step_s": 612.0}
+    (dwell,) = dwells_of(seed=4, positions=(position,), **change)
+    assert "a bias is not constant" in dwell.flags[0]
+    assert not re.search("damps|latitude", str(dwell.flags))
+
+
 @pytest.mark.parametrize("window_s", [240.0, pytest.param(300.0, marks=LONG)])
 @pytest.mark.parametrize(
     "unit",
