@@ -53,10 +53,11 @@ from gyrobench.bench.calibration.problem import (
 )
 from gyrobench.bench.calibration.section import IncrementSection
 from gyrobench.bench.calibration.strapdown import ASYMMETRIES, G_SENSITIVITIES, Trajectory
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
+from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.earth import EARTH_RATE
 from gyrobench.bench.navigation.error_model import Site
+from gyrobench.bench.navigation.positions import AXES
 
 #: Largest scale factor error or misalignment; larger ones are due to wrong units, signs or axes.
 _MAX_ELEMENT = 0.25
@@ -73,6 +74,8 @@ _VARIANCE_STEP = 1e-3
 _SENSITIVITY_PER_SI = OPTIONAL_PARAMETERS[G_SENSITIVITIES.start - COUNT].per_si
 _USUAL_SENSITIVITY, _NO_SENSITIVITY = 0.01 / _SENSITIVITY_PER_SI, 1e-9 / _SENSITIVITY_PER_SI
 _MIN_SENSITIVE_GROWTH = 1.6
+#: Coning between samples counts from this number of standard deviations of its mean on.
+_MIN_CONING_SIGMAS = 5.0
 _NOISE = ("angle_random_walk", "velocity_random_walk", "white_angle", "white_velocity")
 
 
@@ -94,7 +97,8 @@ class Calibration(CoefficientEstimate):
     #: Shapes (n, n). Parts of the covariance due to the uncertainty of gravity, latitude and time.
     site_covariances: Mapping[str, FloatArray]
     options: CalibrationOptions  #: As given, with g-sensitivities if they are significant.
-    #: Contradictions: of the residuals to the noise, or of whole turns to rotations; empty for none.
+    #: Contradictions: of the residuals to the noise, of whole turns to rotations, and vibration that the
+    #: samples do not resolve; empty for none.
     findings: tuple[str, ...]
     notes: tuple[str, ...]  #: Parameters estimated in addition because they are significant.
 
@@ -147,6 +151,7 @@ def calibrate(
     coefficients = tuple((*COEFFICIENTS, *OPTIONAL_PARAMETERS)[each] for each in options.columns)
     count = len(coefficients)
     site_covariances = {**estimates.information.site_parts(site, options), **hidden.covariances}
+    coning = _coning_finding(recordings, np.where(is_observed[:3], np.sqrt(np.diag(covariance)[:3]), np.inf))
     return Calibration(
         values=estimates.values[:count] + hidden.shift,
         covariance=covariance[:count, :count] + sum(site_covariances.values()),
@@ -162,7 +167,7 @@ def calibrate(
         common=estimates.common,
         trajectories=tuple(estimates.trajectories),
         site_covariances=site_covariances,
-        findings=tuple(filter(None, (contradiction, misfit))),
+        findings=tuple(filter(None, (contradiction, misfit, coning))),
         options=options,
         notes=tuple(filter(None, (note, hidden.note))),
     )
@@ -258,6 +263,32 @@ def _widening(problem: CalibrationProblem, estimates: Estimates, is_observed: Bo
     return factor, (
         f"noise does not explain the velocity at rest (p = {estimates.fit.p_value:.1g}); uncertainties are "
         f"multiplied by {factor:.2f}. {explanation}"
+    )
+
+
+def _coning_finding(recordings: Sequence[IncrementRecording], sigmas: FloatArray) -> str:
+    """Finding if coning between the samples passes for a gyro bias; ``sigmas`` (3,): of the biases, rad/s.
+
+    The strapdown computes coning from each increment and the one before. The coefficients of an expansion in
+    the frequency that uses one more increment show what it leaves.
+    """
+    products = [np.zeros((0, 3))]
+    for recording in recordings:
+        for rest in recording.rests if recording.has_vertical else ():
+            angle = recording.angle[rest.begin : rest.end]
+            products.append(np.cross(angle[:-2] - 2.0 * angle[1:-1], angle[2:]) / 60.0 / recording.interval_s)
+    rates = np.concatenate(products)
+    if not len(rates):
+        return ""
+    mean, noise = np.abs(rates.mean(axis=0)), rates.std(axis=0) / np.sqrt(len(rates))
+    excess = mean / np.maximum(sigmas, _MIN_CONING_SIGMAS * noise)
+    axis = int(np.argmax(excess))
+    if excess[axis] <= 1.0:
+        return ""
+    return (
+        f"vibration at rest cones faster than the samples resolve: the bias of the {AXES[axis]} gyro is "
+        f"wrong by at least {mean[axis] * RADPS_TO_DPH:.2g} deg/h, {mean[axis] / sigmas[axis]:.2g} standard "
+        "uncertainties. Remove the source of vibration, or have increments sent at a higher rate"
     )
 
 

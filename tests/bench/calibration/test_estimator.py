@@ -577,6 +577,19 @@ def test_lever_arms_and_delay_are_estimated_where_asked_for():
         calibrate([log], SITE)
 
 
+@pytest.mark.parametrize(("cone_rad", "expected_dph"), [(0.0, []), (2e-3, [pytest.approx(0.024, abs=0.002)])])
+def test_vibration_that_cones_faster_than_the_samples_resolve_is_named(cone_rad, expected_dph):
+    (angle, velocity), dt, w = eighteen(), 0.05, 2.0 * np.pi * 2.0
+    phase = w * 0.5 * dt * np.arange(2 * len(angle) + 1)
+    cone = cone_rad * np.column_stack([np.cos(phase), np.sin(phase), np.zeros(len(phase))])
+    coned = angle + np.diff(cone[::2], axis=0) - [0.0, 0.0, 0.5 * cone_rad**2 * w * dt]
+    declared = CalibrationOptions(walks=(Noise().angle_random_walk, Noise().velocity_random_walk))
+    found = calibrate([recorded((coned, velocity - np.cross(cone[1::2], velocity)), 4)], SITE, declared)
+    stated = re.findall(r"the z gyro is wrong by at least (\S+) deg/h", " ".join(found.findings))
+    assert list(map(float, stated)) == expected_dph
+    assert bool(expected_dph) == (abs(found.values[2] - TRUTH[2]) > 0.02 * DPH_TO_RADPS)
+
+
 def test_biases_far_above_the_earth_rate_are_found():
     unit = rotated_unit(gyro_bias=np.array([4e-3, -2e-3, 3e-3]), gyro_matrix=100.0 * ERRORS["gyro_matrix"])
     noise = Noise(angle_random_walk=3e-5, white_velocity=1e-3)
