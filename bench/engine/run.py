@@ -334,9 +334,12 @@ def _record_start(
         journal.record("note", text=description)
         observer.noted(description)
     journal.record("resolution", lines=[limit.text for limit in setup.resolution])
-    for limit in setup.resolution:
-        if not limit.sufficient:
-            observer.noted(f"Warning: {limit.text}")
+    cautions = [limit.text for limit in setup.resolution if not limit.sufficient]
+    if caution := job.station.gravity_caution:
+        journal.record("note", text=caution)
+        cautions.append(caution)
+    for text in cautions:
+        observer.noted(f"Warning: {text}")
 
 
 def _record_failure(journal: Journal, instrument: str, error: InstrumentError | None) -> None:

@@ -67,6 +67,17 @@ class Location(StrictModel):
         digits = len(repr(self.gravity_mps2).partition(".")[2])
         return 0.5 * 10.0**-digits / math.sqrt(3.0)
 
+    @property
+    def gravity_caution(self) -> str:
+        """Warning that normal gravity is not known as well as stated; empty if there is none."""
+        if self.gravity_mps2 is not None or self.gravity_sigma >= _GRAVITY_TOLERANCE:
+            return ""
+        return (
+            f"gravity_uncertainty_mps2 is {self.gravity_sigma:g} without gravity_mps2. Normal gravity, used "
+            f"then, differs from that of a place by {NORMAL_GRAVITY_SIGMA:g} m/s^2, and by 1e-5 in 0.01 deg "
+            "of latitude: enter the gravity measured there, or leave its uncertainty out"
+        )
+
     @field_validator("latitude_deg")
     @classmethod
     def _check_latitude(cls, latitude_deg: float) -> float:

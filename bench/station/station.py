@@ -148,6 +148,11 @@ class Station:
         location = self.file.location
         return location.gravity_mps2, location.gravity_sigma
 
+    @property
+    def gravity_caution(self) -> str:
+        """Warning about the gravity of a real bench; see :class:`Location`."""
+        return "" if self.file.is_emulated() else self.file.location.gravity_caution
+
     @cached_property
     def dbc_path(self) -> Path:
         """Path of the DBC file: next to the station file, or shipped with the INS driver.

@@ -76,7 +76,7 @@ def check_bench(
 
         traffic = {unit: CanTraffic() for unit in bench.units}
         return [
-            *_filled_in_checks(bench),
+            *_station_checks(bench),
             procedure_check,
             *calibration_checks(bench, acknowledged),
             *table_checks(bench, lambda: outputs.table),
@@ -91,11 +91,13 @@ def check_bench(
         ]
 
 
-def _filled_in_checks(station: Station) -> Iterator[Check]:
-    """A failed check if the station file has placeholders; otherwise none."""
+def _station_checks(station: Station) -> Iterator[Check]:
+    """Failed checks if the station file has placeholders, or copies the gravity of an emulated one."""
     if missing := station.not_filled_in:
         found = f"not filled in yet: {listed(missing)}"
         yield Check.of("station", "file filled in", False, found, f"Fill in {station.path}.")
+    if caution := station.gravity_caution:
+        yield Check.of("station", "gravity", False, caution, f"Correct {station.path}.")
 
 
 def calibration_checks(station: Station, acknowledged: Sequence[str]) -> Iterator[Check]:

@@ -27,6 +27,7 @@ def served_station(folder):
         urls = json.loads(server.stdout.readline())
         changes = {
             "clock: virtual": "clock: wall",
+            ", gravity_uncertainty_mps2: 1.0e-6": "",
             "poll_period_s: 1.0": "poll_period_s: 0.1",
             "instruments_period_s: 10.0": "instruments_period_s: 2.0",
             "emulator://table": urls["table"],

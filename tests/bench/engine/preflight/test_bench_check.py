@@ -267,11 +267,14 @@ def test_a_silent_unit_that_is_always_on_fails(failures_of):
     assert "sends nothing" in failures["INS: answers"].found
 
 
-def test_a_bench_of_which_nothing_can_be_opened_fails_instrument_by_instrument(tmp_path):
+def test_a_real_bench_with_the_gravity_of_an_emulated_one_fails_and_each_instrument_that_is_not_there(
+    tmp_path,
+):
     checks = check_bench(str(absent_station(tmp_path)), None, Emulation(), tmp_path)
     failed = [each for each in checks if each.verdict is CheckVerdict.FAIL]
-    assert [each.subject for each in failed] == ["rate table", "chamber", "INS"]
-    assert "/dev/no_table" in failed[0].found
+    assert [each.subject for each in failed] == ["station", "rate table", "chamber", "INS"]
+    assert "gravity_uncertainty_mps2 is 1e-06 without gravity_mps2" in failed[0].found
+    assert "/dev/no_table" in failed[1].found
     assert no_instrument_answers(checks)
 
 
