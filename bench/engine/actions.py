@@ -14,7 +14,7 @@ import numpy as np
 
 from gyrobench.bench.dwells.setup_check import latitude_fault
 from gyrobench.bench.engine.live_bench import LiveBench
-from gyrobench.bench.engine.live_unit import BUS_SILENCE_S
+from gyrobench.bench.engine.live_unit import BUS_SILENCE_S, FRESH_S
 from gyrobench.bench.engine.measured_unit import MeasuredUnit
 from gyrobench.bench.engine.operator import ask_operator
 from gyrobench.bench.engine.run_context import RunContext
@@ -90,7 +90,7 @@ def perform(step: Step, context: StepContext) -> Ticks:
 def _power_on(step: PowerOn, context: StepContext) -> Ticks:
     bench = context.bench
     if bench.station.file.unit.power == "operator":
-        yield from _ask(context, "Switch the INS off and on, then answer.", ["on", "stop"])
+        yield from _ask_for_power_cycle(context)
     if bench.station.file.unit.power == "chamber_event":
         # An INS that is already on is switched off first: the time since power-on has to be known.
         yield from _switch_off(context)
@@ -110,6 +110,18 @@ def _power_on(step: PowerOn, context: StepContext) -> Ticks:
     for unit in context.units.running:
         if fault := latitude_fault(unit.live.status().latitude, bench.station.site):
             raise SignalMapError(f"{unit.live.name}: {fault}")
+
+
+def _ask_for_power_cycle(context: StepContext) -> Ticks:
+    """Ask until each INS was silent meanwhile: one that sends all the time was not switched off."""
+    sending = list(context.units.running)
+    while sending:
+        for _ in _ask(context, "Switch the INS off and on, then answer.", ["on", "stop"]):
+            sending = [each for each in sending if each.live.status().age_s < FRESH_S]
+            yield
+        sending = [each for each in sending if each.live.status().age_s < FRESH_S]
+        for unit in sending:
+            unit.note("the INS was not switched off: it has sent frames all the time")
 
 
 def _wait_until_sending(unit: MeasuredUnit, bench: LiveBench) -> Ticks:
@@ -137,10 +149,10 @@ def _switch_off(context: StepContext) -> Ticks:
 def _wait_until_silent(unit: MeasuredUnit, bench: LiveBench, since_s: float) -> Ticks:
     while unit.live.status().age_s < BUS_SILENCE_S:
         if bench.clock.now() - since_s > _MAX_SENDS_OFF_S:
-            raise RefusedError(
-                unit.live.name,
-                f"still sends {_MAX_SENDS_OFF_S:.0f} s after its supply was switched off. {CHECK_SUPPLY}",
+            problem = (
+                f"still sends {_MAX_SENDS_OFF_S:.0f} s after its supply was switched off. {CHECK_SUPPLY}"
             )
+            raise RefusedError(unit.live.name, problem)
         yield
 
 
@@ -334,9 +346,8 @@ def _turn(step: Turn, context: StepContext) -> Ticks:
     angles_deg = context.bench.state.run_position.angles_deg
     if angles_deg is None:
         raise FaultError("rate table", "a turn needs a position first. Put go_to before it.")
-    yield from _turn_table(
-        context, context.bench.station.table.turn(angles_deg, step.angle_deg), step.rate_dps
-    )
+    target = context.bench.station.table.turn(angles_deg, step.angle_deg)
+    yield from _turn_table(context, target, step.rate_dps)
     for unit in context.units.running:
         unit.live.state.turned(step.angle_deg)
     yield from _pause(context.bench, step.settle_s)
@@ -352,10 +363,7 @@ def _turn_table(context: StepContext, target: Angles, rate_dps: float) -> Ticks:
 
 @perform.register
 def _rotate(step: RotatingStep, context: StepContext) -> Ticks:
-    """Rest before the first and after each rotation; the table's angles are read at the start of each rest.
-
-    An INS that sends its increments on command is commanded to send them during the step.
-    """
+    """Rest before the first and after each rotation; the table is read at the start of each rest."""
     bench = context.bench
     yield from _begin_navigation(context)
     yield from _switch_increments(context, True)

@@ -49,6 +49,7 @@ class StationLimits:
     gyro_high_c: float = math.inf
     #: Commands that the INS of the station has.
     ins_commands: frozenset[str] = frozenset({"align", "navigate"})
+    is_always_on: bool = False  #: Whether the INS stays on in spite of power_off.
 
 
 def check_plan(document: Document, plan: Plan, limits: StationLimits | None = None) -> None:
@@ -71,7 +72,7 @@ def find_problems(plan: Plan, limits: StationLimits | None = None) -> list[Docum
         problems += [*_order_problems(planned), *_time_problems(planned)]
         problems += [*_chamber_problems(planned, limits), *_table_problems(planned, limits)]
         problems += [*_command_problems(planned, limits), *_reach_problems(plan, planned, limits)]
-    return [*problems, *_test_problems(plan), *_gyro_problems(plan, limits)]
+    return [*problems, *_test_problems(plan, limits), *_gyro_problems(plan, limits)]
 
 
 def _order_problems(planned: PlannedStep) -> Iterator[DocumentProblem]:
@@ -167,8 +168,15 @@ def _table_problems(planned: PlannedStep, limits: StationLimits) -> Iterator[Doc
         )
 
 
-def _test_problems(plan: Plan) -> Iterator[DocumentProblem]:
+def _test_problems(plan: Plan, limits: StationLimits) -> Iterator[DocumentProblem]:
     tests = plan.procedure.tests
+    for name in ("turn_on_repeatability", "warm_up"):
+        if limits.is_always_on and getattr(tests, name):
+            yield DocumentProblem(
+                ("tests", name),
+                "the test needs an INS that is switched off and on; that of the station stays on "
+                "(unit.power: always_on)",
+            )
     if tests.turn_on_repeatability:
         required = tests.turn_on_repeatability.min_power_cycles
         power_ons = itertools.accumulate(isinstance(each.step, PowerOn) for each in plan.steps)

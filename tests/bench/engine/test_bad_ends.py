@@ -24,8 +24,10 @@ from gyrobench.bench.station.instruments import Emulation
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.emulators import can_interface
 from gyrobench.drivers.emulators.acl_axis import SoftwareFault
+from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
 from gyrobench.drivers.frames import EXTENDED_ID
 from tests.bench.engine.intervention import Intervention, RefusingOperator, run_with
+from tests.bench.engine.stations import changed_station
 
 #: Dwells without a turn, as short as they can be.
 CHECK = """procedure: short_check
@@ -313,3 +315,43 @@ def test_a_run_with_a_wrong_signal_map_resumes_with_its_corrected_copy(tmp_path)
     notes = [entry["text"] for entry in read_journal(folder.journal) if entry["event"] == "note"]
     assert "Changed since the run began: station.yaml. All dwells are evaluated with the changes." in notes
     assert read_provenance(folder)["files_sha256"]["station.yaml"] == file_sha256(folder.station)
+
+
+class ForgetfulOperator(ConsentingOperator):
+    """Answers that the unit was switched off and on; does it only at the second question."""
+
+    def __init__(self):
+        super().__init__()
+        self.questions, self.world, self.off_s = 0, None, None
+
+    def ask(self, question, answers):
+        super().ask(question, answers)
+        self.questions += 1
+
+    def answer(self):
+        if self.questions == 1:
+            return super().answer()
+        if self.off_s is None:
+            self.off_s = self.clock.now()
+        is_off = self.clock.now() < self.off_s + 10.0
+        self.world.power_unit(not is_off)
+        return None if is_off else super().answer()
+
+
+def test_an_operator_who_did_not_switch_the_unit_off_is_asked_again(tmp_path):
+    class Observer(RunObserver):
+        def begun(self, folder, bench, outcome):
+            operator.clock = bench.clock
+            world = str(find_document("worlds", "ideal"))
+            operator.world = bench_at(BenchAddress(bench.clock.name, world, 0)).world
+            operator.world.power_unit(True)
+            bench.clock.sleep(30.0)
+
+    operator = ForgetfulOperator()
+    station = changed_station(tmp_path, {"power: chamber_event": "power: operator"})
+    (tmp_path / "on.yaml").write_text("procedure: on\nsteps:\n  - power_on: {settle_s: 20}\n")
+    job = prepare_job(str(tmp_path / "on.yaml"), str(station), Emulation("ideal", 0))
+    folder, outcome = run_job(job, tmp_path / "run", Observer(), operator)
+    assert (outcome.ended, operator.questions) == ("finished", 2)
+    texts = [entry["text"] for entry in read_journal(folder.journal) if entry["event"] == "note"]
+    assert texts == ["the INS was not switched off: it has sent frames all the time"]

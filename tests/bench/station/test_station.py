@@ -7,6 +7,7 @@ from gyrobench.bench.foundations.clock import VirtualClock, WallClock
 from gyrobench.bench.foundations.errors import ConnectionFailedError, DocumentError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.station.check_result import CheckVerdict
 from gyrobench.bench.station.instruments import Emulation, Instruments
 from gyrobench.bench.station.safe_state import make_safe
@@ -141,6 +142,13 @@ def test_declared_noise_adds_to_that_of_the_resolution(changed):
 def test_noise_may_be_left_to_the_dwells(changed):
     path = changed((NOISE, "  noise: estimated\n"))
     assert Station(path).noise(1e-4, 1e-7) is None
+
+
+@pytest.mark.parametrize("procedure", ["turn_on_repeatability", "warm_up"])
+def test_power_cycles_are_not_tested_with_an_ins_that_is_always_on(changed, procedure):
+    station = Station(changed(("power: chamber_event", "power: always_on")))
+    with pytest.raises(DocumentError, match=r"stays on \(unit.power: always_on\)"):
+        station.plan(*load_procedure(find_document("procedures", procedure)))
 
 
 def test_what_is_known_beforehand_comes_from_location_and_ins(changed):
