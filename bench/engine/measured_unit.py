@@ -143,8 +143,9 @@ class MeasuredUnit:
         self._context.observers.noted(self.run.with_number(text))
 
 
-#: Maximum difference of a table reading from the one at the start of the window, deg.
-_MAX_MOTION_DEG = 0.001
+#: Maximum difference of a table reading from the one at the start of the window, deg: one digit of a table
+#: that reads thousandths.
+_MAX_MOTION_DEG = 0.0015
 #: Maximum creep from the first to the last third of a window's readings, deg; more causes a bias error.
 _MAX_CREEP_DEG = 1e-4
 #: A creep also has to exceed the scatter of the readings by this number of standard deviations.

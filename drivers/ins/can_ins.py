@@ -18,7 +18,7 @@ from gyrobench.bench.foundations.errors import (
     RefusedError,
     ReplyError,
 )
-from gyrobench.drivers.frames import EXTENDED_ID, FrameBlock
+from gyrobench.drivers.frames import ERROR_FRAME, EXTENDED_ID, FrameBlock
 from gyrobench.drivers.ins.attitude import EulerSequence
 from gyrobench.drivers.ins.can_bus import INSTRUMENT, block_receiver, close_bus
 from gyrobench.drivers.ins.command_map import Command, CommandMap, check_commands
@@ -61,6 +61,7 @@ class CanIns:
         self._own_ids: NDArray[np.uint32] = np.sort(self.codec.arbitration_ids())
         self._is_shared = is_shared
         self._foreign_ids: set[int] = set()  # identifiers of other nodes
+        self._error_frames = 0  # since the last data frame of the DBC
         self.signal_map = signal_map
         self._signals = bind_signals(signal_map, self.codec)
         self._commands = commands or CommandMap()
@@ -108,15 +109,19 @@ class CanIns:
         self.frames += len(data_frames)
         if len(data_frames):
             self._newest.take(data_frames, self._clock.now())
+            self._error_frames = 0
+        else:
+            self._error_frames += int(np.count_nonzero(block.flags & ERROR_FRAME))
         block = ins_frames if self._is_shared else block
         if self.on_frames is not None and len(block):
             self.on_frames(block)
         return block
 
     def describe_foreign_frames(self) -> str:
-        """Describe the received frames that are not in the DBC; empty if there are none."""
+        """Describe the received frames that are not in the DBC, else error frames; empty if none."""
         if not self._foreign_ids:
-            return ""
+            count = self._error_frames
+            return f"the adapter reports {count} bus errors, as with a wrong bit rate" if count else ""
         first = min(self._ids_in_other_format or self._foreign_ids)
         name = f"0x{first & ~EXTENDED_ID:03x}"
         if not self._ids_in_other_format:

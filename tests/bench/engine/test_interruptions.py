@@ -2,14 +2,18 @@
 
 import os
 import signal
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.engine.bench_state import RunPosition
 from gyrobench.bench.engine.job import prepare_job
+from gyrobench.bench.engine.measured_unit import DwellRecorder
 from gyrobench.bench.engine.operator import ConsentingOperator, RunCommand
 from gyrobench.bench.engine.run import run_job
+from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.emulators.acl_axis import SoftwareFault
@@ -164,6 +168,28 @@ def test_a_table_that_is_moved_and_brought_back_gives_a_flag_and_no_number(tmp_p
     assert "the table moved by 5.0" in str(row.flags)
     assert "in window 1 the unit turned by 5.0 deg according to the INS (limit 0.5 deg)." in str(row.flags)
     assert np.isnan(row.bias_dph).all()
+
+
+@pytest.mark.parametrize(("step_deg", "flags"), [(0.001, ()), (0.002, ("the table moved by 0.0020 deg",))])
+def test_the_last_digit_of_a_table_that_reads_thousandths_is_no_motion(step_deg, flags):
+    capture = SimpleNamespace(table_deg=[(20.0 + step_deg, 0.0), (20.0, 0.0)] * 30, log_part=1)
+    capture.chamber_c = capture.neighbours_on = []
+    unit = SimpleNamespace(
+        capture=capture,
+        state=SimpleNamespace(azimuth_deg=0.0, position="z_up", number="1"),
+        begin_capture=lambda: None,
+        begin_window=lambda **_: None,
+        captured_frames=lambda: 0,
+    )
+    bench = SimpleNamespace(clock=VirtualClock(), table_angles=lambda: (20.0, 0.0))
+    bench.state = SimpleNamespace(run_position=RunPosition(), commanded_c=None)
+    recorder = DwellRecorder(bench, unit, None)
+    recorder.begin()
+    recorder.begin_window()
+    recorder.end_window()
+    found = recorder.marks().disturbances
+    assert len(found) == len(flags)
+    assert all(each.startswith(flag) for each, flag in zip(found, flags, strict=True))
 
 
 def test_a_dwell_that_stays_invalid_is_flagged_after_its_repeats_and_the_run_continues(tmp_path, two):

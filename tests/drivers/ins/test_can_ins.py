@@ -536,3 +536,17 @@ def test_closing_twice_is_harmless(driver, buses):
     driver.close()
     with pytest.raises(ConnectionFailedError, match="closed"):
         driver.poll()
+
+
+def test_bus_errors_of_a_silent_ins_are_stated(signal_map, codec):
+    clock = VirtualClock()
+    driver = CanIns(open_bus("virtual", "errors", clock), signal_map, codec.database, clock)
+    with can.Bus("errors", interface="virtual") as other:
+        for is_error in (True, False):
+            other.send(
+                can.Message(arbitration_id=4, data=bytes(8), is_extended_id=False, is_error_frame=is_error)
+            )
+            driver.poll()
+            expected = "the adapter reports 1 bus errors, as with a wrong bit rate" if is_error else ""
+            assert driver.describe_foreign_frames() == expected
+    driver.close()
