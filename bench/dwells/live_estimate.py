@@ -64,7 +64,8 @@ class LiveEstimate:
         if self._setup.noise is None:
             self._filter, self._begun_windows, self._next_frame = None, [], 0
         try:
-            navigation, first_frame = self._decoded()
+            first_frame = max(0, self._next_frame - _OVERLAP_FRAMES)
+            navigation = self._setup.decode(self._frames(first_frame))
             if self._filter is None:
                 self._filter = BiasFilter(
                     self._setup.site, self._noise(windows, navigation), self._setup.prior
@@ -76,10 +77,6 @@ class LiveEstimate:
             return self._filter.estimate()
         except MeasurementError:
             return None
-
-    def _decoded(self) -> tuple[NavigationData, int]:
-        first_frame = max(0, self._next_frame - _OVERLAP_FRAMES)
-        return self._setup.decode(self._frames(first_frame)), first_frame
 
     def _noise(self, marks: Sequence[WindowMark], navigation: NavigationData) -> NoiseModel:
         """Declared noise, or that of all windows so far, except one that is still too short."""

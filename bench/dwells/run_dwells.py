@@ -221,15 +221,11 @@ def read_frames(folder: RunFolder, marks: DwellMarks) -> FrameBlock:
     """
     if not marks.windows:
         return concatenate([])
-    for _, frames in read_can_log(folder.can, {marks.log_part}):
-        return _needed_frames(folder, marks, frames)
-    raise RunFolderError(
-        f"{folder.can}: lacks part {marks.log_part}, which dwell {marks.dwell} needs. Restore it"
-    )
-
-
-def _needed_frames(folder: RunFolder, marks: DwellMarks, logged: FrameBlock) -> FrameBlock:
-    """Data frames of a dwell from those of its part of the log."""
+    _, logged = next(iter(read_can_log(folder.can, {marks.log_part})), (0, None))
+    if logged is None:
+        raise RunFolderError(
+            f"{folder.can}: lacks part {marks.log_part}, which dwell {marks.dwell} needs. Restore it"
+        )
     frames, needed = logged.data_frames(), marks.frame_count
     if len(frames) < needed:
         raise RunFolderError(

@@ -130,8 +130,9 @@ class SignCheck:
         declared = self._evidence(marks, navigation)
         if declared is None:
             return False
-        if self._is_consistent(declared):
-            return not self._are_consistent(declared)[1:].any()
+        is_consistent, *others = self._are_consistent(declared)
+        if declared.is_on_path and is_consistent:
+            return not any(others)
         candidates: list[tuple[tuple[str, ...], _Evidence]] = [((), declared)]
         for axes, table in self.table.reversed_axes():
             if evidence := self._evidence(marks, navigation, table=table):
@@ -165,9 +166,6 @@ class SignCheck:
             alternatives = [each for each in matches if len(each[0]) == fewest]
             raise SignalMapError(_fault_text(declared, alternatives))
         return False
-
-    def _is_consistent(self, evidence: _Evidence) -> bool:
-        return evidence.is_on_path and bool(self._are_consistent(evidence)[0])
 
     def _are_consistent(self, evidence: _Evidence) -> BoolArray:
         """Mask (8,) of the changes of the velocities that are consistent with the tilt; the first is none."""

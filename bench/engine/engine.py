@@ -403,24 +403,17 @@ class Engine:
         if not outcome.is_safe:
             outcome.fail("the bench could not be brought to its safe state")
         # Each on its own: a full disk may have room for a line of the journal, but not for the last frames.
-        for write in (self._bench.poll_units, self._record_ticks, self._record_end):
+        record, actions = self._run.journal.record, [asdict(action) for action in outcome.safe_state]
+        for write in (
+            self._bench.poll_units,
+            lambda: record("ticks", **self._bench.lateness.summary()),
+            lambda: record("run_ended", ended=outcome.ended, reason=outcome.reason, safe_state=actions),
+        ):
             try:
                 write()
             except RunFolderError as error:
                 outcome.fail(str(error))
         self._run.observers.ended(outcome)
-
-    def _record_ticks(self) -> None:
-        self._run.journal.record("ticks", **self._bench.lateness.summary())
-
-    def _record_end(self) -> None:
-        outcome = self._run.outcome
-        self._run.journal.record(
-            "run_ended",
-            ended=outcome.ended,
-            reason=outcome.reason,
-            safe_state=[asdict(action) for action in outcome.safe_state],
-        )
 
     def _leave_safe(self, reported: set[str]) -> None:
         """Make the bench safe, and again for each trip not in ``reported``; ticks continue during a ramp."""

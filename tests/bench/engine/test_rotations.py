@@ -2,7 +2,6 @@
 
 import json
 import os
-import signal
 import subprocess
 import sys
 from itertools import pairwise
@@ -152,29 +151,6 @@ def test_after_a_trip_in_a_rotation_the_list_is_repeated_from_its_position(job, 
     assert_recorded(folder, made)
 
 
-#: Runs a procedure on a station and is killed in the middle of a kind of step.
-KILLED_RUN = """
-import os, signal, sys
-from pathlib import Path
-from gyrobench.bench.engine.job import prepare_job
-from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.run import run_job
-from gyrobench.bench.station.instruments import Emulation
-from tests.bench.engine.test_rotations import Killer, KilledError
-
-class Killed(Killer):
-    def ticked(self, bench, left_s):
-        try:
-            super().ticked(bench, left_s)
-        except KilledError:
-            os.kill(os.getpid(), signal.SIGKILL)
-
-procedure, station, out, kind, ticks = sys.argv[1:]
-job = prepare_job(procedure, station, Emulation("quick", 0))
-run_job(job, Path(out), Killed(kind, int(ticks)), ConsentingOperator())
-"""
-
-
 @pytest.fixture(scope="module")
 def with_increments(tmp_path_factory):
     """18 rotations and a spin on a station with an INS that sends increments on command."""
@@ -231,9 +207,9 @@ def assert_same_coefficients(folder, undisturbed):
 def test_after_a_kill_in_a_rotation_the_increments_give_the_same_coefficients(
     with_increments, undisturbed, tmp_path, kind, ticks
 ):
-    path = tmp_path / "run"
-    command = [sys.executable, "-c", KILLED_RUN, *with_increments, str(path), kind, str(ticks)]
-    assert subprocess.run(command, check=False).returncode == -signal.SIGKILL
+    path, made = tmp_path / "run", prepare_job(*with_increments, Emulation("quick", 0))
+    with pytest.raises(KilledError):
+        run_job(made, path, Killer(kind, ticks), ConsentingOperator())
     assert len(finished_marks(open_run_folder(path))) == (kind == "spin")
     folder, _, _ = resumed(path)
     assert_same_coefficients(folder, undisturbed)
