@@ -199,6 +199,11 @@ class Resumption:
             until = " Until then the earlier measurements count." if state.replaced else ""
             dwells = plural(len(numbers), "dwell", "dwells")
             lines.append(f"Measured again{next_step}: {dwells} {listed(numbers)}.{until}")
+            if any(0 < len(plateau.intersection(reasons)) < len(plateau) for plateau in _plateaus(plan)):
+                lines.append(
+                    "They belong to another power cycle than the other dwells of their plateaus, and are not "
+                    "compared with these. --repeat plateaus measures whole plateaus again."
+                )
         if state.next_index:
             lines.append(
                 "Before that the INS is switched off and on, and temperature and position are approached "
@@ -330,6 +335,13 @@ def _join(run: InterruptedRun, units: Sequence[ResumeState]) -> None:
     state.power_ons = max([state.power_ons, *(unit.power_ons for unit in units)])
 
 
+def _plateaus(plan: Plan) -> list[set[int]]:
+    """Numbers of the dwells of each plateau."""
+    planned = [step for step in plan.steps if step.dwell]
+    groups = itertools.groupby(planned, key=lambda step: step.plateau)
+    return [{step.dwell or 0 for step in steps} for _, steps in groups]
+
+
 def _selected_dwells(part: InterruptedRun, selection: Sequence[str]) -> dict[int, str]:
     """Dwells of a run or a unit to measure again, with the reason; without one if it has no flags."""
     entries = read_journal(part.folder.journal)
@@ -345,9 +357,7 @@ def _selected_dwells(part: InterruptedRun, selection: Sequence[str]) -> dict[int
         if each in ("flagged", "skipped"):
             selected |= {dwell for dwell, reason in reasons.items() if reason.startswith(each)}
         elif each == "plateaus":
-            planned = [step for step in part.plan.steps if step.dwell]
-            for _, steps in itertools.groupby(planned, key=lambda step: step.plateau):
-                plateau = {step.dwell or 0 for step in steps}
+            for plateau in _plateaus(part.plan):
                 selected |= set() if plateau.isdisjoint(reasons) else plateau & known
         elif not each.isdecimal():
             raise DocumentError(f"--repeat {each}: give flagged, skipped, plateaus, or numbers of dwells")

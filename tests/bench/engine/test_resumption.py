@@ -466,6 +466,7 @@ def test_the_plan_of_a_repeat_is_shown_before_it_begins(finished):
     assert printed.exit_code == 0, printed.output
     assert "4 of 4 dwells are finished and kept" in printed.output  # until their repeats have finished
     assert "Measured again, before step 26: dwells 2 and 4." in printed.output
+    assert "They belong to another power cycle" in printed.output
     lines = [line.split() for line in printed.output.splitlines()]
     assert [line[2] for line in lines if line[:1] == ["all"]] == ["2"]
     assert {path: path.read_bytes() for path in before} == before
