@@ -66,7 +66,9 @@ def _read_source(path: Path, quantity: Quantity) -> TableToJoin:
             raise MeasurementError(f"{path}: no dwell was finished in this run: nothing to search. {advice}")
         record = temperature_record(read_telemetry(folder.telemetry))
         provenance = read_provenance(folder)
-        if "started_utc" in provenance and provenance.get("options", {}).get("clock") != "virtual":
+        options = provenance.get("options", {})
+        is_calendar = options.get("clock") != "virtual" and "speed" not in options
+        if "started_utc" in provenance and is_calendar:
             began_s = started_utc(folder).timestamp()
         ins = ins_identity(folder)
     try:

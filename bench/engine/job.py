@@ -68,10 +68,11 @@ class Job:
         return self.station.is_virtual
 
     @property
-    def options(self) -> dict[str, str | int]:
+    def options(self) -> dict[str, str | float]:
         """Options of the run as stored in provenance and journal; :func:`emulation_of` reads them."""
-        unit = {"unit": self.unit} if self.unit else {}
-        return {"clock": self.station.file.clock, **unit, **self.emulated_world(), **self.certificate_order}
+        unit, file = {"unit": self.unit} if self.unit else {}, self.station.file
+        speed = {"speed": file.speed} if file.speed != 1.0 else {}
+        return {"clock": file.clock, **speed, **unit, **self.emulated_world(), **self.certificate_order}
 
     def past_due(self) -> dict[str, str]:
         """Description of each instrument whose calibration is past due today, by name."""

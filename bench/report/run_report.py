@@ -400,8 +400,8 @@ def head_facts(content: RunContent) -> dict[str, str]:
     """Unit, procedure, bench, operator and times of a run by label; unknown values are omitted."""
     facts, provenance = content.facts, content.provenance
     options = {**provenance.get("options", {}), **facts.options}
-    if (speed := content.station.get("speed", 1.0)) != 1.0:
-        options["speed"] = f"{speed} (the run's clock, relative to real time)"
+    if "speed" in options:
+        options["speed"] = f"{options['speed']:g} (the run's clock, relative to real time)"
     resumed = f", resumed {counted(facts.resumes, 'time')}" if facts.resumes else ""
     is_end_known = JOURNAL not in content.damage
     lines = {

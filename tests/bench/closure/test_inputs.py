@@ -1,5 +1,6 @@
 """Campaigns from dwell tables and run folders."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -170,6 +171,18 @@ def test_runs_are_placed_by_their_calendar_time_in_any_order(halves):
         campaign = join_tables(given)
         assert campaign.start_s[len(first)] - campaign.start_s[0] == pytest.approx(3e5)
         assert campaign.tables[1].placed == "by its calendar time"
+
+
+@pytest.mark.parametrize("options", [{"clock": "virtual"}, {"clock": "wall", "speed": 10.0}])
+def test_emulated_runs_that_are_faster_than_real_time_have_no_calendar(tmp_path, halves, options):
+    for name, rows in zip("ab", halves, strict=True):
+        (tmp_path / name).mkdir()
+        write_run(tmp_path / name, {column: np.empty(0) for column in TELEMETRY_COLUMNS})
+        write_dwells(tmp_path / name / "dwells.csv", moved(rows, -rows[0].start_s))
+        provenance = {"started_utc": "2026-03-01T00:00:00+00:00", "options": options}
+        (tmp_path / name / "provenance.json").write_text(json.dumps(provenance))
+    campaign = read_campaign(tmp_path / "a", tmp_path / "b")
+    assert campaign.tables[1].placed == f"after {tmp_path / 'a'}: it has no common clock with it"
 
 
 def test_runs_that_overlap_are_refused_by_name(halves):

@@ -54,7 +54,7 @@ def test_a_run_that_was_stopped_resumed_and_killed_has_not_ended(stopped: RunFol
 def test_a_run_faster_than_real_time_states_its_speed(stopped: RunFolder):
     content = read_run(stopped)
     assert "speed" not in head_facts(content)["options"]
-    fast = replace(content, station={**content.station, "speed": 10})
+    fast = replace(content, facts=replace(content.facts, options={**content.facts.options, "speed": 10.0}))
     assert head_facts(fast)["options"].endswith("speed 10 (the run's clock, relative to real time)")
 
 
