@@ -43,7 +43,7 @@ class Posterior:
 
     hypotheses: tuple[HypothesisProbability, ...]  #: Most probable first.
     process_probabilities: dict[str, float]  #: Of each process that a remainder may follow, if there is one.
-    #: For each effect found, the effects of which it is a special case: more general laws of the same cause.
+    #: For each effect found, the effects of which it is a special case: more general laws of the same effect.
     more_general: Mapping[str, frozenset[str]] = field(default_factory=dict)
 
     @property

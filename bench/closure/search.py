@@ -190,7 +190,7 @@ class Search:
         """For each effect found: more general laws that are less probable, or equal to it as fitted.
 
         Only effects that declare to contain it count. One that reproduces it in this campaign alone, as a
-        step of the supply reproduces a jump, is another cause. A more general law keeps some of the
+        step of the supply reproduces a jump, is another effect. A more general law keeps some of the
         probability even with many dwells if its fit is equal: a lag of seconds equals a rate.
         """
         general: dict[str, frozenset[str]] = {}
@@ -319,7 +319,7 @@ class Search:
     def _p_value_with_inexact_laws(self, hypothesis: Hypothesis, index: int) -> float:
         """p-value of one effect if the laws of the others are inexact; 0 without others.
 
-        A real cause has several widths or time constants where its law has one, and acts with a delay. The
+        A real effect has several widths or time constants where its law has one, and acts with a delay. The
         others therefore get free terms at other scales, and free terms of their change since the previous
         dwell.
         """

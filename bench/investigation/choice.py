@@ -32,7 +32,7 @@ _STEP_SHARE = 0.02
 
 @dataclass(frozen=True)
 class Rival:
-    """A hypothesis that may be the cause."""
+    """A hypothesis that may be true."""
 
     names: tuple[str, ...]  #: Its effects; empty for none.
     candidates: tuple[Candidate, ...]  #: As fitted.

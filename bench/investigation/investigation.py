@@ -1,4 +1,4 @@
-"""The loop: search, propose a block, measure it, search again, until the cause is settled.
+"""The loop: search, propose a block, measure it, search again, until one hypothesis is settled.
 
 Each decision is written to the journal before it is carried out. All decisions follow from the measurements,
 so that a killed investigation makes the same decisions again and continues.
@@ -29,11 +29,11 @@ from gyrobench.bench.investigation.external_bench import BlockPlan, BlockRefused
 from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.open_hypotheses import (
     SLOW,
-    cause_probability,
     confirming_rivals,
     inexact_law_rivals,
     is_settled,
     only_unconfirmed,
+    probability_of_found,
     remainder_dph,
     remainder_share,
     rivals_of,
@@ -70,9 +70,9 @@ from gyrobench.bench.runs.locks import RunLock
 _PLAN, _DWELLS = "plan.json", "dwells.csv"
 #: A kind of block is not proposed again after this number of blocks with only flagged dwells in sequence.
 _MAX_FLAGGED = 2
-#: Maximum number of blocks to confirm one cause, if their outcomes are not clear.
+#: Maximum number of blocks to confirm one hypothesis, if their outcomes are not clear.
 MAX_TESTS = 4
-#: After this number of distinguishing blocks, weak rivals no longer keep a cause open.
+#: After this number of distinguishing blocks, weak rivals no longer keep a hypothesis open.
 PATIENCE = 3
 #: Ends after which an adaptive campaign still determines biases.
 _CONCLUSIVE = ("settled", "nothing_found", "not_on_list", "refuted")
@@ -138,11 +138,11 @@ class Investigator:
             raise RunFolderError(f"{folder}: is the investigation of another table. Choose another --out")
 
     def run(self, clock: Clock) -> Investigation:
-        """Measure blocks until the cause is settled, no block can help, or the time is spent.
+        """Measure blocks until a hypothesis is settled, no block can help, or the time is spent.
 
-        A settled cause, and a law composed for an unlisted effect, are tested by one more block, which is
-        predicted before it is measured. A failure of the bench ends the investigation; a later call continues
-        it. Earlier measurements are read from the folder.
+        A settled hypothesis, and a law composed for an unlisted effect, are tested by one more block, which
+        is predicted before it is measured. A failure of the bench ends the investigation; a later call
+        continues it. Earlier measurements are read from the folder.
         """
         path = self._folder / "journal.jsonl"
         self._earlier = list(read_journal(path)) if path.exists() else []
@@ -290,18 +290,18 @@ class Investigator:
         )
 
     def _confirmation(self, stage: Stage, *, is_last: bool = False) -> Stage | None:
-        """Stage whose block confirms a cause that lacks only a confirmation; None if there is no such cause.
+        """Stage whose block confirms effects that lack only a confirmation; None if there are none.
 
         ``is_last``: whether no block distinguishes the rivals. In this case, or after :data:`PATIENCE`
         distinguishing blocks, rivals that rest on one dwell or are not significant do not count.
         """
         if only_unconfirmed(stage.closure, with_weak=not (is_last or self._ignores_weak_rivals)):
-            return self._cause_test(stage, confirming_rivals(stage.closure), again=True)
+            return self._test_of_first(stage, confirming_rivals(stage.closure), again=True)
         rivals = inexact_law_rivals(stage.closure) if is_last else ()
-        return self._cause_test(stage, rivals) if rivals else None
+        return self._test_of_first(stage, rivals) if rivals else None
 
-    def _cause_test(self, last: Stage, rivals: tuple[Rival, ...], *, again: bool = False) -> Stage | None:
-        """Stage whose block tests a cause, the first of the rivals; None if a block did already.
+    def _test_of_first(self, last: Stage, rivals: tuple[Rival, ...], *, again: bool = False) -> Stage | None:
+        """Stage whose block tests the first of the rivals; None if a block did already.
 
         ``again``: test again if the earlier outcomes were not clear.
         """
@@ -312,14 +312,14 @@ class Investigator:
         return replace(last, rivals=rivals, purpose=CONFIRM)
 
     def _test(self, last: Stage, ended: str) -> Stage | None:
-        """Stage whose block tests the result of the investigation: its cause, or a composed law.
+        """Stage whose block tests the result of the investigation: its hypothesis, or a composed law.
 
         With a profile, only a block that its biases need is used as the test.
         """
         if self._profile is not None and not last.is_uncertain:
             return None
         if ended == "settled":
-            return self._cause_test(last, confirming_rivals(last.closure))
+            return self._test_of_first(last, confirming_rivals(last.closure))
         is_tested = any(each.purpose == TEST_LAW and each.outcome for each in self._stages)
         if ended == "not_on_list" and not is_tested:
             composed_laws = composed(last.closure).composed
@@ -452,10 +452,10 @@ class Investigator:
 
 
 def _settled_reason(closure: Closure) -> str:
-    """Text of the cause with its probability, and of further effects that are not excluded."""
+    """Text of the effects found with their probability, and of others that are not excluded."""
     posterior, names = closure.posterior, sorted(closure.names)
-    cause_text = listed(sorted(map(closure.label, names))) or "nothing beyond the declared model"
-    reason = f"{cause_text.capitalize()}: probability {cause_probability(closure):.4f}."
+    found_text = listed(sorted(map(closure.label, names))) or "nothing beyond the declared model"
+    reason = f"{found_text.capitalize()}: probability {probability_of_found(closure):.4f}."
     if posterior.unlisted_probability > 1.0 - SETTLED:
         reason += (
             f" Not excluded in addition: an unlisted effect, probability "

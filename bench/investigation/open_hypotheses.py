@@ -1,4 +1,4 @@
-"""Hypotheses that a search leaves open, to be distinguished by blocks; whether its cause is settled."""
+"""Hypotheses that a search leaves open, to be distinguished by blocks; whether one is settled."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ _MAX_RIVALS = 6
 _MIN_AGEING_S = 26.0 * 3600.0
 #: A remainder below this share of each effect found counts as an error of its law.
 _INEXACT_SHARE = 0.25
-#: Insignificant effects leave a cause open if their total probability is at least this.
+#: Insignificant effects leave a hypothesis open if their total probability is at least this.
 _MAX_INSIGNIFICANT = 0.5
 #: Both depend on time only. An exponential plus a line fits any slow relaxation, such as a logarithm, so they
-#: are not stated as two causes.
+#: are not stated as two effects.
 SLOW = frozenset({"ageing", "time_drift"})
 
 
@@ -49,17 +49,17 @@ def _in_one_power_cycle(effect: Effect) -> Effect:
 
 
 def is_settled(closure: Closure) -> bool:
-    """Whether a search states a cause, or that there is none, with enough probability."""
+    """Whether a search states effects, or that there are none, with enough probability."""
     is_stated = closure.verdict in ("explained", "clean")
     return is_stated and closure.probability >= SETTLED and not closure.posterior.rivals(closure.names)
 
 
 def only_unconfirmed(closure: Closure, *, with_weak: bool) -> bool:
-    """Whether a cause has enough probability and lacks only a confirmation by new dwells.
+    """Whether the effects found have enough probability and lack only a confirmation by new dwells.
 
     A confirmation is missing if the held-out dwells do not give it, or if an additional unlisted effect is
     improbable but not excluded, or so small that it may be an error of the laws found. ``with_weak``: whether
-    weak rivals keep the cause open too. Weak are those that rest on one dwell; and those that are not
+    weak rivals keep them open too. Weak are those that rest on one dwell; and those that are not
     significant, or may only correct the laws of the effects found, if they are together improbable.
     """
     others = closure.posterior.rivals(closure.names)
@@ -69,7 +69,7 @@ def only_unconfirmed(closure: Closure, *, with_weak: bool) -> bool:
     )
     if sum(others[name] for name in insignificant) < _MAX_INSIGNIFICANT:
         weak |= insignificant
-    is_probable = bool(closure.names) and cause_probability(closure) >= SETTLED
+    is_probable = bool(closure.names) and probability_of_found(closure) >= SETTLED
     is_listed = closure.verdict == "ambiguous" and closure.posterior.unlisted_probability < RIVAL
     if not is_probable or not (is_listed or remainder_share(closure) < _INEXACT_SHARE):
         return False
@@ -81,7 +81,7 @@ def remainder_share(closure: Closure) -> float:
     return remainder_dph(closure) / min(each.rms_dph for each in closure.effects)
 
 
-def cause_probability(closure: Closure) -> float:
+def probability_of_found(closure: Closure) -> float:
     """Probability that all effects found are present, with or without others; of none if none is found."""
     posterior, names = closure.posterior, closure.names
     return (
@@ -92,10 +92,10 @@ def cause_probability(closure: Closure) -> float:
 def rivals_of(closure: Closure) -> tuple[Rival, ...]:
     """The most probable hypotheses of a search, with probabilities normalized to 1.
 
-    Additional improbable effects do not leave the cause open: hypotheses that include all effects found and
+    Additional improbable effects do not leave it open: hypotheses that include all effects found and
     the same probable other effects are merged.
     """
-    best = [each for each in _merged_by_cause(closure) if each.probability > _MIN_PROBABILITY][:_MAX_RIVALS]
+    best = [each for each in _merged_by_found(closure) if each.probability > _MIN_PROBABILITY][:_MAX_RIVALS]
     total = sum(each.probability for each in best)
     effects = {each.effect.name: each.effect for each in closure.evidence}
     unlisted_dph = remainder_dph(closure)
@@ -114,28 +114,28 @@ def rivals_of(closure: Closure) -> tuple[Rival, ...]:
     )
 
 
-def _merged_by_cause(closure: Closure) -> list[HypothesisProbability]:
+def _merged_by_found(closure: Closure) -> list[HypothesisProbability]:
     posterior, names = closure.posterior, closure.names
     others = frozenset(posterior.rivals(names))
     merged: dict[object, HypothesisProbability] = {}
     for each in posterior.hypotheses:
         is_unlisted = each.has_remainder and posterior.unlisted_probability >= RIVAL
-        has_cause = bool(names) and posterior.contains(each, names)
-        key = (None, each.names & others, is_unlisted) if has_cause else (each.names, each.has_remainder)
+        has_found = bool(names) and posterior.contains(each, names)
+        key = (None, each.names & others, is_unlisted) if has_found else (each.names, each.has_remainder)
         first = merged.setdefault(key, replace(each, probability=0.0))
         merged[key] = replace(first, probability=first.probability + each.probability)
     return sorted(merged.values(), key=lambda each: -each.probability)
 
 
 def confirming_rivals(closure: Closure) -> tuple[Rival, ...]:
-    """The cause that a search found, and the cause without each of its effects, for a confirming block."""
+    """The effects that a search found, and these without each of them, for a confirming block."""
     found = tuple(each.candidate for each in closure.effects)
     sets = [found, *(tuple(each for each in found if each is not omitted) for omitted in found)]
     return tuple(Rival(_names(each), each, 1.0 / len(sets)) for each in sets)
 
 
 def inexact_law_rivals(closure: Closure) -> tuple[Rival, ...]:
-    """The most probable cause, and the effects found with inexact laws.
+    """The most probable hypothesis, and the effects found with inexact laws.
 
     Empty unless they differ only in effects that may only correct the laws of those found, or if a law that
     contains one of these was not searched, such as ageing in a short campaign. A block distinguishes them if

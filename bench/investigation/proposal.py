@@ -40,10 +40,10 @@ _RUN_SPREAD = 30.0
 _MIN_OFF_K = 10.0
 #: Dwells fit a prediction if the p-value of chi2 is at least this.
 _MIN_P_VALUE = 1e-4
-#: Probability from which on a cause is settled.
+#: Probability from which on a hypothesis is settled.
 SETTLED = 0.99
 #: A block can help if its expected decrease of the entropy, nats, is larger than this, or if it settles a
-#: cause with more than this probability. Below this entropy a hypothesis is settled already.
+#: hypothesis with more than this probability. Below this entropy a hypothesis is settled already.
 MIN_GAIN, _MIN_CHANCE, _MIN_ENTROPY = 0.02, 0.5, 0.056
 
 
@@ -56,7 +56,7 @@ class Proposal:
     predictions: tuple[Prediction, ...]  #: Prediction of each rival for the biases of these dwells.
     entropy: float  #: Entropy of the rivals' probabilities before the block, nats.
     expected: ExpectedEntropy  #: Entropy after the block.
-    #: Largest number of earlier blocks with one of its kinds, which did not settle the cause.
+    #: Largest number of earlier blocks with one of its kinds, which settled no hypothesis.
     repeats: int = 0
     #: Hours of a profile that the block replaces; see :meth:`~.profile.ProfileCalibration.missing_h`.
     replaced_h: float = 0.0
@@ -66,7 +66,7 @@ class Proposal:
     def gain_per_h(self) -> float:
         """Expected decrease of the entropy per hour on the bench, nats/h.
 
-        Halved for each earlier block of a kind that did not settle the cause: its predictions are too narrow.
+        Halved for each earlier block of a kind that settled no hypothesis: its predictions are too narrow.
         """
         return self.entropy_decrease * self.weight / self.block.plan.duration_h
 
@@ -77,13 +77,13 @@ class Proposal:
 
     @property
     def can_help(self) -> bool:
-        """Whether the block is worth its time for the cause."""
+        """Whether the block is worth its time for the hypotheses."""
         chance = self.weight * (1.0 - self.expected.unsettled) if self.entropy > _MIN_ENTROPY else 0.0
         return self.entropy_decrease > MIN_GAIN or chance > _MIN_CHANCE
 
     @property
     def weight(self) -> float:
-        """Weight of the expected decrease: halved for each earlier block that did not settle the cause."""
+        """Weight of the expected decrease: halved for each earlier block that settled no hypothesis."""
         return 1.0 / 2.0**self.repeats
 
     @property
@@ -99,7 +99,7 @@ class Proposal:
 
     @property
     def tested_per_h(self) -> float:
-        """Probability that the block settles the first rival if it is the cause, per hour.
+        """Probability that the block settles the first rival if it is true, per hour.
 
         The log odds are normally distributed with variance :attr:`difference`, and half of it as mean.
         """
@@ -200,10 +200,10 @@ def propose(
 def remaining_hours_of(
     proposals: Sequence[Proposal], *, is_settled: bool = False
 ) -> Callable[[Proposal], float]:
-    """Key function: expected hours until cause and biases are settled, if a block is measured next.
+    """Key function: expected hours until hypothesis and biases are settled, if a block is measured next.
 
     After that block, entropy and missing information about biases are assumed to decrease at the rates of the
-    best of these blocks. If no cause is settled, at least the shortest block follows. If information is
+    best of these blocks. If no hypothesis is settled, at least the shortest block follows. If information is
     missing, the shortest block is added, since later blocks give less.
     """
     max_gain_per_h = max((each.gain_per_h for each in proposals), default=0.0)
@@ -428,7 +428,7 @@ class Outcome:
 
 
 def is_confirmed_by(outcomes: Iterable[Outcome]) -> bool:
-    """Whether the last clear outcome, which agrees with a cause or contradicts it, agrees."""
+    """Whether the last clear outcome, which agrees with a hypothesis or contradicts it, agrees."""
     clear = [each for each in outcomes if each.is_clear]
     return bool(clear) and clear[-1].agrees
 

@@ -23,14 +23,14 @@ class Stage:
     #: Hours on the bench before the block: since the first table, or with a profile from the beginning.
     spent_h: float
     closure: Closure  #: The search.
-    #: The hypotheses that a block has to distinguish. If a cause is confirmed or a law tested, that is the
+    #: The hypotheses that a block has to distinguish. If one is confirmed or a law tested, that is the
     #: first, and the others lack it or one of its effects.
     rivals: tuple[Rival, ...]
-    purpose: str = DISTINGUISH  #: DISTINGUISH, CONFIRM, TEST_LAW, or CALIBRATE (the cause is settled).
+    purpose: str = DISTINGUISH  #: DISTINGUISH, CONFIRM, TEST_LAW, or CALIBRATE (a hypothesis is settled).
     proposal: Proposal | None = None  #: The block measured next; None at the end.
     #: Result of the block for the rivals; None at the end, and if all its dwells have flags.
     outcome: Outcome | None = None
-    confirmation: Outcome | None = None  #: Result of the block for :attr:`confirmed`; None without a cause.
+    confirmation: Outcome | None = None  #: Result of the block for :attr:`confirmed`; None without one.
     calibration: ProfileCalibration | None = None  #: Calibration of the profile's biases; None without one.
 
     @property
@@ -40,7 +40,7 @@ class Stage:
 
     @property
     def confirmed(self) -> tuple[Rival, ...]:
-        """The cause that a block confirms or contradicts, and the cause without each of its effects."""
+        """The hypothesis that a block confirms or contradicts, and it without each of its effects."""
         return self.rivals if self.purpose == CONFIRM else confirming_rivals(self.closure)
 
     @property
@@ -64,12 +64,12 @@ class Investigation:
 
     @property
     def is_conclusive(self) -> bool:
-        """Whether the cause is settled, or nothing was found."""
+        """Whether a hypothesis is settled, or nothing was found."""
         return self.ended in ("settled", "nothing_found")
 
     @property
     def test(self) -> Stage | None:
-        """The last block that confirmed a settled cause or tested a composed law, if it gave an outcome."""
+        """The last block that tested a settled hypothesis or a composed law, if it gave an outcome."""
         return next((each for each in reversed(self.stages) if each.is_test and each.outcome), None)
 
     @property

@@ -117,23 +117,23 @@ class Campaign:
     """What one campaign found of one unit."""
 
     hours: float
-    causes: frozenset  #: Effects that are found; empty for a clean unit.
+    effects: frozenset  #: Effects that are found; empty for a clean unit.
     verdict: str
     #: Root of the mean variance of the biases of the next pass, deg/h, by all hypotheses together.
     sigma_dph: np.ndarray
 
 
 def found_by(unit, rows, hours, closure, *, is_settled=False):
-    """Outcome of a campaign; ``is_settled``: its blocks confirmed the cause."""
+    """Outcome of a campaign; ``is_settled``: its blocks confirmed the effects."""
     rivals = rivals_of(closure)
     forecast = Forecast(closure.noise.weighted(rows), closure.noise_scale)
     known = calibration_of(forecast, PROFILE, rivals)
     variance = np.array([each.probability for each in known.rivals]) @ known.variances
     set_c = unit._set_c[-1]
     hours += abs(set_c - _END_C) / _END_C_PER_H
-    causes = frozenset(each.effect.name for each in closure.effects)
-    verdict = "explained" if is_settled and causes else closure.verdict
-    return Campaign(hours, causes, verdict, np.sqrt(variance))
+    effects = frozenset(each.effect.name for each in closure.effects)
+    verdict = "explained" if is_settled and effects else closure.verdict
+    return Campaign(hours, effects, verdict, np.sqrt(variance))
 
 
 def compared(seed):
@@ -156,28 +156,28 @@ def compared(seed):
 
 def table(found):
     """Lines of a table of both campaigns, and of each unit."""
-    yield "| campaign | hours, median | right cause, or none where there is none | stated |"
+    yield "| campaign | hours, median | right effects, or none where there is none | stated |"
     yield "|---|---|---|---|"
     for place, name in ((1, "fixed"), (2, "adaptive")):
         own = [each[place] for each in found]
         stated = [each.verdict in ("explained", "clean") for each in own]
         right = [
-            is_stated and each.causes == frozenset(kinds)
+            is_stated and each.effects == frozenset(kinds)
             for (kinds, *_), each, is_stated in zip(found, own, stated, strict=True)
         ]
         hours = statistics.median(each.hours for each in own)
         yield f"| {name} | {hours:.1f} | {sum(right)} of {len(own)} | {sum(stated)} |"
-    same = sum((one.verdict, one.causes) == (other.verdict, other.causes) for _, one, other, _ in found)
+    same = sum((one.verdict, one.effects) == (other.verdict, other.effects) for _, one, other, _ in found)
     uncertainty = statistics.median(
         float(np.sqrt(np.mean(other.sigma_dph**2) / np.mean(one.sigma_dph**2))) for _, one, other, _ in found
     )
     yield f"Hours over those of the fixed campaign, median: {share_of(found):.2f}"
     yield f"Rms standard uncertainty over that of the fixed campaign, median: {uncertainty:.2f}"
-    yield f"Same verdict and cause: {same} of {len(found)}"
+    yield f"Same verdict and effects: {same} of {len(found)}"
     for seed, (kinds, fixed, own, ended) in zip(SEEDS, found, strict=False):
         yield (
-            f"{seed} {sorted(kinds)}: {fixed.verdict} {sorted(fixed.causes)} | {own.verdict} "
-            f"{sorted(own.causes)} in {own.hours:.1f} h, {ended.ended}, ratio {ended.calibration.ratio:.2f}"
+            f"{seed} {sorted(kinds)}: {fixed.verdict} {sorted(fixed.effects)} | {own.verdict} "
+            f"{sorted(own.effects)} in {own.hours:.1f} h, {ended.ended}, ratio {ended.calibration.ratio:.2f}"
         )
 
 
@@ -204,7 +204,7 @@ def test_an_adaptive_campaign_leaves_biases_as_certain(both):
 def test_an_adaptive_campaign_states_the_right_cause_at_least_as_often_as_the_fixed_one(both):
     fixed, own = (
         sum(
-            each[place].verdict in ("explained", "clean") and each[place].causes == set(each[0])
+            each[place].verdict in ("explained", "clean") and each[place].effects == set(each[0])
             for each in both
         )
         for place in (1, 2)

@@ -1,9 +1,9 @@
 """Are the probabilities that the search states frequencies? Simulated units of other physics than its own.
 
-As a script it writes the tables of docs/calibration_of_causes.md and its figure; an interrupted one
+As a script it writes the tables of docs/calibration_of_probabilities.md and its figure; an interrupted one
 continues where it was::
 
-    python -m tests.benchmarks.bench_calibration --results FILE --page docs/calibration_of_causes.md
+    python -m tests.benchmarks.bench_calibration --results FILE --page docs/calibration_of_probabilities.md
 """
 
 import argparse

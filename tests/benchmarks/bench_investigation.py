@@ -1,6 +1,6 @@
 """Hours on the bench until a tie is settled, by several ways of choosing the next block.
 
-Units whose first campaign ends with several causes, of other physics than the search
+Units whose first campaign ends with several hypotheses, of other physics than the search
 (:mod:`tests.benchmarks.investigation_units`). As a script it prints the tables of
 docs/decisions/14-next-measurement.md; ``--criteria`` compares the first block that other criteria choose::
 
@@ -69,7 +69,7 @@ def unit_of(seed):
 
 
 def is_tied(closure):
-    """Whether there is an effect, on the list, and no cause is settled."""
+    """Whether there is an effect, on the list, and no hypothesis is settled."""
     posterior = closure.posterior
     return (
         closure.verdict == "ambiguous"
@@ -104,7 +104,7 @@ class Tie:
         return self.first.closure
 
     def settle(self, value):
-        """Measure blocks of largest ``value`` until a settled cause is tested, for at most one campaign."""
+        """Measure blocks of largest ``value`` until a settled hypothesis is tested, within one campaign."""
         blocks, hours, choice_s = (), 0.0, 0.0
         while True:
             state = self._known[blocks]
@@ -122,13 +122,13 @@ class Tie:
                 unit = copy.deepcopy(state.unit)
                 new = unit.measure(chosen.block.plan)
                 rivals = tested or confirming_rivals(state.closure)
-                cause = frozenset(rivals[0].names)
-                outcome = cause and outcome_of(state.forecast, chosen, new, rivals)
-                outcomes = [*state.outcomes, *([(cause, outcome, bool(tested))] if outcome else [])]
+                hypothesis = frozenset(rivals[0].names)
+                outcome = hypothesis and outcome_of(state.forecast, chosen, new, rivals)
+                outcomes = [*state.outcomes, *([(hypothesis, outcome, bool(tested))] if outcome else [])]
                 self._known[blocks] = State(unit, [*state.rows, *new], self._held_out, blocks, outcomes)
 
     def _next(self, state, value, left_h):
-        """Whether a cause is stated, the next block, and the rivals that it tests, as the command decides."""
+        """Whether a hypothesis is stated, the next block, and rivals that it tests by the command."""
         closure, rivals = state.closure, confirming_rivals(state.closure)
         test_value = by_test if value in (by_entropy, by_hours_left) else value
 
@@ -166,7 +166,7 @@ class State:
 
     def __init__(self, unit, rows, held_out, blocks, outcomes=()):
         self.unit, self.rows, self.blocks = unit, rows, blocks
-        #: Cause that a block was compared with, the outcome, and whether it was measured for that.
+        #: Hypothesis that a block was compared with, the outcome, and whether it was measured for that.
         self.outcomes = outcomes
         self._measured = [each.removeprefix(TO_CONFIRM).split(", then ") for each in blocks]
         self.closure = search_campaign(campaign_of(rows), held_out)
@@ -174,18 +174,18 @@ class State:
         self.choice_s = 0.0
 
     def tests(self, names=None):
-        """Outcomes of the blocks that tested a cause; by default that found."""
-        cause = frozenset(names or self.names)
-        return [each for of, each, is_test in self.outcomes if is_test and of == cause]
+        """Outcomes of the blocks that tested a hypothesis; by default that found."""
+        hypothesis = frozenset(names or self.names)
+        return [each for of, each, is_test in self.outcomes if is_test and of == hypothesis]
 
     @functools.cached_property
     def proposals(self):
-        """All blocks with what the causes predict."""
+        """All blocks with what the hypotheses predict."""
         return self.proposed(rivals_of(self.closure))
 
     @functools.cached_property
     def confirming(self):
-        """All blocks with what the cause found predicts, and what is predicted without it."""
+        """All blocks with what the hypothesis found predicts, and what is predicted without it."""
         return self.proposed(confirming_rivals(self.closure))
 
     @functools.cached_property
@@ -210,12 +210,12 @@ def by_entropy(proposal, state):
 
 
 def by_test(proposal, state):
-    """How far the block tests the cause, per hour, the choice of `gyrobench investigate` to confirm one."""
+    """How far the block tests the hypothesis, per hour: how `gyrobench investigate` confirms one."""
     return proposal.tested_per_h
 
 
 def by_d_optimality(proposal, state):
-    """Fall of the logarithm of the determinant of the parameters' covariance of the best cause, per hour."""
+    """Fall of the log determinant of the parameters' covariance of the best hypothesis, per hour."""
     sigma_dph = state.closure.noise_scale * np.array([row.sigma_dph for row in proposal.rows])
     determinant = np.linalg.slogdet(proposal.predictions[0].covariance)[1]
     return (determinant - 2.0 * np.sum(np.log(sigma_dph))) / proposal.block.plan.duration_h
@@ -256,7 +256,7 @@ def by_buzzi_ferraris(proposal, state):
 
 
 def by_akaike_weights(proposal, state):
-    """Expected Akaike weight of the true cause, above that without a measurement (Michalik 2010)."""
+    """Expected Akaike weight of the true hypothesis, above that without a measurement (Michalik 2010)."""
     predictions, probabilities = proposal.predictions, _probabilities(state)
     expected = -1.0 / len(predictions)
     for truth, probability in zip(predictions, probabilities, strict=True):
@@ -381,7 +381,7 @@ def test_ties_are_settled_in_a_quarter_of_a_campaign(ends):
     assert statistics.median(shares) <= 0.25
 
 
-def test_every_settled_cause_is_right(ends):
+def test_every_settled_hypothesis_is_right(ends):
     own = ends[0]["entropy per hour"]
     assert all(each.is_right for each in own if each.is_settled)
 

@@ -31,7 +31,7 @@ def test_the_notebook_goes_from_a_run_folder_to_the_cause_and_the_budget(tmp_pat
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
     mpl.use("agg")
     names = {}
-    for cell in code_of(DOCS / "notebooks/from_run_to_cause.ipynb"):
+    for cell in code_of(DOCS / "notebooks/from_run_to_effect.ipynb"):
         exec(compile(cell, "notebook", "exec"), names)  # noqa: S102 - our own page
     shown = capsys.readouterr().out
     assert names["closure"].verdict in shown

@@ -116,7 +116,7 @@ class Effect:
     compensation: Callable[[FittedForm], InsTerms] = NO_INS_TERM  #: How the INS compensates it.
     label: str = ""  #: Displayed in place of the name; by default the name with spaces.
     #: Names of effects that are special cases of its laws in any campaign. If it is less probable than one of
-    #: them, it is not another cause.
+    #: them, it is no rival.
     contains: tuple[str, ...] = ()
     may_imitate: Callable[[Campaign], bool] = always  #: Whether it may imitate another effect in a campaign.
     #: Runs from which an empirical law was composed, and the fingerprints of their dwells; empty if unknown.

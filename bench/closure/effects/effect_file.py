@@ -58,8 +58,7 @@ class EffectFile(StrictModel):
         [], description="effects that may be present in its place where they can't be fitted"
     )
     contains: list[str] = Field(
-        [],
-        description="effects that are special cases of it in any campaign: it is no other cause beside them",
+        [], description="effects that are special cases of it in any campaign: it is no rival of them"
     )
     composed_from: list[str] = Field([], description="runs that the law was composed from")
     composed_from_dwells: list[str] = Field(
