@@ -58,8 +58,10 @@ class Thermotron8800(TextChamber):
     event_name = "auxiliary"
     max_events = 16
 
-    def __init__(self, line: SerialLine, channel: int = 1, ending: bytes = b"\r") -> None:
-        super().__init__(line, TextLine(line, ending))
+    def __init__(
+        self, line: SerialLine, channel: int = 1, ending: bytes = b"\r", reply_timeout_s: float = 1.0
+    ) -> None:
+        super().__init__(line, TextLine(line, ending, reply_timeout_s=reply_timeout_s))
         self._channel = channel
         self._commanded_c: float | None = None  # set point that this driver commanded last
         self.set_point_name = f"SETP{channel}"

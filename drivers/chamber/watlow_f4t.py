@@ -39,8 +39,10 @@ class WatlowF4T(TextChamber):
     event_name = "output"
     max_events = _OUTPUTS
 
-    def __init__(self, line: SerialLine, loop: int = 1, chamber_output: int = 1) -> None:
-        super().__init__(line, TextLine(line, LINE_ENDINGS["lf"]))
+    def __init__(
+        self, line: SerialLine, loop: int = 1, chamber_output: int = 1, reply_timeout_s: float = 1.0
+    ) -> None:
+        super().__init__(line, TextLine(line, LINE_ENDINGS["lf"], reply_timeout_s=reply_timeout_s))
         self.prefix = f":SOURCE:CLOOP{loop}:"
         self._loop = loop
         self._chamber_output = chamber_output
