@@ -41,6 +41,7 @@ from gyrobench.bench.runs.tables.coefficient_table import (
     plateau_findings,
     read_coefficients,
     read_coefficients_for_fit,
+    read_common_sigmas,
     read_correlations,
 )
 from gyrobench.bench.station.instruments import Emulation
@@ -221,10 +222,7 @@ class VerificationRuns:
                 _coefficients_of(run),
                 read_correlations(run.correlations),
                 self.models[name].compensation.coefficients if name in self.models else {},
-                {
-                    (row.plateau, row.name): row.sigma
-                    for row in read_coefficients_for_fit(run.coefficients, run.budget)
-                },
+                read_common_sigmas(run.budget),
             )
             for name, run in folders.items()
         ]

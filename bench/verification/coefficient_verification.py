@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -153,9 +154,9 @@ class CoefficientRun:
     #: zero.
     correlations: Mapping[int, FloatArray]
     loaded: Mapping[str, Correction] = field(default_factory=dict)  #: Polynomials that the INS subtracts.
-    #: By plateau and name: standard uncertainty without what all plateaus share, as the error of gravity; by
-    #: default they share nothing. A loaded polynomial was measured with the same error, which cancels.
-    independent: Mapping[tuple[int, str], float] = field(default_factory=dict)
+    #: By plateau and name: standard uncertainties due to each error that all plateaus share, as that of
+    #: gravity; by default none. A loaded polynomial was measured with the same errors, which cancel.
+    common: Mapping[tuple[int, str], tuple[float, ...]] = field(default_factory=dict)
 
 
 def compare_coefficients(runs: Sequence[CoefficientRun], site: Site) -> tuple[CoefficientResult, ...]:
@@ -191,9 +192,9 @@ def compare_coefficients(runs: Sequence[CoefficientRun], site: Site) -> tuple[Co
             for plateau, each in run.correlations.items()
             if plateau in joint_number
         }
-        independent = {
-            (joint_number[plateau], name): sigma
-            for (plateau, name), sigma in run.independent.items()
+        common = {
+            (joint_number[plateau], name): sigmas
+            for (plateau, name), sigmas in run.common.items()
             if plateau in joint_number
         }
         results.append(
@@ -202,9 +203,7 @@ def compare_coefficients(runs: Sequence[CoefficientRun], site: Site) -> tuple[Co
                 np.array([rms(each[:, 0]) for each in pairs]),
                 np.array([rms(each[:, 1]) for each in pairs]),
                 np.array([len(each) for each in pairs]),
-                *_noise_sums(
-                    [run_values[key] for key in sorted(shared)], correlations, run.loaded, independent
-                ),
+                *_noise_sums([run_values[key] for key in sorted(shared)], correlations, run.loaded, common),
                 tuple(_missions(rows, correlations, in_all, site)),
             )
         )
@@ -215,20 +214,21 @@ def _noise_sums(
     rows: Sequence[PlateauCoefficientRow],
     correlations: Mapping[int, FloatArray],
     loaded: Mapping[str, Correction],
-    independent: Mapping[tuple[int, str], float],
+    common: Mapping[tuple[int, str], tuple[float, ...]],
 ) -> tuple[NoiseSums, NoiseSums]:
     """Sums over rows except gyro biases, in units of their noise and of the stated uncertainties."""
     used = [row for row in rows if row.coefficient != "gyro_bias"]
     names, plateaus = [row.name for row in used], np.array([row.plateau for row in used])
     columns = np.array([_NAMES.index(name) for name in names], dtype=np.intp)
     values, stated = np.array([(row.value, row.sigma) for row in used]).reshape(-1, 2).T
-    own = np.array([independent.get((row.plateau, row.name), row.sigma) for row in used])
+    sigmas = [common.get((row.plateau, row.name), ()) for row in used]
+    by_source = np.array(list(zip_longest(*sigmas, fillvalue=0.0))).reshape(-1, len(used))
+    own = np.sqrt(np.maximum(stated**2 - (by_source**2).sum(axis=0), 0.0))
     by_plateau = {each: _filled_correlations(correlations, each) for each in set(plateaus.tolist())}
     pairs = np.array([by_plateau[row.plateau][_NAMES.index(row.name), columns] for row in used])
     pairs = pairs.reshape(len(used), len(used))
-    shared = np.sqrt(np.maximum(stated**2 - own**2, 0.0))
     signs = np.where(columns[:, np.newaxis] == columns, 1.0, np.sign(pairs))
-    of_shared = signs * np.outer(shared, shared)
+    of_shared = signs * (by_source.T @ by_source)  # errors of different sources are independent
     is_loaded = np.array([name in loaded for name in names], dtype=bool)
     is_same_plateau = plateaus[:, np.newaxis] == plateaus
     covariance = np.where(is_same_plateau, pairs * np.outer(stated, stated), of_shared)

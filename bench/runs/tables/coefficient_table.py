@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -136,12 +136,30 @@ def read_coefficients_for_fit(coefficients: Path, budget: Path) -> list[PlateauC
     An error of gravity or latitude is the same at all plateaus. It is excluded if ``budget.csv`` states it;
     errors as for :func:`gyrobench.bench.foundations.csv_tables.read_rows`.
     """
-    variances: dict[tuple[int | None, str, str], float] = {}
-    for each in read_budget(budget) if budget.exists() else ():
-        if each.result == "coefficient" and not each.is_sum and each.contribution not in COMMON_SOURCES:
-            key = each.plateau, each.quantity, each.axis
-            variances[key] = variances.get(key, 0.0) + float(np.nan_to_num(each.sigma)) ** 2
+    variances: dict[tuple[int, str], float] = {}
+    for key, source, sigma in _contributions(budget):
+        if source not in COMMON_SOURCES:
+            variances[key] = variances.get(key, 0.0) + sigma**2
     return [
-        replace(row, sigma=math.sqrt(variances.get((row.plateau, row.coefficient, row.axis), row.sigma**2)))
+        replace(row, sigma=math.sqrt(variances.get((row.plateau, row.name), row.sigma**2)))
         for row in read_coefficients(coefficients)
     ]
+
+
+def read_common_sigmas(budget: Path) -> dict[tuple[int, str], tuple[float, ...]]:
+    """Read the uncertainties that plateaus share, by plateau and name, due to each of the COMMON_SOURCES.
+
+    Empty without ``budget.csv``; errors as for :func:`gyrobench.bench.foundations.csv_tables.read_rows`.
+    """
+    sigmas: dict[tuple[int, str], dict[str, float]] = {}
+    for key, source, sigma in _contributions(budget):
+        sigmas.setdefault(key, {})[source] = sigma
+    return {key: tuple(each.get(name, 0.0) for name in COMMON_SOURCES) for key, each in sigmas.items()}
+
+
+def _contributions(budget: Path) -> Iterator[tuple[tuple[int, str], str, float]]:
+    """Plateau and name of each coefficient in a budget, source, and standard uncertainty due to it."""
+    for each in read_budget(budget) if budget.exists() else ():
+        if each.result == "coefficient" and each.plateau is not None and not each.is_sum:
+            key = each.plateau, f"{each.quantity}_{each.axis}"
+            yield key, each.contribution, float(np.nan_to_num(each.sigma))

@@ -14,6 +14,7 @@ from gyrobench.bench.runs.tables.coefficient_table import (
     plateau_notes,
     read_coefficients,
     read_coefficients_for_fit,
+    read_common_sigmas,
     write_coefficients,
 )
 
@@ -62,4 +63,5 @@ def test_what_all_plateaus_share_is_left_out_of_the_uncertainties_by_which_they_
     write_budget(budget, coefficient_budget_rows(1, [(known, Budget(tuple(contributions)))]))
     first, second = read_coefficients_for_fit(coefficients, budget)
     assert first.sigma == pytest.approx(0.5)
+    assert read_common_sigmas(budget) == {(1, first.name): pytest.approx((30.0, 2.0))}
     assert second.sigma == rows[1].sigma
