@@ -14,7 +14,7 @@ import numpy as np
 
 from gyrobench.bench.dwells.setup_check import latitude_fault
 from gyrobench.bench.engine.live_bench import LiveBench
-from gyrobench.bench.engine.live_unit import BUS_SILENCE_S, FRESH_S
+from gyrobench.bench.engine.live_unit import BUS_SILENCE_S
 from gyrobench.bench.engine.measured_unit import MeasuredUnit
 from gyrobench.bench.engine.operator import ask_operator
 from gyrobench.bench.engine.run_context import RunContext
@@ -60,6 +60,8 @@ _OVERSHOOT_S = 10.0
 #: The bus is reopened if the INS stays silent for this long after power-on.
 _REOPEN_AFTER_S = 15.0
 _POWER_CYCLE_S = 5.0
+#: Maximum time until an INS that boots is noticed, s.
+_MAX_NOTICE_S = 4.0
 #: Longest time for which an INS may send after its supply is switched off, from stored energy.
 _MAX_SENDS_OFF_S = 30.0
 #: Period of the bias estimates of the dwell in progress.
@@ -113,14 +115,17 @@ def _power_on(step: PowerOn, context: StepContext) -> Ticks:
 
 
 def _ask_for_power_cycle(context: StepContext) -> Ticks:
-    """Ask until each INS was silent meanwhile: one that sends all the time was not switched off."""
-    sending = list(context.units.running)
-    while sending:
+    """Ask until each INS was silent or booted meanwhile: one that works all the time was not switched off."""
+    clock, working = context.bench.clock, list(context.units.running)
+    while working:
         for _ in _ask(context, "Switch the INS off and on, then answer.", ["on", "stop"]):
-            sending = [each for each in sending if each.live.status().age_s < FRESH_S]
+            working = [each for each in working if each.live.has_started()]
             yield
-        sending = [each for each in sending if each.live.status().age_s < FRESH_S]
-        for unit in sending:
+        answered_s = clock.now()
+        while working and clock.now() - answered_s < _MAX_NOTICE_S:
+            yield
+            working = [each for each in working if each.live.has_started()]
+        for unit in working:
             unit.note("the INS was not switched off: it has sent frames all the time")
 
 

@@ -33,7 +33,7 @@ _CONFIRMED_RATIO = 4.0
 #: A CAN bus that is silent for this long may be disconnected without an error.
 BUS_SILENCE_S = 4.0
 #: Maximum age of the last frame of an INS that has started.
-FRESH_S = 2.0
+_FRESH_S = 2.0
 
 _T = TypeVar("_T")
 
@@ -134,7 +134,7 @@ class LiveUnit:
     def has_started(self) -> bool:
         """Whether the INS sends frames and is past its boot."""
         status = self.status()
-        return status.age_s < FRESH_S and status.mode is not InsMode.BOOT
+        return status.age_s < _FRESH_S and status.mode is not InsMode.BOOT
 
     def check_identifiers(self) -> None:
         """Raise SignalMapError if the INS sends identifiers of the DBC in the other format, 11 or 29 bits."""

@@ -318,11 +318,11 @@ def test_a_run_with_a_wrong_signal_map_resumes_with_its_corrected_copy(tmp_path)
 
 
 class ForgetfulOperator(ConsentingOperator):
-    """Answers that the unit was switched off and on; does it only at the second question."""
+    """Answers that the unit was switched off and on; switches it off for ``off_s`` at the second question."""
 
-    def __init__(self):
+    def __init__(self, off_s):
         super().__init__()
-        self.questions, self.world, self.off_s = 0, None, None
+        self.questions, self.world, self.duration_s, self.off_s = 0, None, off_s, None
 
     def ask(self, question, answers):
         super().ask(question, answers)
@@ -333,12 +333,13 @@ class ForgetfulOperator(ConsentingOperator):
             return super().answer()
         if self.off_s is None:
             self.off_s = self.clock.now()
-        is_off = self.clock.now() < self.off_s + 10.0
+        is_off = self.clock.now() < self.off_s + self.duration_s
         self.world.power_unit(not is_off)
         return None if is_off else super().answer()
 
 
-def test_an_operator_who_did_not_switch_the_unit_off_is_asked_again(tmp_path):
+@pytest.mark.parametrize("off_s", [1.0, 10.0])
+def test_an_operator_who_did_not_switch_the_unit_off_is_asked_again(tmp_path, off_s):
     class Observer(RunObserver):
         def begun(self, folder, bench, outcome):
             operator.clock = bench.clock
@@ -347,7 +348,7 @@ def test_an_operator_who_did_not_switch_the_unit_off_is_asked_again(tmp_path):
             operator.world.power_unit(True)
             bench.clock.sleep(30.0)
 
-    operator = ForgetfulOperator()
+    operator = ForgetfulOperator(off_s)
     station = changed_station(tmp_path, {"power: chamber_event": "power: operator"})
     (tmp_path / "on.yaml").write_text("procedure: on\nsteps:\n  - power_on: {settle_s: 20}\n")
     job = prepare_job(str(tmp_path / "on.yaml"), str(station), Emulation("ideal", 0))
