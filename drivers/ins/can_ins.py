@@ -18,6 +18,7 @@ from gyrobench.bench.foundations.errors import (
     RefusedError,
     ReplyError,
 )
+from gyrobench.bench.foundations.text import counted
 from gyrobench.drivers.frames import ERROR_FRAME, EXTENDED_ID, FrameBlock
 from gyrobench.drivers.ins.attitude import EulerSequence
 from gyrobench.drivers.ins.can_bus import INSTRUMENT, block_receiver, close_bus
@@ -121,7 +122,8 @@ class CanIns:
         """Describe the received frames that are not in the DBC, else error frames; empty if none."""
         if not self._foreign_ids:
             count = self._error_frames
-            return f"the adapter reports {count} bus errors, as with a wrong bit rate" if count else ""
+            errors = counted(count, "bus error")
+            return f"the adapter reports {errors}, as with a wrong bit rate" if count else ""
         first = min(self._ids_in_other_format or self._foreign_ids)
         name = f"0x{first & ~EXTENDED_ID:03x}"
         if not self._ids_in_other_format:

@@ -547,6 +547,6 @@ def test_bus_errors_of_a_silent_ins_are_stated(signal_map, codec):
                 can.Message(arbitration_id=4, data=bytes(8), is_extended_id=False, is_error_frame=is_error)
             )
             driver.poll()
-            expected = "the adapter reports 1 bus errors, as with a wrong bit rate" if is_error else ""
+            expected = "the adapter reports 1 bus error, as with a wrong bit rate" if is_error else ""
             assert driver.describe_foreign_frames() == expected
     driver.close()
