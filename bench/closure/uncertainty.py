@@ -139,7 +139,8 @@ def _with_noise_of_residuals(problem: Problem, candidates: Sequence[Candidate]) 
     after = after_fit(problem, candidates)
     dof = max(after.dof - sum(len(each.values) for each in candidates), 1)
     ratio = max(after.chi2 / dof, 1e-12) ** (0.5 / (1.0 + 0.5 / dof / _PRIOR_SCALE**2))
-    return declared_problem(problem.campaign, problem.searched, problem.noise_scale * ratio)
+    scaled = declared_problem(problem.campaign, problem.searched, problem.noise_scale * ratio)
+    return replace(scaled, correlation_factor=problem.correlation_factor)
 
 
 class _NormalEquations:
@@ -303,7 +304,8 @@ class _ParameterDensity:
         squares = np.where(used, self._priors**2, 1.0)  # no contribution of unused terms
         root = np.linalg.cholesky(terms.mT @ terms + squares[..., np.newaxis] * np.eye(len(self._priors)))
         projections = np.linalg.solve(root, terms.mT @ self._problem.residuals.T[..., np.newaxis])
-        return float(0.5 * np.sum(projections**2) - np.sum(np.log(np.diagonal(root, axis1=1, axis2=2))))
+        log_evidence = 0.5 * np.sum(projections**2) - np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)))
+        return float(log_evidence) / self._problem.correlation_factor
 
     def widths(self) -> FloatArray:
         """Standard deviation of each parameter, with the others at their best values."""

@@ -64,6 +64,17 @@ def test_a_time_constant_is_within_its_95_percent_interval(quiet):
     assert np.median(lengths) < 1.5
 
 
+def test_noise_that_gyros_share_widens_the_interval_of_a_parameter_that_they_have_in_common(quiet):
+    effect = WARM_UP.bounded(quiet)
+    candidate = Candidate(effect, effect.forms[0], (4.0 * 3600.0,), np.ones((3, 1), dtype=bool))
+    bias_dph = quiet.bias_dph + 6.0 * SIGMA_DPH * candidate.columns(quiet)[..., 0]
+    bias_dph += SIGMA_DPH * np.random.default_rng(4).standard_normal(bias_dph.shape)
+    alone = declared_problem(replace(quiet, bias_dph=bias_dph), quiet.all_dwells)
+    drawn = [draw(replace(alone, correlation_factor=each), [candidate]) for each in (1.0, 3.0)]
+    logs = [np.log(each.values["warm_up"]).std() for each in drawn]
+    assert logs[1] == pytest.approx(np.sqrt(3.0) * logs[0], rel=0.25)
+
+
 def test_a_parameter_at_its_bound_has_an_interval_that_ends_there(quiet):
     effect = WARM_UP.bounded(quiet)
     [parameter] = effect.forms[0].parameters
