@@ -111,7 +111,9 @@ def _command(name: str) -> Any:
 
 def _name_value(parameter: Any) -> None:
     """Set what stands for the value of an argument or option in the help, in place of its Python type."""
-    descriptor = parameter.type_descriptor
+    descriptor = getattr(parameter, "type_descriptor", None)
+    if descriptor is None:  # an older typer, which names values as click does
+        return
     if parameter.param_type_name == "argument":
         parameter.metavar = parameter.metavar or parameter.name.upper()
         if not descriptor.is_choice:

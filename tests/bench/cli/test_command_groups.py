@@ -1,12 +1,13 @@
 """The list of commands in the help."""
 
 import re
+from types import SimpleNamespace
 
 import pytest
 import typer
 from typer.testing import CliRunner
 
-from gyrobench.bench.cli import GROUPS, app
+from gyrobench.bench.cli import GROUPS, _name_value, app
 from gyrobench.bench.cli.output import EXIT_WRONG_INPUT
 from tests.bench.command_line import gyrobench
 
@@ -43,3 +44,9 @@ def test_help_names_values_in_words_instead_of_types_of_python(command, shown):
     assert all(each in text for each in shown), text
     assert "list[" not in text
     assert not re.search(r"<[a-z ]+>", text)
+
+
+def test_parameters_of_an_older_typer_keep_the_names_that_it_gives():
+    parameter = SimpleNamespace(param_type_name="option", metavar=None, is_flag=False)
+    _name_value(parameter)
+    assert parameter.metavar is None
