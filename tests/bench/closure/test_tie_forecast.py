@@ -117,6 +117,13 @@ def test_the_noise_is_that_of_the_closure():
     assert unit.thermal.rms_k < 1.0
 
 
+def test_noise_that_gyros_share_counts_once_in_forecasts_too():
+    closure = closed("one power-on")
+    correlated = replace(closure, noise=replace(closure.noise, correlation_factor=3.0))
+    [once], [alone] = (tie_forecasts(each, plan()) for each in (correlated, closure))
+    assert 1.0 < math.log(once.if_found) < 0.6 * math.log(alone.if_found)
+
+
 def test_outliers_count_as_in_the_search():
     effects, sensors, candidates = TIES["one power-on"]
     rows = measure(effects, cycles=2, sensors=sensors).rows
