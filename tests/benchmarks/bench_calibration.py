@@ -274,4 +274,4 @@ if __name__ == "__main__":
     if arguments.page:
         lines = arguments.page.read_text().split("<!-- table -->")
         arguments.page.write_text(f"{lines[0]}<!-- table -->\n{text}\n<!-- table -->{lines[2]}")
-        draw_reliability(found, arguments.page.parent / "images" / "reliability_of_causes.png")
+        draw_reliability(found, arguments.page.parent / "images" / "reliability_of_probabilities.png")
