@@ -83,8 +83,7 @@ class CampaignNoise:
     def problem(self, campaign: Campaign, searched: BoolArray) -> Problem:
         """Declared model of a campaign with this noise."""
         reweighted = campaign.with_uncertainties(campaign.sigma_dph * self.factors)
-        problem = declared_problem(reweighted, searched, self.scale)
-        return replace(problem, correlation_factor=self.correlation_factor)
+        return declared_problem(reweighted, searched, self.scale, self.correlation_factor)
 
     def weighted(self, rows: Sequence[DwellRow]) -> list[DwellRow]:
         """Rows of a dwell table with the standard deviations of outliers increased."""

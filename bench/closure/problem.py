@@ -193,9 +193,11 @@ def explained_by(products: FloatArray, residual_products: FloatArray) -> tuple[f
     return float(reduction), int(np.count_nonzero(independent))
 
 
-def declared_problem(campaign: Campaign, searched: BoolArray, noise_scale: float = 1.0) -> Problem:
+def declared_problem(
+    campaign: Campaign, searched: BoolArray, noise_scale: float = 1.0, correlation_factor: float = 1.0
+) -> Problem:
     """Problem with the declared model's columns."""
-    empty = Problem(campaign, searched, noise_scale, (), np.zeros((0, 3)))
+    empty = Problem(campaign, searched, noise_scale, (), np.zeros((0, 3)), correlation_factor)
     bases, residuals = [], []
     for gyro in range(3):
         weighted = empty.whitened_of(gyro, declared_columns(campaign, gyro)[searched])

@@ -159,8 +159,9 @@ def _odds(
     for _ in range(_DRAWS):
         noisy_dph = predicted_dph + campaign.sigma_dph * random.standard_normal(predicted_dph.shape)
         bias_dph = np.where(is_predicted[:, np.newaxis], noisy_dph, campaign.bias_dph)
-        predicted_problem = replace(
-            declared_problem(replace(campaign, bias_dph=bias_dph), campaign.all_dwells),
+        predicted_problem = declared_problem(
+            replace(campaign, bias_dph=bias_dph),
+            campaign.all_dwells,
             correlation_factor=problem.correlation_factor,
         )
         present_fit = fit_hypothesis(predicted_problem, refine(predicted_problem, present))

@@ -139,8 +139,8 @@ def _with_noise_of_residuals(problem: Problem, candidates: Sequence[Candidate]) 
     after = after_fit(problem, candidates)
     dof = max(after.dof - sum(len(each.values) for each in candidates), 1)
     ratio = max(after.chi2 / dof, 1e-12) ** (0.5 / (1.0 + 0.5 / dof / _PRIOR_SCALE**2))
-    scaled = declared_problem(problem.campaign, problem.searched, problem.noise_scale * ratio)
-    return replace(scaled, correlation_factor=problem.correlation_factor)
+    noise_scale = problem.noise_scale * ratio
+    return declared_problem(problem.campaign, problem.searched, noise_scale, problem.correlation_factor)
 
 
 class _NormalEquations:

@@ -90,41 +90,39 @@ def perform(step: Step, context: StepContext) -> Ticks:
 
 @perform.register
 def _power_on(step: PowerOn, context: StepContext) -> Ticks:
-    bench = context.bench
+    bench, units = context.bench, context.units
     if bench.station.file.unit.power == "operator":
         yield from _ask_for_power_cycle(context)
     if bench.station.file.unit.power == "chamber_event":
         # An INS that is already on is switched off first: the time since power-on has to be known.
         yield from _switch_off(context)
-    for unit in context.units.running:
+    for unit in units.running:
         unit.live.forget()
-    yield from _with_retries(
-        context, lambda: bench.instruments.power_unit(True, context.units.dropped_events)
-    )
+    yield from _with_retries(context, lambda: bench.instruments.power_unit(True, units.dropped_events))
     switched_s = bench.clock.now()
     yield
-    yield from context.units.for_all(lambda unit: _wait_until_sending(unit, bench))
+    yield from units.for_all(lambda unit: _wait_until_sending(unit, bench))
     bench.read_instruments()  # readings from before the INS sent data do not describe it
     bench.state.units_powered(switched_s)
-    for unit in context.units.running:
+    for unit in units.running:
         unit.live.state.powered()
     yield from _pause(bench, step.settle_s)
-    for unit in context.units.running:
+    for unit in units.running:
         if fault := latitude_fault(unit.live.status().latitude, bench.station.site):
             raise SignalMapError(f"{unit.live.name}: {fault}")
 
 
 def _ask_for_power_cycle(context: StepContext) -> Ticks:
     """Ask until each INS was silent or booted meanwhile: one that works all the time was not switched off."""
-    clock, working = context.bench.clock, list(context.units.running)
+    working = list(context.units.running)
     while working:
         for _ in _ask(context, "Switch the INS off and on, then answer.", ["on", "stop"]):
             working = [each for each in working if each.live.has_started()]
             yield
-        answered_s = clock.now()
-        while working and clock.now() - answered_s < _MAX_NOTICE_S:
+        for _ in _pause(context.bench, _MAX_NOTICE_S):
+            if not (working := [each for each in working if each.live.has_started()]):
+                break
             yield
-            working = [each for each in working if each.live.has_started()]
         for unit in working:
             unit.note("the INS was not switched off: it has sent frames all the time")
 
@@ -154,10 +152,8 @@ def _switch_off(context: StepContext) -> Ticks:
 def _wait_until_silent(unit: MeasuredUnit, bench: LiveBench, since_s: float) -> Ticks:
     while unit.live.status().age_s < BUS_SILENCE_S:
         if bench.clock.now() - since_s > _MAX_SENDS_OFF_S:
-            problem = (
-                f"still sends {_MAX_SENDS_OFF_S:.0f} s after its supply was switched off. {CHECK_SUPPLY}"
-            )
-            raise RefusedError(unit.live.name, problem)
+            problem = f"still sends {_MAX_SENDS_OFF_S:.0f} s after its supply was switched off"
+            raise RefusedError(unit.live.name, f"{problem}. {CHECK_SUPPLY}")
         yield
 
 
@@ -242,8 +238,7 @@ def _command_all(context: StepContext, command: Callable[[MeasuredUnit], Ticks |
 
     A failed command is repeated as often as the step allows; then its unit is dropped, or the error raised.
     """
-    commands = {unit: command(unit) for unit in context.units.measuring}
-    waiting = {unit: ticks for unit, ticks in commands.items() if ticks is not None}
+    waiting = {unit: ticks for unit in context.units.measuring if (ticks := command(unit)) is not None}
     for remaining_tries in range(context.retries, -1, -1):
         errors = _exchange_all(context, waiting)
         for unit, error in errors.items():

@@ -368,9 +368,10 @@ def _lanes(x: Axis, snapshot: RunSnapshot) -> dict[str, list[PositionBar]]:
     lanes: dict[str, list[PositionBar]] = {position: [] for position in POSITIONS if position in used}
     for span in snapshot.planned.positions:
         is_over = span.end_s <= snapshot.plan_now_s
-        start_s = span.start_s if is_over else min(span.start_s, snapshot.now_s)
         if span.start_s > snapshot.plan_now_s:
             start_s = span.start_s + snapshot.behind_s
+        else:
+            start_s = span.start_s if is_over else min(span.start_s, snapshot.now_s)
         end_s = span.end_s if is_over else span.end_s + snapshot.behind_s
         start_percent, end_percent = x.percent(start_s), x.percent(end_s)
         lanes.setdefault(span.position, []).append(

@@ -155,7 +155,10 @@ def joint_section(sigmas: _JointSigmasByGroup, plateaus: Sequence[JointPlateauRo
             f"{_RATE_UP_TEXT} {_finding_sentence(plateaus)}",
             *misfits,
         ],
-        tables=[*[_gain_table(sigmas)] * any(reductions), *[_plateau_table(shared)] * bool(shared)],
+        tables=[
+            *([_gain_table(sigmas)] if any(reductions) else []),
+            *([_plateau_table(shared)] if shared else []),
+        ],
     )
 
 
@@ -207,7 +210,7 @@ def _misfit_sentences(plateaus: Sequence[JointPlateauRow]) -> list[str]:
         f"At plateau {row.plateau} {_subject(row)}{p_in_brackets(row.fit_p_value)}: "
         + (_LATITUDE_CONCLUSION if row.any_north_p_value >= _MISFIT_P else _INVALID_CONCLUSION)
         for row in plateaus
-        # What else a dwell of its own contradicts, its goodness of fit states.
+        # The goodness-of-fit test of a single dwell finds its other contradictions.
         if row.fit_p_value < _MISFIT_P and (row.dwells > 1 or row.any_north_p_value >= _MISFIT_P)
     ]
 

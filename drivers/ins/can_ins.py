@@ -118,12 +118,16 @@ class CanIns:
             self.on_frames(block)
         return block
 
+    @property
+    def has_foreign_frames(self) -> bool:
+        """Whether frames arrived that are not in the DBC."""
+        return bool(self._foreign_ids)
+
     def describe_foreign_frames(self) -> str:
         """Describe the received frames that are not in the DBC, else error frames; empty if none."""
         if not self._foreign_ids:
-            count = self._error_frames
-            errors = counted(count, "bus error")
-            return f"the adapter reports {errors}, as with a wrong bit rate" if count else ""
+            errors = counted(self._error_frames, "bus error")
+            return f"the adapter reports {errors}, as with a wrong bit rate" if self._error_frames else ""
         first = min(self._ids_in_other_format or self._foreign_ids)
         name = f"0x{first & ~EXTENDED_ID:03x}"
         if not self._ids_in_other_format:

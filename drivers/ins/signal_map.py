@@ -114,8 +114,7 @@ class EulerMap(StrictModel):
         SequenceMap,
         BeforeValidator(_from_sequence_name, json_schema_input_type=_SequenceName | SignalName | SequenceMap),
     ] = Field(
-        description="order of the rotations: rpy_321 (yaw, pitch, roll: the usual one), pry_231 (yaw, roll, "
-        "pitch), or the signal of the sequence"
+        description="rpy_321 (yaw, pitch, roll: usual), pry_231 (yaw, roll, pitch), or the signal of it"
     )
     yaw_positive: Literal["up", "down"] = Field(
         description="up: counter-clockwise seen from above; down: a heading, clockwise"

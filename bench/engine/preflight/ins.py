@@ -136,7 +136,7 @@ def _wait_for_start(station: Station, ins: CanIns, clock: Clock) -> None:
         if deadline.expired():
             other_frames = f", but {frames}" if (frames := ins.describe_foreign_frames()) else ""
             subject = "the bus, its bit rate and the cable"
-            if "DBC" in other_frames:
+            if ins.has_foreign_frames:
                 subject = "the DBC file and ins.identifier_offset"
             raise NoReplyError(_SUBJECT, f"sends nothing{other_frames}. Check its power, {subject}.")
     while ins.status().mode is InsMode.BOOT and not deadline.expired():
