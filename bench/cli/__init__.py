@@ -105,6 +105,7 @@ def _command(name: str) -> Any:
     command.name = name
     for each in getattr(command, "commands", {name: command}).values():
         for parameter in each.params:
+            parameter.secondary_opts = []  # no flag has a second form --no-...
             _name_value(parameter)
     return command
 
@@ -225,7 +226,7 @@ def _print_version(is_requested: bool) -> None:
 @app.callback()
 def options(
     version: Annotated[
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+        bool, typer.Option(callback=_print_version, is_eager=True, help="Print the version.")
     ] = False,
 ) -> None:
     """Bench controller for calibrating the gyros of inertial navigation systems."""

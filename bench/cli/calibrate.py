@@ -30,28 +30,24 @@ def calibrate(
         Path | None, typer.Option(help="Folder for the results; default: none are written.")
     ] = None,
     lever_arms: Annotated[
-        bool,
-        typer.Option("--lever-arms", help="Also estimate the positions of the accelerometers in the unit."),
+        bool, typer.Option(help="Also estimate the positions of the accelerometers in the unit.")
     ] = False,
-    delay: Annotated[
-        bool, typer.Option("--delay", help="Also estimate the delay of the accelerometers.")
-    ] = False,
+    delay: Annotated[bool, typer.Option(help="Also estimate the delay of the accelerometers.")] = False,
     quadratic: Annotated[
-        bool, typer.Option("--quadratic", help="Also estimate the quadratic terms of the accelerometers.")
+        bool, typer.Option(help="Also estimate the quadratic terms of the accelerometers.")
     ] = False,
     g_sensitivity: Annotated[
-        bool, typer.Option("--g-sensitivity", help="Also estimate the g-sensitivity of the gyro biases.")
+        bool, typer.Option(help="Also estimate the g-sensitivity of the gyro biases.")
     ] = False,
     asymmetry: Annotated[
         bool,
         typer.Option(
-            "--asymmetry",
             help="Also estimate the asymmetry of each gyro's scale factor; default: if the log has whole "
-            "turns in both directions.",
+            "turns in both directions."
         ),
     ] = False,
     drift: Annotated[
-        bool, typer.Option("--drift", help="Also estimate a steady drift of each gyro's bias in each log.")
+        bool, typer.Option(help="Also estimate a steady drift of each gyro's bias in each log.")
     ] = False,
     body_frame: Annotated[
         Literal["accelerometers", "gyros"], typer.Option(help="Sensors to which the body frame is fixed.")

@@ -44,10 +44,7 @@ def certificate(
         ),
     ] = None,
     simulated: Annotated[
-        bool,
-        typer.Option(
-            "--simulated", help="Allow a run with emulated instruments; every page is marked SIMULATED."
-        ),
+        bool, typer.Option(help="Allow a run with emulated instruments; every page is marked SIMULATED.")
     ] = False,
     key: Annotated[
         str,

@@ -32,8 +32,7 @@ def check(
     faults: FaultsOption = None,
     out: Annotated[Path, typer.Option(help="Folder for the run folder.")] = Path("runs"),
     signs: Annotated[
-        bool,
-        typer.Option("--signs", help="Then measure one dwell, to test the signs and axes of the signal map."),
+        bool, typer.Option(help="Then measure one dwell, to test the signs and axes of the signal map.")
     ] = False,
     acknowledge: AcknowledgeOption = None,
     operator: OperatorOption = "",  # noqa: ARG001 - read from the environment

@@ -43,12 +43,9 @@ def close(
         ),
     ] = None,
     hold_out_each: Annotated[
-        bool,
-        typer.Option("--hold-out-each", help="Also hold out each cycle in turn and compare the outcomes."),
+        bool, typer.Option(help="Also hold out each cycle in turn and compare the outcomes.")
     ] = False,
-    rotate: Annotated[
-        bool, typer.Option("--rotate", hidden=True, help="Old name of --hold-out-each.")
-    ] = False,
+    rotate: Annotated[bool, typer.Option(hidden=True, help="Old name of --hold-out-each.")] = False,
     coefficient: Annotated[
         str,
         typer.Option(
@@ -61,9 +58,8 @@ def close(
     compose: Annotated[
         bool,
         typer.Option(
-            "--compose",
             help="If the residual is unexplained, propose laws of a driver, memory and shape: empirical "
-            "hypotheses, the best also as composed_law.yaml for a folder effects.",
+            "hypotheses, the best also as composed_law.yaml for a folder effects."
         ),
     ] = False,
     as_json: JsonOption = False,

@@ -24,7 +24,7 @@ def emulate(
         Path | None, typer.Option(help="File for a JSON line for each injected fault.")
     ] = None,
     tcp: Annotated[
-        bool, typer.Option("--tcp", help="Use TCP ports of the loopback instead of pseudo-terminals.")
+        bool, typer.Option(help="Use TCP ports of the loopback instead of pseudo-terminals.")
     ] = False,
     table_port: Annotated[str, typer.Option(help=_PORT_HELP.format("rate table"))] = "",
     chamber_port: Annotated[str, typer.Option(help=_PORT_HELP.format("chamber"))] = "",

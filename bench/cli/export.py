@@ -35,7 +35,7 @@ def export(
         int | None, typer.Option(min=1, help="Navigation data of this dwell only; default: whole run.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Output folder; default: export in the run.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace existing files.")] = False,
+    force: Annotated[bool, typer.Option(help="Replace existing files.")] = False,
 ) -> None:
     """Export the data of a run for other tools, with units and provenance.
 

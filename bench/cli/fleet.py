@@ -36,7 +36,7 @@ _WorkersOption = Annotated[
     int | None, typer.Option(min=1, help="Workers on this machine; default: one per core.")
 ]
 _ThreadsOption = Annotated[
-    bool, typer.Option("--threads", help="Threads of one process instead of processes: less memory, slower.")
+    bool, typer.Option(help="Threads of one process instead of processes: less memory, slower.")
 ]
 _SchedulerOption = Annotated[
     str | None,
@@ -44,9 +44,7 @@ _SchedulerOption = Annotated[
         metavar="ADDRESS", help="Dask scheduler (tcp://host:8786) whose workers see the same paths."
     ),
 ]
-_AgainOption = Annotated[
-    bool, typer.Option("--again", help="Process all runs, including those that are done.")
-]
+_AgainOption = Annotated[bool, typer.Option(help="Process all runs, including those that are done.")]
 _OutOption = Annotated[
     Path | None, typer.Option(help="Folder of the record fleet.json; default: ./fleet-KIND.")
 ]

@@ -73,9 +73,8 @@ def investigate(
     adaptive: Annotated[
         bool,
         typer.Option(
-            "--adaptive",
             help="Instead of the whole procedure, measure only until its bias uncertainty is reached and the "
-            "effect is identified.",
+            "effect is identified."
         ),
     ] = False,
     approve: Annotated[

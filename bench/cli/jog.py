@@ -17,10 +17,7 @@ def jog(
         typer.Argument(metavar="COMMAND", help="Commands to execute; default: typed interactively."),
     ] = None,
     leave: Annotated[
-        bool,
-        typer.Option(
-            "--leave", help="At the end keep the state of chamber, unit and servos; the table stops."
-        ),
+        bool, typer.Option(help="At the end keep the state of chamber, unit and servos; the table stops.")
     ] = False,
     world: WorldOption = None,
     seed: SeedOption = 0,

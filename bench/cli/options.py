@@ -18,11 +18,11 @@ _MAX_RUNS = 200
 _Completion = Callable[[str], list[str]]
 
 
-def _complete_shipped(kind: str) -> _Completion:
+def _complete_shipped(*kinds: str) -> _Completion:
     def complete(incomplete: str) -> list[str]:
         from gyrobench.bench.foundations.shipped import shipped_names
 
-        return _matching(incomplete, shipped_names(kind))
+        return _matching(incomplete, [name for kind in kinds for name in shipped_names(kind)])
 
     return complete
 
@@ -32,11 +32,7 @@ complete_station = _complete_shipped("stations")
 complete_world = _complete_shipped("worlds")
 complete_faults = _complete_shipped("faults")
 complete_import_map = _complete_shipped("imports")
-
-
-def complete_plan(incomplete: str) -> list[str]:
-    """Names of shipped procedures and lists of rotations."""
-    return [*complete_procedure(incomplete), *_complete_shipped("rotations")(incomplete)]
+complete_plan = _complete_shipped("procedures", "rotations")
 
 
 def complete_template(incomplete: str) -> list[str]:

@@ -37,7 +37,7 @@ def plan(
         Path | None, typer.Option(help="PNG file to write; default: plan_PROCEDURE.png.")
     ] = None,
     separability: Annotated[
-        bool, typer.Option("--separability", help="Show which effects on the bias its dwells distinguish.")
+        bool, typer.Option(help="Show which effects on the bias its dwells distinguish.")
     ] = False,
     target_dph: Annotated[
         float | None,
@@ -56,11 +56,7 @@ def plan(
         ),
     ] = None,
     observability: Annotated[
-        bool,
-        typer.Option(
-            "--observability",
-            help="Show the expected uncertainty of each coefficient for a list of rotations.",
-        ),
+        bool, typer.Option(help="Show the expected uncertainty of each coefficient for a list of rotations.")
     ] = False,
     whole_turns_arcsec: Annotated[
         float | None,

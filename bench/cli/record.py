@@ -24,7 +24,7 @@ def record(
         Literal["table", "chamber", "ins"] | None, typer.Option(help="Instrument to record.")
     ] = None,
     proxy: Annotated[
-        bool, typer.Option("--proxy", help="Serve the instrument to any program, and record the traffic.")
+        bool, typer.Option(help="Serve the instrument to any program, and record the traffic.")
     ] = False,
     port: Annotated[
         str, typer.Option(help="Port of the proxy: a TCP port, or a link to its pseudo-terminal.")

@@ -27,7 +27,7 @@ def report(
         typer.Option(metavar="NAME", help="Name for 'prepared by' in the sign-off; default: a blank line."),
     ] = "",
     pdf: Annotated[
-        bool, typer.Option("--pdf", help="Also write report.pdf: A4 with page numbers, for signing.")
+        bool, typer.Option(help="Also write report.pdf: A4 with page numbers, for signing.")
     ] = False,
     before: Annotated[
         Path | None,

@@ -14,16 +14,11 @@ from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, p
 def resume(
     run_folder: RunArgument,
     anyway: Annotated[
-        bool, typer.Option("--anyway", help="Resume even after repeated attempts without progress.")
+        bool, typer.Option(help="Resume even after repeated attempts without progress.")
     ] = False,
-    look: Annotated[
-        bool, typer.Option("--look", help="Only show the state of the run and the next steps.")
-    ] = False,
+    look: Annotated[bool, typer.Option(help="Only show the state of the run and the next steps.")] = False,
     give_up_damaged: Annotated[
-        bool,
-        typer.Option(
-            "--give-up-damaged", help="Set damaged files aside and repeat the dwells that they held."
-        ),
+        bool, typer.Option(help="Set damaged files aside and repeat the dwells that they held.")
     ] = False,
     repeat: Annotated[
         str,
@@ -34,10 +29,7 @@ def resume(
         ),
     ] = "",
     other_instruments: Annotated[
-        bool,
-        typer.Option(
-            "--other-instruments", help="Resume with another rate table or chamber than the run began with."
-        ),
+        bool, typer.Option(help="Resume with another rate table or chamber than the run began with.")
     ] = False,
     fail_on: FailOnOption = None,
     operator: OperatorOption = "",  # noqa: ARG001 - read from the environment

@@ -30,7 +30,7 @@ def runs(
         Literal["unit", "batch", "bench", "procedure", "month"] | None,
         typer.Option(help="Count verdicts and average biases by group."),
     ] = None,
-    trend: Annotated[bool, typer.Option("--trend", help="Drift of one unit's biases over its runs.")] = False,
+    trend: Annotated[bool, typer.Option(help="Drift of one unit's biases over its runs.")] = False,
     limit_dph: Annotated[
         float | None,
         typer.Option(
@@ -44,7 +44,7 @@ def runs(
         typer.Option(help="Read-only query of the tables runs, bins, dwells, effects, units and files."),
     ] = None,
     most: Annotated[int, typer.Option(min=1, help="Number of runs shown.")] = _SHOWN,
-    rebuild: Annotated[bool, typer.Option("--rebuild", help="Rebuild the index.")] = False,
+    rebuild: Annotated[bool, typer.Option(help="Rebuild the index.")] = False,
     index: IndexOption = None,
     as_json: JsonOption = False,
 ) -> None:

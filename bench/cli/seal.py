@@ -14,9 +14,7 @@ from gyrobench.bench.foundations.errors import DocumentError
 
 def seal(
     run_folder: OptionalRunArgument = None,
-    verify: Annotated[
-        bool, typer.Option("--verify", help="Compare the folder with its seals; writes nothing.")
-    ] = False,
+    verify: Annotated[bool, typer.Option(help="Compare the folder with its seals; writes nothing.")] = False,
     key: Annotated[
         Path | None,
         typer.Option(
@@ -26,8 +24,7 @@ def seal(
         ),
     ] = None,
     accept_changes: Annotated[
-        bool,
-        typer.Option("--accept-changes", help="Seal although measured data, inputs or tables were changed."),
+        bool, typer.Option(help="Seal although measured data, inputs or tables were changed.")
     ] = False,
     new_key: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Make a key FILE, and FILE.pub beside it.")

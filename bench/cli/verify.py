@@ -65,9 +65,8 @@ def verify(
     coefficients: Annotated[
         bool,
         typer.Option(
-            "--coefficients",
             help="Compensate and prove all coefficients that the run measured (coefficients.csv), and the "
-            "position error of a mission.",
+            "position error of a mission."
         ),
     ] = False,
     out: Annotated[Path | None, typer.Option(help="Output folder; default: verify in the run.")] = None,

@@ -38,6 +38,19 @@ def test_no_option_that_is_a_number_takes_one_without_an_end(name, command, opti
     assert f"'{option}'" in refused.value.format_message()
 
 
+def test_no_flag_has_a_form_that_switches_it_off():
+    commands = typer.main.get_command(app).commands
+    flags = [
+        option
+        for name in commands
+        for command in getattr(commands[name], "commands", {name: commands[name]}).values()
+        for option in command.params
+        if getattr(option, "is_flag", False)
+    ]
+    assert {"--delay", "--look", "--threads"} <= {name for flag in flags for name in flag.opts}
+    assert not [name for flag in flags for name in flag.secondary_opts]
+
+
 @pytest.mark.parametrize(
     ("command", "message"),
     [
