@@ -233,10 +233,14 @@ class LiveBench:
         except InstrumentError as error:
             self.handle_failure(error)
             return None
-        if instrument in self._failing:
+        if instrument in self._failing and not self._sends_nothing(instrument):
             self._failing.remove(instrument)
             self._report_failure(instrument, None)
         return answer
+
+    def _sends_nothing(self, instrument: str) -> bool:
+        """Whether this is an INS that should send frames and does not: polling it without error is no answer."""
+        return any(unit.is_silent for unit in self.units if unit.name == instrument)
 
     def handle_failure(self, error: InstrumentError) -> None:
         """Report a failed exchange; the instrument is reopened until it answers."""

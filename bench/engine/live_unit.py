@@ -171,6 +171,11 @@ class LiveUnit:
         """Whether the INS is on and sends; for a dropped unit, whether it did when it was dropped."""
         return self.state.expected.ins_on and self.readings.ins.age_s <= BUS_SILENCE_S
 
+    @property
+    def is_silent(self) -> bool:
+        """Whether the INS should send frames, and its bus may be disconnected without an error."""
+        return self.state.expected.ins_on and self.ins.status().age_s > BUS_SILENCE_S
+
     def trips(self) -> list[Trip]:
         """Return the interlocks of this unit that are tripped."""
         trips = self._watch.trips(self._bench.clock.now(), self.state.expected)
@@ -226,7 +231,7 @@ class LiveUnit:
 
     def _notice_silent_bus(self, readings: Readings) -> None:
         """Report an INS that has fallen silent as a failed exchange, so that its bus is reopened."""
-        if self.state.expected.ins_on and readings.ins.age_s > BUS_SILENCE_S:
+        if self.is_silent:
             other_frames = f"; {frames}" if (frames := self.ins.describe_foreign_frames()) else ""
             silence = f"has sent nothing for {readings.ins.age_s:.0f} s{other_frames}"
             self._bench.handle_failure(NoReplyError(self.name, silence))

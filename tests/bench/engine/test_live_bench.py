@@ -13,6 +13,7 @@ from gyrobench.bench.runs.can_log import CanLog, read_can_log
 from gyrobench.bench.station.instruments import Emulation, Instruments
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
+from gyrobench.drivers.frames import concatenate
 
 
 @contextmanager
@@ -87,6 +88,32 @@ def test_a_bus_that_gives_nothing_but_invalid_bytes_is_reopened(monkeypatch):
         bench.tick()
         assert bench.silent == ()
         assert reported[-1] == ("INS", None)
+
+
+def test_a_silent_bus_is_reopened_between_ticks_and_answers_again_with_its_first_frame(monkeypatch):
+    with live_bench() as (bench, reported):
+        ins, clock = bench.instruments.ins, bench.clock
+        bench.units[0].state.powered()
+        replace, opened = ins.replace_bus, []
+
+        def replaced(bus):
+            opened.append(clock.now())
+            replace(bus)
+            if len(opened) == 3:
+                monkeypatch.undo()
+
+        monkeypatch.setattr(ins, "poll", lambda: concatenate([]))  # as of a half-open connection
+        monkeypatch.setattr(ins, "replace_bus", replaced)
+        begin_s = clock.now()
+        while len(opened) < 3:
+            monkeypatch.setattr(ins._bus, "keeps_frames", False)
+            bench.tick()
+            assert clock.now() < begin_s + 60.0
+        assert [error is None for _, error in reported] == [False]
+        while bench.silent:
+            bench.tick()
+        assert [error is None for _, error in reported] == [False, True]
+        assert bench.readings.ins.age_s < 2.0
 
 
 def test_a_bus_that_was_away_when_the_bench_was_read_is_no_restart_of_the_ins():
