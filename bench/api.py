@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import io
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from functools import cached_property
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,6 +44,9 @@ if TYPE_CHECKING:
     from gyrobench.drivers.ins.navigation_data import NavigationData
 
 __all__ = ["Run", "close_loop", "estimate_bias", "open_run", "run"]
+
+#: Largest deviation of an attitude times its transpose from one; rounding to four digits is below it.
+_MAX_ROTATION_ERROR = 1e-3
 
 
 class Run:
@@ -300,12 +305,24 @@ def estimate_bias(
     MeasurementError
         The data can't be used: the message says which and why.
     """
-    output = _output(times_s, velocity_enu_mps, attitude, case_c)
+    numbers: dict[str, Any] = {
+        "latitude_deg": latitude_deg,
+        "height_m": height_m,
+        "azimuth_deg": azimuth_deg,
+        "arw_deg_per_sqrt_h": arw_deg_per_sqrt_h,
+        "vrw_ug_per_sqrt_hz": vrw_ug_per_sqrt_hz,
+        "velocity_lsb_mps": velocity_lsb_mps,
+        "heading_lsb_rad": heading_lsb_rad,
+    }
+    for name, value in numbers.items():
+        if not (isinstance(value, Real) and math.isfinite(value)):
+            raise MeasurementError(f"{name} must be a finite number; found {value!r}")
     lsb = (velocity_lsb_mps, heading_lsb_rad)
-    if not all(np.isfinite(value) and value >= 0 for value in (arw_deg_per_sqrt_h, vrw_ug_per_sqrt_hz, *lsb)):
-        raise MeasurementError("noise and output resolution of the INS must be finite and not negative")
+    if min(arw_deg_per_sqrt_h, vrw_ug_per_sqrt_hz, *lsb) < 0:
+        raise MeasurementError("noise and output resolution of the INS must not be negative")
     if position not in POSITIONS:
         raise MeasurementError(f"there is no position '{position}'; the positions are {', '.join(POSITIONS)}")
+    output = _output(times_s, velocity_enu_mps, attitude, case_c)
     windows, turns = _windows_and_turns(output, windows_s)
     at_rest: tuple[FloatArray, ...] = tuple(window.C_nb[0] for window in windows)
     dwell = Dwell(position, float(np.deg2rad(azimuth_deg)), windows, at_rest, turns)
@@ -330,11 +347,24 @@ def _output(
         )
     if not np.all(np.isfinite(time)) or np.any(np.diff(time) < 0):
         raise MeasurementError("times_s must be finite and increase from epoch to epoch")
+    _check_rotations(C_nb)
     velocity[:, 2] = 0.0
     temperature = None if case_c is None else _numbers(case_c, "case_c")
     if temperature is not None and temperature.shape != time.shape:
         raise MeasurementError(f"{time.size} times with case temperatures {temperature.shape}; each has one")
     return RestOutput(time, velocity, C_nb, accelerometer_c=temperature)
+
+
+def _check_rotations(C_nb: FloatArray) -> None:
+    """Raise MeasurementError if a matrix is no rotation; NaN is checked with the windows."""
+    with np.errstate(invalid="ignore"):
+        deviation = np.abs(C_nb @ C_nb.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+        wrong = np.flatnonzero((deviation > _MAX_ROTATION_ERROR) | (np.linalg.det(C_nb) < 0))
+    if wrong.size:
+        raise MeasurementError(
+            f"attitude is no rotation matrix in row {wrong[0]}: rows and columns must be orthogonal unit "
+            "vectors, right-handed. Check scale, signs and order of its elements"
+        )
 
 
 def _windows_and_turns(
@@ -410,6 +440,10 @@ def close_loop(
 
     if isinstance(table, (str, Path)):
         campaign = read_campaign(Path(table))
+    elif not (table if isinstance(table, Sequence) else hasattr(table, "to_csv")):
+        raise DocumentError(
+            f"the search takes a dwell table, a run folder or a DataFrame, or several files; found {table!r}"
+        )
     elif isinstance(table, Sequence):
         campaign = read_campaign(*map(Path, table))
     else:

@@ -239,7 +239,7 @@ class LiveBench:
         return answer
 
     def _sends_nothing(self, instrument: str) -> bool:
-        """Whether this is an INS that should send frames and does not: polling it without error is no answer."""
+        """Whether this is a silent INS: a poll without an error is then no answer."""
         return any(unit.is_silent for unit in self.units if unit.name == instrument)
 
     def handle_failure(self, error: InstrumentError) -> None:

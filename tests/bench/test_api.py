@@ -123,14 +123,23 @@ def test_what_cannot_be_used_is_refused_with_its_reason(run, tmp_path):
         ({"times_s": np.zeros((3, 1))}, "do not fit together"),
         ({"velocity_enu_mps": np.zeros((2, 3))}, "do not fit together"),
         ({"attitude": None}, "do not fit together"),
+        ({"attitude": np.tile(2.0 * np.eye(3), (3, 1, 1))}, "no rotation matrix in row 0"),
+        (
+            {"attitude": [np.eye(3), np.eye(3), np.diag([1, 1, -1])]},
+            "attitude is no rotation matrix in row 2",
+        ),
         ({"windows_s": []}, "windows_s must be pairs"),
         ({"windows_s": [0.0, 2.0]}, "windows_s must be pairs"),
         ({"windows_s": [(2.0, 0.0)]}, "windows_s must be pairs"),
         ({"windows_s": [(math.nan, 2.0)]}, "windows_s must be pairs"),
         ({"case_c": [20.0, 21.0]}, r"case temperatures \(2,\)"),
-        ({"velocity_lsb_mps": -1.0}, "must be finite and not negative"),
-        ({"arw_deg_per_sqrt_h": -1.0}, "must be finite and not negative"),
-        ({"vrw_ug_per_sqrt_hz": math.inf}, "must be finite and not negative"),
+        ({"velocity_lsb_mps": -1.0}, "must not be negative"),
+        ({"arw_deg_per_sqrt_h": None}, "arw_deg_per_sqrt_h must be a finite number; found None"),
+        ({"latitude_deg": "36 N"}, "latitude_deg must be a finite number; found '36 N'"),
+        ({"height_m": math.nan}, "height_m must be a finite number; found nan"),
+        ({"azimuth_deg": [0.0, 180.0]}, "azimuth_deg must be a finite number"),
+        ({"arw_deg_per_sqrt_h": -1.0}, "must not be negative"),
+        ({"vrw_ug_per_sqrt_hz": math.inf}, "vrw_ug_per_sqrt_hz must be a finite number; found inf"),
         ({}, "the window from 0 to 2 s has 3 epochs, required: 30; times_s is from 0 to 2 s. Give both"),
         ({"times_s": [0.0, 1e3, 2e3]}, "has 1 epoch, required: 30; times_s is from 0 to 2000 s"),
     ],
@@ -147,6 +156,12 @@ def test_arrays_that_are_not_those_of_a_dwell_are_refused(change, message):
     }
     with pytest.raises(MeasurementError, match=message):
         gyrobench.estimate_bias(**(arguments | change))
+
+
+@pytest.mark.parametrize("table", [[], None, 3])
+def test_a_search_without_a_table_is_refused(table):
+    with pytest.raises(DocumentError, match="takes a dwell table, a run folder or a DataFrame"):
+        gyrobench.close_loop(table)
 
 
 @pytest.mark.parametrize("given", [{"world": "ideal"}, {"faults": "now_and_then"}])
