@@ -33,7 +33,7 @@ from gyrobench.bench.foundations.text import (
     hours_minutes,
     listed,
     plain_name,
-    with_sigma,
+    with_expanded,
 )
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.report.run_content import RunContent, read_run
@@ -401,7 +401,7 @@ def _model_numbers(folder: RunFolder, run: RunContent) -> tuple[list[ModelNumber
     ]
     notes = f" Notes: {'; '.join(model.notes)}." if model.notes else ""
     sizes = {
-        each.candidate.effect.name: with_sigma(each.rms_dph, NORMAL_K * each.rms_sigma_dph)
+        each.candidate.effect.name: with_expanded(each.rms_dph, NORMAL_K * each.rms_sigma_dph)
         for each in closure.effects
     }
     effects = "; ".join(

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from gyrobench.bench.certificate.content import BiasResult, Certificate, ModelNumber
-from gyrobench.bench.foundations.text import bin_label, decimals_of
+from gyrobench.bench.foundations.text import bin_label, with_expanded
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.figures.style import draw_watermark
 from gyrobench.bench.report.number_format import BiasScale
@@ -130,7 +130,7 @@ def _bias_table(results: Sequence[BiasResult]) -> SectionTable:
     def cell(found: BiasResult | None) -> str:
         if found is None:
             return "–"
-        text = scale.with_sigma(found.bias_dph, found.expanded_dph)
+        text = with_expanded(found.bias_dph * scale.factor, found.expanded_dph * scale.factor)
         return text if len(factors) == 1 else f"{text}\nk = {found.k:.2f}"
 
     rows = [
@@ -148,7 +148,7 @@ def _model_section(certificate: Certificate) -> Section | None:
     for _, each in sorted(
         zip(bases, certificate.model, strict=True), key=lambda pair: (bases.index(pair[0]), pair[1].name)
     ):
-        table[each.name, _unit_text(each.unit)][each.axis] = _with_expanded(each.value, each.expanded)
+        table[each.name, _unit_text(each.unit)][each.axis] = _number_text(each.value, each.expanded)
     if not table:
         return None
     header = ["number", "unit", *map(gyro_label, AXES)]
@@ -168,8 +168,7 @@ def _coefficients_section(certificate: Certificate) -> Section | None:
     heads = plateau_heads(certificate.run.coefficients)
     for each in certificate.coefficients:
         factor, unit = (1000.0, "0.001 deg/h") if each.unit == "deg/h" else (1.0, _unit_text(each.unit))
-        decimals = decimals_of(each.expanded * factor)
-        text = f"{each.value * factor:z.{decimals}f} ± {each.expanded * factor:.{decimals}f}"
+        text = with_expanded(each.value * factor, each.expanded * factor)
         by_name[each.name, each.axis, unit][each.plateau] = text
     plateaus = sorted({each.plateau for each in certificate.coefficients})
     tables = []
@@ -190,16 +189,14 @@ def _coefficients_section(certificate: Certificate) -> Section | None:
     return Section("Coefficients of the sensors", texts, tables=tables) if texts else None
 
 
-def _with_expanded(value: float, expanded: float) -> str:
+def _number_text(value: float, expanded: float) -> str:
     """Value ± U of a number of a model; small numbers with a common power of ten.
 
     Numbers of a model are correlated: rounded to U, they would give another bias.
     """
     power = min(math.floor(math.log10(max(abs(value), expanded))), 0)
     power = 0 if power > _MIN_POWER else power
-    value, expanded = value / 10.0**power, expanded / 10.0**power
-    decimals = decimals_of(expanded) + _MORE_DIGITS
-    text = f"{value:z.{decimals}f} ± {expanded:.{decimals}f}"
+    text = with_expanded(value / 10.0**power, expanded / 10.0**power, _MORE_DIGITS)
     return f"({text})e{power}" if power else text
 
 

@@ -104,6 +104,18 @@ def with_sigma(value: float, sigma: float) -> str:
     return f"{value:z.{decimals}f} ± {sigma:.{decimals}f}"
 
 
+def with_expanded(value: float, expanded: float, more_digits: int = 0) -> str:
+    """Write a value with its expanded uncertainty: "7.6 ± 3.4".
+
+    The uncertainty has two digits (JCGM 100, 7.2.6): rounded to one, it may be stated 14 % too small.
+    ``more_digits``: number of digits of the value beyond those of the uncertainty.
+    """
+    decimals = 1 - int(f"{expanded:.1e}".partition("e")[2])
+    value_decimals = decimals + more_digits
+    value_text = f"{round(value, value_decimals):z.{max(value_decimals, 0)}f}"
+    return f"{value_text} ± {round(expanded, decimals):.{max(decimals, 0)}f}"
+
+
 def probability_number(probability: float) -> str:
     """Write a probability, never rounded to 0 or 1: "0.62", "0.004", "> 0.999"."""
     if not 0.001 <= probability <= 0.999:

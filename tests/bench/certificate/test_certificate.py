@@ -16,7 +16,7 @@ from gyrobench.bench.bias.budget import NORMAL_K, Budget, Contribution, coverage
 from gyrobench.bench.bias.dwell_table import read_dwells, write_dwells
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS
 from gyrobench.bench.certificate import content, pdf
-from gyrobench.bench.certificate.content import ModelNumber, Order, certificate_of
+from gyrobench.bench.certificate.content import BiasResult, ModelNumber, Order, certificate_of
 from gyrobench.bench.certificate.dcc import certificate_dcc, validate_dcc
 from gyrobench.bench.certificate.issue import file_names, issue_certificate
 from gyrobench.bench.certificate.signatures import load_signing_key, sign_dcc, sign_pdf, verify_file
@@ -140,11 +140,18 @@ def test_an_effect_has_the_label_that_the_report_gives_it(measured_run, monkeypa
     )
 
 
+def test_each_bias_and_its_u_have_the_digits_of_that_u():
+    result = BiasResult("x", "z_up", 20.0, 30.0, 25.0, 0.0075823, 0.0034412, NORMAL_K)
+    precise = replace(result, position="y_up", expanded_dph=0.00011)
+    (row,) = pdf._bias_table([result, precise]).rows
+    assert row[1:] == ["7.6 ± 3.4", "7.58 ± 0.11"]
+
+
 def test_numbers_of_a_model_are_not_rounded_to_u():
     number = ModelNumber("growing", "x", -2.74937e-5, 3.44e-5, 1.96, "deg/h/K")
     numbers = [number, replace(number, value=5.801e-4, expanded=5.68e-3, axis="y")]
     section = pdf._model_section(SimpleNamespace(model=numbers, model_note=""))
-    assert section.tables[0].rows == [["growing", "deg/h/K", "(-2.75 ± 3.44)e-5", "0.00058 ± 0.00568", "–"]]
+    assert section.tables[0].rows == [["growing", "deg/h/K", "(-2.749 ± 3.4)e-5", "0.000580 ± 0.0057", "–"]]
 
 
 def test_a_certificate_is_not_overwritten_and_another_one_names_the_one_that_it_replaces(

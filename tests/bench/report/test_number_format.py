@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gyrobench.bench.bias.bins import BiasBin
-from gyrobench.bench.foundations.text import counted, with_sigma
+from gyrobench.bench.foundations.text import counted, with_expanded, with_sigma
 from gyrobench.bench.navigation.positions import gyro_label, position_label
 from gyrobench.bench.report.number_format import (
     BiasScale,
@@ -105,6 +105,21 @@ def test_empty_neighbours_become_one_range():
 )
 def test_a_value_has_the_decimals_of_its_uncertainty(value, sigma, text):
     assert with_sigma(value, sigma) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "expanded", "text"),
+    [
+        (7.5823, 3.449, "7.6 ± 3.4"),  # one digit, 3, would be 13 % below U
+        (7.5823, 1.0496, "7.6 ± 1.0"),
+        (0.07, 0.0996, "0.07 ± 0.10"),
+        (4321.9, 123.4, "4320 ± 120"),
+        (-0.001, 99.6, "0 ± 100"),
+        (12.3, 45.6, "12 ± 46"),
+    ],
+)
+def test_an_expanded_uncertainty_has_two_digits(value, expanded, text):
+    assert with_expanded(value, expanded) == text
 
 
 @pytest.mark.parametrize(
