@@ -68,10 +68,15 @@ JsonOption = Annotated[bool, typer.Option("--json", help=_JSON_HELP)]
 
 
 def print_json(content: dict[str, Any]) -> None:
-    """Print an object; numbers that are not finite become null."""
+    """Print an object; numbers that are not finite become null.
+
+    Where standard output is not UTF-8, other characters than those of ASCII are escaped.
+    """
+    import codecs
     import json
 
-    typer.echo(json.dumps(plain(content), indent=1, ensure_ascii=False, allow_nan=False))
+    is_utf8 = codecs.lookup(sys.stdout.encoding or "utf-8").name == "utf-8"
+    typer.echo(json.dumps(plain(content), indent=1, ensure_ascii=not is_utf8, allow_nan=False))
 
 
 def print_result(content: dict[str, Any], as_json: bool, *views: RenderableType) -> None:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from gyrobench.bench.cli.options import OperatorOption, OptionalRunArgument
 from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, print_json
 from gyrobench.bench.foundations.errors import DocumentError
+
+if TYPE_CHECKING:
+    from gyrobench.bench.runs.seal import Seal
 
 
 def seal(
@@ -39,8 +42,9 @@ def seal(
     exactly if one byte of a block of 4 KiB changed, otherwise the block or line. The units of a run with
     several units are sealed and verified with it.
 
-    With --json and --verify: {"folder", "intact", "seals", "changes": [{"path", "text", "start", "end"}],
-    "not_sealed"}.
+    With --json: {"folder", "seal"}, where seal is null if nothing has changed; with --verify {"folder",
+    "intact", "seals", "changes": [{"path", "text", "start", "end"}], "not_sealed"}; with --new-key
+    {"secret_key", "public_key"}.
 
     Exit codes: 0 sealed or unchanged; 1 changed.
 
@@ -55,6 +59,8 @@ def seal(
     terminal = console(as_json)
     if new_key is not None:
         public_key = make_key(new_key)
+        if as_json:
+            print_json({"secret_key": new_key, "public_key": public_key})
         terminal.print(f"Secret key  {new_key}\nPublic key  {public_key}", soft_wrap=True)
         return
     if run_folder is None:
@@ -63,17 +69,18 @@ def seal(
         folder = open_run_folder(run_folder, may_have_units=True)
         with RunLock(folder.path, WallClock()):
             new_seal = seals.seal_run(folder, key, accept_changes=accept_changes)
+        if as_json:
+            print_json({"folder": run_folder, "seal": new_seal and _record(new_seal)})
         text = "Nothing has changed since the last seal." if new_seal is None else new_seal.describe()
         terminal.print(text, soft_wrap=True)
         return
     check = seals.verify_seals(run_folder, key)
     if as_json:
-        records = [{name: getattr(each, name) for name in _SEAL_FIELDS} for each in check.seals]
         print_json(
             {
                 "folder": run_folder,
                 "intact": check.is_intact,
-                "seals": records,
+                "seals": [_record(each) for each in check.seals],
                 "changes": check.findings,
                 "not_sealed": check.not_sealed,
             }
@@ -92,6 +99,10 @@ def seal(
         raise typer.Exit(EXIT_NOT_FINISHED)
     size_mb = sum(each.size_bytes for each in check.files.values()) / 1e6
     terminal.print(f"Unchanged: {len(check.files)} files, {size_mb:.1f} MB.")
+
+
+def _record(seal: Seal) -> dict[str, Any]:
+    return {name: getattr(seal, name) for name in _SEAL_FIELDS}
 
 
 #: Attributes of a seal in the JSON output.

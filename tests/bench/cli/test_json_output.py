@@ -1,5 +1,6 @@
 """What commands print for programs: one JSON object, and nothing else on standard output."""
 
+import io
 import json
 import math
 import shutil
@@ -8,9 +9,10 @@ from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from gyrobench.bench.bias.bins import read_bins
-from gyrobench.bench.cli.output import plain
+from gyrobench.bench.cli.output import plain, print_json
 from gyrobench.bench.runs.folder import RunFolder
 from tests.bench.command_line import gyrobench
 
@@ -32,6 +34,19 @@ def test_times_decimals_and_all_else_become_text_or_numbers():
         "took": "0:01:30",
         "no": None,
     }
+
+
+@pytest.mark.parametrize(
+    ("encoding", "printed"), [("utf-8", "≥"), ("latin-1", "\\u2265"), ("ascii", "\\u2265")]
+)
+def test_json_can_be_printed_in_every_encoding_of_a_terminal(monkeypatch, encoding, printed):
+    output = io.TextIOWrapper(io.BytesIO(), encoding)
+    monkeypatch.setattr("sys.stdout", output)
+    print_json({"reason": "≥ 5 s"})
+    output.seek(0)
+    text = output.read()
+    assert printed in text
+    assert json.loads(text) == {"reason": "≥ 5 s"}
 
 
 def test_a_plan(tmp_path):

@@ -288,9 +288,12 @@ def test_a_resumed_run_is_sealed_again_with_what_was_added(folder):
 
 
 def test_the_command_seals_verifies_and_names_the_change(folder, tmp_path):
-    made = gyrobench("seal", folder.path, "--operator", "D. White", cwd=tmp_path)
+    made = gyrobench("seal", folder.path, "--operator", "D. White", "--json", cwd=tmp_path)
     assert made.returncode == 0, made.stderr
-    assert "D. White" in made.stdout
+    assert "D. White" in made.stderr
+    assert json.loads(made.stdout)["seal"]["operator"] == "D. White"
+    unchanged = gyrobench("seal", folder.path, "--json", cwd=tmp_path)
+    assert json.loads(unchanged.stdout) == {"folder": str(folder.path), "seal": None}
     same = gyrobench("seal", folder.path, "--verify", cwd=tmp_path)
     assert same.returncode == 0, same.stderr
     assert "Unchanged: 4 files" in same.stdout
@@ -300,6 +303,11 @@ def test_the_command_seals_verifies_and_names_the_change(folder, tmp_path):
     assert "Changed: dwells.csv: byte 40 is" in found.stderr
     record = json.loads(found.stdout)
     assert (record["intact"], record["changes"][0]["start"]) == (False, 40)
+
+
+def test_the_command_names_both_files_of_a_new_key_as_json(tmp_path):
+    made = gyrobench("seal", "--new-key", "mine.pem", "--json", cwd=tmp_path)
+    assert json.loads(made.stdout) == {"secret_key": "mine.pem", "public_key": "mine.pem.pub"}
 
 
 def test_a_folder_that_does_not_exist_is_refused(tmp_path):
