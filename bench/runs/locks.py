@@ -23,7 +23,7 @@ from typing import Self
 from filelock import lock_descriptor
 
 from gyrobench.bench.foundations.clock import Clock, Deadline, WallClock
-from gyrobench.bench.foundations.errors import BenchInUseError, GyrobenchError
+from gyrobench.bench.foundations.errors import BenchInUseError, UnusablePathError
 from gyrobench.bench.foundations.operator_name import command_line
 from gyrobench.bench.runs.folder import LOCK
 
@@ -152,8 +152,8 @@ class Lock:
 class RunLock(Lock):
     """Holds a run folder; a context manager. ``command`` is by default the command line.
 
-    When entered, raises BenchInUseError if another process holds the folder, and GyrobenchError if its lock
-    file can't be opened.
+    When entered, raises BenchInUseError if another process holds the folder, and UnusablePathError if its
+    lock file can't be opened.
     """
 
     _mode = 0o644
@@ -253,8 +253,12 @@ def _open_lock_file(path: Path, mode: int) -> int:
     return descriptor
 
 
-def _lock_error(path: Path, reason: str) -> GyrobenchError:
-    return GyrobenchError(
+def _lock_error(path: Path, reason: str) -> UnusablePathError:
+    if path.name == LOCK:
+        return UnusablePathError(
+            f"{path}: can't be used as a lock: {reason}. Check the permissions of the run folder, or copy it."
+        )
+    return UnusablePathError(
         f"{path}: can't be used as a lock: {reason}. Remove it, or name another folder in "
         f"{LOCK_DIR_VARIABLE}."
     )

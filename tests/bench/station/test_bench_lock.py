@@ -3,11 +3,12 @@
 import json
 import os
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 
 from gyrobench.bench.foundations.clock import VirtualClock, WallClock
-from gyrobench.bench.foundations.errors import BenchInUseError, GyrobenchError
+from gyrobench.bench.foundations.errors import BenchInUseError, GyrobenchError, UnusablePathError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.locks import Holder, RunLock, holder_of
 from gyrobench.bench.station.bench_lock import BenchLock, bench_holders
@@ -205,6 +206,13 @@ def test_a_link_planted_in_place_of_a_lock_is_not_followed(make_station, tmp_pat
     with pytest.raises(GyrobenchError, match="can't be used as a lock"):
         BenchLock(station, tmp_path, WallClock()).__enter__()
     assert victim.read_text() == "precious"
+
+
+def test_a_run_folder_that_can_not_be_written_has_another_remedy_than_a_lock_of_the_bench():
+    with pytest.raises(
+        UnusablePathError, match=r"/proc/\.lock: can't be .* Check the permissions of the run"
+    ):
+        RunLock(Path("/proc"), WallClock()).__enter__()
 
 
 @pytest.mark.parametrize("plant", [os.link, lambda victim, path: os.mkfifo(path)])
