@@ -36,6 +36,7 @@ from gyrobench.drivers.frames import (
     FrameBlock,
     concatenate,
 )
+from gyrobench.drivers.ins.read_ahead_bus import ReadAheadBus
 from gyrobench.drivers.serial_line import port_advice, system_reason
 
 _READ_PERIOD_S = 0.005
@@ -418,8 +419,8 @@ def open_bus(
 ) -> can.BusABC:
     """Open a CAN bus by its python-can interface name, without python-can's configuration files.
 
-    Raises ConnectionFailedError if the interface or channel does not exist or can't be opened. Raises
-    DocumentError if the world behind an emulated bus is wrong.
+    In real time a thread reads the frames. Raises ConnectionFailedError if the interface or channel does not
+    exist or can't be opened. Raises DocumentError if the world behind an emulated bus is wrong.
     """
     if bitrate is not None:
         options["bitrate"] = bitrate
@@ -428,7 +429,8 @@ def open_bus(
             return _TEXT_BUSES[interface](channel, clock, **options)
         if interface in ("emulator", "replay"):
             options["clock"] = clock.name
-        return can.Bus(channel=channel, interface=interface, ignore_config=True, **options)
+        bus = can.Bus(channel=channel, interface=interface, ignore_config=True, **options)
+        return bus if clock.is_virtual or hasattr(bus, "recv_block") else ReadAheadBus(bus)
     except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
         if isinstance(error.__cause__, DocumentError):  # the world behind an emulated bus is wrong
             raise error.__cause__ from None
