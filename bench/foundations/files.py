@@ -98,10 +98,12 @@ def with_nan_as_none(value: Any) -> Any:
 def write_whole(path: Path, data: bytes | Iterable[bytes | bytearray], *, is_synced: bool = True) -> None:
     """Write a file atomically, from one or more parts; on return it is on the disk.
 
-    Replaces an existing file. ``is_synced``: False for a file that need not survive a power cut, which is
-    faster. Raises RunFolderError if it can't be written.
+    Replaces an existing file, but no device or pipe. ``is_synced``: False for a file that need not survive a
+    power cut, which is faster. Raises RunFolderError if it can't be written.
     """
     is_synced = is_synced and not _is_synced_later.get()
+    if _is_special(path):
+        raise UnusablePathError(f"{path}: can't be written: it is not a plain file. Choose another path.")
     temporary = temporary_path(path)
     try:
         with temporary.open("wb") as stream:
@@ -116,6 +118,14 @@ def write_whole(path: Path, data: bytes | Iterable[bytes | bytearray], *, is_syn
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
         raise write_error(path, error) from error
+
+
+def _is_special(path: Path) -> bool:
+    """Whether a path exists and is no plain file; False if that can't be seen."""
+    try:
+        return path.exists() and not path.is_file()
+    except OSError:
+        return False
 
 
 #: Whether files are being written within :func:`defer_sync`.

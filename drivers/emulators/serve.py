@@ -216,7 +216,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         try:
             daemon_port = int(options.ins_port) if options.ins_port.isdecimal() else 0
             server = _Server(bench, _port_maker(opened, options), options.can == "socketcand", daemon_port)
-        except OSError as error:
+        except (OSError, OverflowError) as error:
             parser.exit(2, f"gyrobench emulate: can't open a port: {error}. Choose another port or path.\n")
         opened.callback(server.close)
         sys.stdout.write(json.dumps(server.urls) + "\n")

@@ -96,6 +96,13 @@ def test_a_station_that_is_wrong_is_printed_before_anything_starts(tmp_path):
     assert "atlantis: no such file or shipped name" in problem
 
 
+def test_a_number_that_is_no_port_is_refused(tmp_path):
+    result = gyrobench_process("emulate", "--table-port", "99999", "--for-s", "0", cwd=tmp_path)
+    assert result.returncode == 2
+    assert "port must be 0-65535" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
 class SerialServer:
     """A serial server, as ser2net: what arrives on its TCP port goes to a terminal, and the other way."""
 

@@ -1,9 +1,10 @@
 import errno
 import os
+from pathlib import Path
 
 import pytest
 
-from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
+from gyrobench.bench.foundations.errors import DocumentError, RunFolderError, UnusablePathError
 from gyrobench.bench.foundations.files import (
     defer_sync,
     file_sha256,
@@ -30,6 +31,15 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path):
     write_whole(path, b"new")
     assert path.read_bytes() == b"new"
     assert [entry.name for entry in tmp_path.iterdir()] == ["table.csv"]
+
+
+def test_what_is_no_plain_file_is_not_replaced_by_one(tmp_path):
+    os.mkfifo(tmp_path / "pipe")  # as a device, such as /dev/null
+    for path in (tmp_path / "pipe", tmp_path, Path(), Path("/")):
+        with pytest.raises(UnusablePathError, match="can't be written: it is not a plain file"):
+            write_whole(path, b"new")
+    assert (tmp_path / "pipe").is_fifo()
+    assert [entry.name for entry in tmp_path.iterdir()] == ["pipe"]
 
 
 @pytest.mark.parametrize("call", ["fsync", "replace"])
