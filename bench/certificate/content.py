@@ -384,8 +384,8 @@ def _model_numbers(folder: RunFolder, run: RunContent) -> tuple[list[ModelNumber
     terms = sum(each.sizes_dph.shape[1] + len(each.parameter_texts) for each in closure.effects)
     residual_dof = float(closure.searched.sum()) - _DEGREE - len(closure.campaign.run_names) - terms
     coverage_factors = {
-        gyro: coverage_factor(run.budget.dwells_dof(gyro) if closure.noise_scale == 1.0 else residual_dof)
-        for gyro in AXES
+        gyro: coverage_factor(run.budget.dwells_dof(gyro) if scale == 1.0 else residual_dof)
+        for gyro, scale in zip(AXES, closure.noise.scales.tolist(), strict=True)
     }
     rows = [
         ModelNumber(label, gyro, value, coverage_factors[gyro] * sigma, coverage_factors[gyro], unit)

@@ -186,8 +186,8 @@ class Campaign:
         """Standard uncertainties (n, 3), NaN if not measured."""
         return np.where(self.is_measured, self.sigma_dph, np.nan)
 
-    def noise_dph(self, scale: float) -> FloatArray:
-        """Standard deviation of each error (n, 3) at a ratio of the noise to that stated; NaN if unknown."""
+    def noise_dph(self, scale: FloatArray | float) -> FloatArray:
+        """Standard deviation of each error (n, 3), ``scale`` (3,) times the noise stated; NaN if unknown."""
         return np.hypot(scale * self.known_sigma_dph, self.common_sigma_dph)
 
     @cached_property

@@ -438,8 +438,9 @@ def detectable_dph(problem: Problem) -> dict[str, float]:
         is_detected = np.mean(log_odds > prior_odds, axis=1) >= REMAINDER_POWER
         detectable[name] = float(sizes[np.argmax(is_detected)]) if is_detected.any() else math.inf
     # For a remainder of equal size in all dwells. Outliers do not count, since they have a large sigma.
-    precisions = 1.0 / problem.campaign.known_sigma_dph[problem.searched]
-    noise_dph = problem.noise_scale / nan_rms(precisions)
+    noise_dph = 1.0 / nan_rms(
+        1.0 / (problem.noise_scale * problem.campaign.known_sigma_dph[problem.searched])
+    )
     return {name: size * noise_dph for name, size in detectable.items()}
 
 

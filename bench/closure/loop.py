@@ -112,7 +112,7 @@ def _search_and_test(campaign: Campaign, searched: BoolArray, candidates: Sequen
         held_out=held_out,
         declared=declared,
         model=model,
-        noise_dph=nan_rms(campaign.noise_dph(selected.noise.scale)[searched]),
+        noise_dph=nan_rms(campaign.noise_dph(selected.noise.scales)[searched]),
         confounding=confounding(campaign, searched),
         noise=selected.noise,
         error_before_dph=nan_rms(before_dph),
@@ -174,7 +174,7 @@ def _with_cycle_held_out(campaign: Campaign, cycle: int, effects: Sequence[Effec
         closure.names,
         closure.error_before_dph,
         closure.error_after_dph,
-        nan_rms(campaign.noise_dph(closure.noise_scale)[campaign.cycle == cycle]),
+        nan_rms(closure.dwell_noise_dph[campaign.cycle == cycle]),
     )
 
 

@@ -13,12 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.statistics import f_p_value
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, stack
 from gyrobench.bench.closure.effects.effect import same_for_all_gyros
 from gyrobench.bench.closure.problem import SCALE_C, Problem, declared_problem
+from gyrobench.bench.closure.quantity import Quantity
 from gyrobench.bench.closure.validation import LackOfFit, correlation_factor, lack_of_fit
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.navigation.positions import AXES
 
@@ -30,6 +32,9 @@ MEDIAN_ABS_NORMAL = 0.6745
 _MAX_OUTLIER_SHARE = 0.1
 #: Scatter without structure is noise up to this ratio to the stated uncertainties.
 _MAX_SCALE = 1.7
+#: The same for one gyro, and its reciprocal for less scatter than stated, if another one scatters as stated;
+#: p-value below which its scatter is another one.
+_MAX_GYRO_SCALE, _OTHER_P = 5.0, 1e-3
 #: p-values below which scatter is larger than stated, and below which it has structure.
 _LARGER_P, _STRUCTURE_P = 1e-2, 1e-2
 #: Two noise estimates agree if their scales, and their correlation factors, differ by less than these shares.
@@ -69,7 +74,8 @@ def outliers_text(outliers: Sequence[Outlier]) -> str:
 class CampaignNoise:
     """Noise of the measured biases of a campaign."""
 
-    scale: float  #: Ratio of the noise to the stated uncertainties; at least 1.
+    #: Shape (3,). Ratio of the noise of each gyro to the stated uncertainties; at least 1 if equal for all.
+    scales: FloatArray
     outliers: tuple[Outlier, ...]  #: Farthest first.
     #: Shape (n, 3). Factor on the standard deviation of each bias; 1 except for outliers.
     factors: FloatArray
@@ -78,12 +84,17 @@ class CampaignNoise:
     @classmethod
     def stated(cls, campaign: Campaign) -> CampaignNoise:
         """The stated uncertainties, without outliers."""
-        return cls(1.0, (), np.ones_like(campaign.sigma_dph))
+        return cls(np.ones(3), (), np.ones_like(campaign.sigma_dph))
+
+    @property
+    def scale(self) -> float:
+        """Ratio of the noise to the stated uncertainties, rms over the gyros."""
+        return rms(self.scales)
 
     def problem(self, campaign: Campaign, searched: BoolArray) -> Problem:
         """Declared model of a campaign with this noise."""
         reweighted = campaign.with_uncertainties(campaign.sigma_dph * self.factors)
-        return declared_problem(reweighted, searched, self.scale, self.correlation_factor)
+        return declared_problem(reweighted, searched, self.scales, self.correlation_factor)
 
     def weighted(self, rows: Sequence[DwellRow]) -> list[DwellRow]:
         """Rows of a dwell table with the standard deviations of outliers increased."""
@@ -94,17 +105,21 @@ class CampaignNoise:
             for row, row_factors in zip(rows, factors, strict=True)
         ]
 
-    def sentences(self, *, is_structureless: bool) -> list[str]:
+    def sentences(self, quantity: Quantity, *, is_structureless: bool) -> list[str]:
         """Sentences about the ratio to the stated uncertainties and the outliers; empty if as stated.
 
         ``is_structureless``: whether the residual has no structure.
         """
         sentences = []
-        if self.scale > 1.0:
+        if np.any(self.scales != 1.0):
             note = "; the residual has no structure" if is_structureless else ""
+            subject, ratio = "The noise", f"{self.scale:.2f}"
+            if np.ptp(self.scales):
+                subject = f"The noise of the {quantity.place(quantity.axes)}"
+                ratio = listed([f"{each:.2f}" for each in self.scales.tolist()])
             sentences.append(
-                f"The noise is {self.scale:.2f} times the stated uncertainties{note}. It is included in the "
-                "noise stated here."
+                f"{subject} is {ratio} times the stated uncertainties{note}. It is included in the noise "
+                "stated here."
             )
         if self.outliers:
             sentences.append(
@@ -118,19 +133,19 @@ class CampaignNoise:
 
         ``bic``: of a hypothesis fitted with this noise.
         """
-        return bic + 3 * dwells * 2.0 * math.log(self.scale) + _OUTLIER_COST * len(self.outliers)
+        log_scales = float(np.sum(np.log(self.scales)))
+        return bic + 2.0 * dwells * log_scales + _OUTLIER_COST * len(self.outliers)
 
     def without_effects(self, campaign: Campaign, searched: BoolArray) -> CampaignNoise:
-        """The same outliers, with the scale estimated from the residual of the declared model alone."""
-        unscaled = replace(self, scale=1.0)
-        return replace(self, scale=_scale_of(lack_of_fit(unscaled.problem(campaign, searched), 0)))
+        """The same outliers, with the scales estimated from the residual of the declared model alone."""
+        return _with_scales(self, campaign, searched, [], 0)[0]
 
     def is_close_to(self, other: CampaignNoise) -> bool:
         """Whether scales and correlations are about equal and the outliers are the same."""
         is_same_correlation = (
             abs(self.correlation_factor / other.correlation_factor - 1.0) < _CORRELATION_TOLERANCE
         )
-        is_same_scale = abs(self.scale / other.scale - 1.0) < _SCALE_TOLERANCE
+        is_same_scale = bool(np.all(np.abs(self.scales / other.scales - 1.0) < _SCALE_TOLERANCE))
         return self.has_same_outliers(other) and is_same_scale and is_same_correlation
 
     def has_same_outliers(self, other: CampaignNoise) -> bool:
@@ -170,14 +185,9 @@ def estimate_campaign_noise(
         if is_converged:
             break
     if not is_converged:
-        noise, problem = stated, _fit_columns(stated, campaign, searched, extra_columns)
-    problem = replace(problem, correlation_factor=correlation_factor(problem))
-    test = lack_of_fit(problem, parameters)
-    has_structure = test.p_any_structure < _STRUCTURE_P
-    if has_structure and not extra_columns:
-        return stated
-    factor = 1.0 if has_structure else problem.correlation_factor  # an effect correlates the gyros, too
-    return replace(noise, scale=_scale_of(test), correlation_factor=factor)
+        noise = stated
+    noise, has_structure = _with_scales(noise, campaign, searched, extra_columns, parameters)
+    return stated if has_structure and not extra_columns else noise
 
 
 def outweighing_dwell(campaign: Campaign, searched: BoolArray) -> CampaignNoise:
@@ -198,10 +208,62 @@ def outweighing_dwell(campaign: Campaign, searched: BoolArray) -> CampaignNoise:
     return _noise_with_outliers(problem, deviations_sigma, is_outlier)
 
 
+def _with_scales(
+    noise: CampaignNoise,
+    campaign: Campaign,
+    searched: BoolArray,
+    extra: Sequence[tuple[FloatArray, BoolArray | None]],
+    parameters: int,
+) -> tuple[CampaignNoise, bool]:
+    """Noise with the scales and the correlation of the residual, and whether the residual has structure.
+
+    ``noise``: with its outliers. ``extra``, ``parameters``: columns added to the declared model, and the
+    number of their nonlinear parameters.
+    """
+    noise = replace(noise, scales=np.ones(3))
+    scales = _gyro_scales(_fit_columns(noise, campaign, searched, extra), parameters)
+    problem = _fit_columns(replace(noise, scales=scales), campaign, searched, extra)
+    problem = replace(problem, correlation_factor=correlation_factor(problem))
+    test = lack_of_fit(problem, parameters)
+    tests = [test]
+    for gyro in np.flatnonzero(scales != 1.0):  # the others would hide structure of this one
+        alone = replace(noise, factors=np.where(np.arange(3) == gyro, noise.factors, np.inf))
+        tests.append(lack_of_fit(_fit_columns(alone, campaign, searched, extra), parameters))
+    if min(each.p_any_structure for each in tests) < _STRUCTURE_P:  # an effect also correlates the gyros
+        return noise, True
+    return replace(
+        noise, scales=scales * _scale_of(test), correlation_factor=problem.correlation_factor
+    ), False
+
+
+def _gyro_scales(problem: Problem, parameters: int) -> FloatArray:
+    """Ratio (3,) of the scatter of each gyro to that stated; 1 unless that of another gyro shows it.
+
+    The other gyro is the one whose scatter is closest to that stated.
+    """
+    measured = problem.campaign.is_measured[problem.searched].sum(axis=0)
+    dof = measured - np.array([basis.shape[1] for basis in problem.bases]) - parameters / 3.0
+    scales, tested = np.ones(3), np.flatnonzero(dof > 0.0)
+    if not tested.size:
+        return scales
+    variances = np.sum(problem.residuals**2, axis=0) / np.maximum(dof, 1.0)
+    variances = np.maximum(variances, problem.min_residual_variance)
+    reference = tested[np.argmin(np.abs(np.log(variances[tested])))]
+    if variances[reference] > _MAX_SCALE**2:
+        return scales
+    for gyro in tested:
+        larger, smaller = sorted((gyro, reference), key=lambda each: -variances[each])
+        p_value = 2.0 * f_p_value(dof[larger], dof[smaller], variances[larger] / variances[smaller])
+        scale = math.sqrt(variances[gyro])
+        if p_value < _OTHER_P and 1.0 / _MAX_GYRO_SCALE < scale < _MAX_GYRO_SCALE:
+            scales[gyro] = scale
+    return scales
+
+
 def _scale_of(test: LackOfFit) -> float:
-    """Ratio of the noise to the stated uncertainties; 1 unless scatter without structure shows another."""
+    """Ratio of the noise to the stated uncertainties; 1 unless the scatter is larger."""
     is_larger = test.p_noise < _LARGER_P and 1.0 < test.noise_ratio < _MAX_SCALE
-    return test.noise_ratio if is_larger and test.p_any_structure >= _STRUCTURE_P else 1.0
+    return test.noise_ratio if is_larger else 1.0
 
 
 def _fit_columns(
@@ -228,7 +290,10 @@ def _update_outliers(noise: CampaignNoise, problem: Problem) -> CampaignNoise:
     searched = problem.searched
     shares = _residual_shares(problem)
     deviations_sigma = problem.residuals * noise.factors[searched] / np.sqrt(shares)
-    deviations_sigma /= max(1.0, float(np.median(np.abs(deviations_sigma))) / MEDIAN_ABS_NORMAL)
+    is_measured = problem.campaign.is_measured[searched]
+    for deviations, is_known in zip(deviations_sigma.T, is_measured.T, strict=True):
+        median = float(np.median(np.abs(deviations[is_known]))) if is_known.any() else 0.0
+        deviations /= max(1.0, median / MEDIAN_ABS_NORMAL)
     is_outlier = np.abs(deviations_sigma) > OUTLIER_SIGMA
     if np.mean(is_outlier) > _MAX_OUTLIER_SHARE:  # the largest may pull the model from other dwells
         was_outlier = noise.factors[searched] > 1.0
@@ -260,4 +325,5 @@ def _noise_with_outliers(
         )
         for dwell, gyro in np.argwhere(is_outlier)
     ]
-    return CampaignNoise(1.0, tuple(sorted(outliers, key=lambda each: -abs(each.residual_sigma))), factors)
+    outliers.sort(key=lambda each: -abs(each.residual_sigma))
+    return CampaignNoise(np.ones(3), tuple(outliers), factors)

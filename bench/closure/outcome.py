@@ -190,7 +190,7 @@ class Closure:
 
     @property
     def noise_scale(self) -> float:
-        """Ratio of the noise to the stated uncertainties."""
+        """Ratio of the noise to the stated uncertainties, rms over the gyros."""
         return self.noise.scale
 
     @cached_property
@@ -204,7 +204,7 @@ class Closure:
     @property
     def dwell_noise_dph(self) -> FloatArray:
         """Standard deviation of the noise in all dwells (n, 3), deg/h; NaN where nothing was measured."""
-        return self.campaign.noise_dph(self.noise_scale)
+        return self.campaign.noise_dph(self.noise.scales)
 
     def residuals_dph(self, model: Solution) -> FloatArray:
         """Measured bias minus a model (n, 3), deg/h, see :func:`~.validation.measured_minus_model`."""

@@ -28,7 +28,7 @@ class Problem:
 
     campaign: Campaign  #: All n dwells.
     searched: BoolArray  #: Shape (n,). The m dwells that may influence the fit.
-    noise_scale: float  #: Ratio of the noise to the stated uncertainties.
+    noise_scale: FloatArray | float  #: Ratio of the noise to the stated uncertainties; shape (3,) by gyro.
     #: Shape (m, r) for each gyro. Orthonormal basis of the columns added so far, weighted by the noise.
     bases: tuple[FloatArray, ...]
     residuals: FloatArray  #: Shape (m, 3). Residuals of the measured biases, in standard deviations.
@@ -194,7 +194,10 @@ def explained_by(products: FloatArray, residual_products: FloatArray) -> tuple[f
 
 
 def declared_problem(
-    campaign: Campaign, searched: BoolArray, noise_scale: float = 1.0, correlation_factor: float = 1.0
+    campaign: Campaign,
+    searched: BoolArray,
+    noise_scale: FloatArray | float = 1.0,
+    correlation_factor: float = 1.0,
 ) -> Problem:
     """Problem with the declared model's columns."""
     empty = Problem(campaign, searched, noise_scale, (), np.zeros((0, 3)), correlation_factor)

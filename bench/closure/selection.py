@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Hypothesis, after_fit, fit_hypothesis, refine
 from gyrobench.bench.closure.effects.effect import Effect
@@ -158,5 +160,5 @@ def _search_until_consistent(
         if is_last or noise.is_close_to(selected.noise):
             break
         # Scatter that has structure with another set of effects is not noise.
-        is_last = noise.scale == 1.0 < selected.noise.scale
+        is_last = bool(np.all(noise.scales == 1.0) and np.any(selected.noise.scales != 1.0))
     return selected

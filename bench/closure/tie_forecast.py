@@ -41,7 +41,7 @@ def measured_properties(closure: Closure, estimate: ThermalEstimate) -> UnitProp
     """
     campaign = closure.campaign
     hours = (campaign.end_s - campaign.start_s)[:, np.newaxis] / S_PER_H
-    variance = (closure.noise_scale * campaign.sigma_dph) ** 2 * hours
+    variance = (closure.noise.scales * campaign.sigma_dph) ** 2 * hours
     return UnitProperties(
         np.sqrt(variance[closure.searched].mean(axis=0)),
         "as measured in the closure",
@@ -83,7 +83,7 @@ def tie_forecasts(closure: Closure, planned: Campaign) -> list[TieForecast]:
     found = tuple(each.candidate for each in closure.effects)
     names = {each.effect.name for each in found}
     measured = replace(problem.campaign.part(closure.searched), tables=(), part_of=None)
-    measured = replace(measured, sigma_dph=measured.sigma_dph * closure.noise_scale)
+    measured = replace(measured, sigma_dph=measured.sigma_dph * closure.noise.scales)
     planned = replace(planned, unit=measured.unit)
     joined = join_tables([TableToJoin("measured", measured), TableToJoin("planned", planned, is_run=True)])
     odds_with_plan, odds_of_plan = (

@@ -197,7 +197,7 @@ def leave_out_cycles(
     """
     campaign = problem.campaign
     result = {}
-    cycles = np.unique(campaign.cycle[problem.searched])
+    cycles, noise_dph = np.unique(campaign.cycle[problem.searched]), campaign.sigma_dph * problem.noise_scale
     for cycle in cycles if len(cycles) > 1 else ():
         left_out = problem.searched & (campaign.cycle == cycle)
         rest = declared_problem(campaign, problem.searched & ~left_out, problem.noise_scale)
@@ -207,7 +207,7 @@ def leave_out_cycles(
                 for each in (fewer, more)
             )
             chi2_fewer, chi2_more = (
-                float(np.nansum((each[left_out] / campaign.sigma_dph[left_out]) ** 2)) for each in errors
+                float(np.nansum((each[left_out] / noise_dph[left_out]) ** 2)) for each in errors
             )
             result[int(cycle)] = 1.0 - chi2_more / chi2_fewer
     return result

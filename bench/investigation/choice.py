@@ -119,7 +119,7 @@ def linearize(
     campaign: Campaign,
     measured: BoolArray,
     candidates: Sequence[Candidate],
-    noise_scale: float,
+    noise_scale: FloatArray | float,
     run_spread_dph: float,
 ) -> LinearizedHypothesis:
     """Linearize a hypothesis about its fit to the ``measured`` ones (n,) of the n dwells of a campaign.

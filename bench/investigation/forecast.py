@@ -29,7 +29,7 @@ class Forecast:
     their noise to the stated uncertainties.
     """
 
-    def __init__(self, measured: Sequence[DwellRow], noise_scale: float = 1.0) -> None:
+    def __init__(self, measured: Sequence[DwellRow], noise_scale: FloatArray | float = 1.0) -> None:
         self.measured, self.campaign, self.noise_scale = measured, campaign_of(measured), noise_scale
         self._typical_s = float(np.median([row.end_s - row.start_s for row in measured]))
         self._sigma_dph = np.nanmedian([row.sigma_dph for row in measured], axis=0)

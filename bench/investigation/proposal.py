@@ -359,8 +359,8 @@ def _linearize_rivals(
         above_c = campaign.board_c - campaign.gyro_c
         above_c[measured] = measured_campaign.above_optics_c
         campaign = replace(campaign, forecast_above_optics_c=above_c)
-    sigma_dph = float(np.nanmedian([row.sigma_dph for row in forecast.measured]))
-    spread_dph = _RUN_SPREAD * forecast.noise_scale * sigma_dph
+    sigma_dph = forecast.noise_scale * np.array([row.sigma_dph for row in forecast.measured])
+    spread_dph = _RUN_SPREAD * float(np.nanmedian(sigma_dph))
     result = []
     for each in rivals:
         candidates, unpredictable_dph = _predictable(each, campaign, measured, measured_campaign)

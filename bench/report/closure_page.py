@@ -96,7 +96,8 @@ def _residual_section(closure: Closure) -> Section:
         [
             text.declared_residual_sentence(closure),
             *closure.noise.sentences(
-                is_structureless=closure.verdict != "unexplained" or closure.differs_held_out
+                closure.quantity,
+                is_structureless=closure.verdict != "unexplained" or closure.differs_held_out,
             ),
             _correlation_sentence(closure),
         ],

@@ -27,7 +27,7 @@ from gyrobench.bench.foundations.text import (
 )
 from gyrobench.bench.report.number_format import BiasScale, odds_text, p_phrase, share_text, size_text
 
-_VISIBLE_NOISE_SCALE = 1.005
+_VISIBLE_NOISE_DIFFERENCE = 0.005
 #: Odds of two to one, as twice their logarithm.
 _EVEN_LOG_ODDS = 2.0 * math.log(2.0)
 #: Smallest probability of an effect that a sentence states.
@@ -479,7 +479,8 @@ def remaining_residual_sentence(closure: Closure) -> str:
     after = closure.after
     if math.isnan(after.noise_ratio):
         return "The remaining residual is not tested: the fit leaves no degrees of freedom."
-    scale_note = "" if closure.noise_scale < _VISIBLE_NOISE_SCALE else " (with the noise as estimated)"
+    is_as_stated = np.all(np.abs(closure.noise.scales - 1.0) < _VISIBLE_NOISE_DIFFERENCE)
+    scale_note = "" if is_as_stated else " (with the noise as estimated)"
     return (
         f"The remaining residual in the dwells searched is {after.noise_ratio:.2f} times the stated "
         f"uncertainties{scale_note} and follows neither time, temperature, position nor temperature rate "

@@ -126,7 +126,7 @@ class Campaign:
 def found_by(unit, rows, hours, closure, *, is_settled=False):
     """Outcome of a campaign; ``is_settled``: its blocks confirmed the effects."""
     rivals = rivals_of(closure)
-    forecast = Forecast(closure.noise.weighted(rows), closure.noise_scale)
+    forecast = Forecast(closure.noise.weighted(rows), closure.noise.scales)
     known = calibration_of(forecast, PROFILE, rivals)
     variance = np.array([each.probability for each in known.rivals]) @ known.variances
     set_c = unit._set_c[-1]

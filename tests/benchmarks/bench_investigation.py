@@ -190,7 +190,7 @@ class State:
 
     @functools.cached_property
     def forecast(self):
-        return Forecast(self.closure.noise.weighted(self.rows), self.closure.noise_scale)
+        return Forecast(self.closure.noise.weighted(self.rows), self.closure.noise.scales)
 
     def proposed(self, rivals):
         begin_s = time.process_time()
@@ -216,7 +216,7 @@ def by_test(proposal, state):
 
 def by_d_optimality(proposal, state):
     """Fall of the log determinant of the parameters' covariance of the best hypothesis, per hour."""
-    sigma_dph = state.closure.noise_scale * np.array([row.sigma_dph for row in proposal.rows])
+    sigma_dph = state.closure.noise.scales * np.array([row.sigma_dph for row in proposal.rows])
     determinant = np.linalg.slogdet(proposal.predictions[0].covariance)[1]
     return (determinant - 2.0 * np.sum(np.log(sigma_dph))) / proposal.block.plan.duration_h
 
@@ -246,7 +246,7 @@ def by_box_hill(proposal, state):
 def by_buzzi_ferraris(proposal, state):
     """Differences in units of their uncertainty (1990)."""
     noise = np.diag(
-        (state.closure.noise_scale * np.array([row.sigma_dph for row in proposal.rows]).T.ravel()) ** 2
+        (state.closure.noise.scales * np.array([row.sigma_dph for row in proposal.rows])).T.ravel() ** 2
     )
     total = 0.0
     for apart, first, second, _ in _pairs(proposal):

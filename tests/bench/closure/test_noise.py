@@ -19,7 +19,7 @@ from gyrobench.bench.closure.loop import close_loop, without_search
 from gyrobench.bench.closure.noise import OUTLIER_SIGMA, estimate_campaign_noise, outweighing_dwell
 from gyrobench.bench.report.closure_text import held_out_error_sentence
 from tests.bench.closure.conftest import among
-from tests.bench.closure.thermal_bench import measure
+from tests.bench.closure.thermal_bench import EFFECTS, measure
 from tests.benchmarks.closure_units import make_unit
 
 HARD = ("understated", "outliers", "understated, outliers")
@@ -65,6 +65,54 @@ def test_the_scale_is_that_of_the_noise(scale):
     assert noise.scale == pytest.approx(scale, rel=0.08)
     assert noise.outliers == ()
     assert np.all(noise.factors == 1.0)
+
+
+def with_sigmas_times(rows, factors):
+    """The same dwells with other stated uncertainties of the gyros."""
+    return [replace(row, sigma_dph=tuple((np.array(row.sigma_dph) * factors).tolist())) for row in rows]
+
+
+@pytest.mark.parametrize("factor", [1.0 / 3.0, 0.5, 2.0, 3.0])
+@pytest.mark.parametrize("gyro", range(3))
+def test_a_gyro_whose_stated_uncertainties_are_wrong_has_its_own_scale(gyro, factor):
+    factors = np.where(np.arange(3) == gyro, factor, 1.0)
+    campaign = campaign_of(with_sigmas_times(measure(seed=gyro).rows, factors))
+    noise = estimate_campaign_noise(campaign, campaign.all_dwells)
+    np.testing.assert_allclose(noise.scales * factors, 1.0, rtol=0.3)
+    assert noise.scales[gyro] != 1.0
+    assert noise.outliers == ()
+
+
+def test_two_gyros_whose_stated_uncertainties_are_wrong_have_their_own_scales():
+    campaign = campaign_of(with_sigmas_times(measure(seed=0).rows, [0.4, 1.0, 0.3]))
+    noise = estimate_campaign_noise(campaign, campaign.all_dwells)
+    np.testing.assert_allclose(noise.scales * [0.4, 1.0, 0.3], 1.0, rtol=0.3)
+
+
+def test_a_gyro_that_was_not_measured_does_not_hide_the_scale_of_another_one():
+    campaign = campaign_of(with_sigmas_times(measure(seed=0).rows, [1.0, 1.0 / 3.0, 1.0]))
+    campaign = campaign.with_uncertainties(campaign.sigma_dph * [1.0, 1.0, np.inf])
+    noise = estimate_campaign_noise(campaign, campaign.all_dwells)
+    np.testing.assert_allclose(noise.scales, [1.0, 3.0, 1.0], rtol=0.3)
+
+
+@pytest.mark.parametrize("size", [0.25, 0.5, 1.0, 2.0, 4.0])
+@pytest.mark.parametrize("effect", ["g_sensitivity", "time_drift", "sinusoid"])
+def test_an_effect_on_one_gyro_gives_it_no_scale(effect, size):
+    alone = lambda course: EFFECTS[effect](course) * [1.0, 0.0, 0.0]  # noqa: E731
+    campaign = campaign_of(measure({alone: 5.0 * size}, seed=3).rows)
+    noise = estimate_campaign_noise(campaign, campaign.all_dwells)
+    assert noise.scales.tolist() == [1.0, 1.0, 1.0]
+
+
+@pytest.mark.parametrize("factor", [1.0 / 3.0, 3.0])
+@among(TEMPERATURE_RATE, THERMAL_LAG, TIME_DRIFT)
+def test_an_effect_is_found_beside_a_gyro_whose_stated_uncertainties_are_wrong(factor, candidates):
+    for effects in ({}, {"temperature_rate": 3.0}):
+        rows = with_sigmas_times(measure(effects, seed=1).rows, [1.0, factor, 1.0])
+        closure = close_loop(campaign_of(rows), effects=candidates)
+        assert (closure.verdict, closure.names) == ("explained" if effects else "clean", tuple(effects))
+        assert closure.noise.scales[1] == pytest.approx(1.0 / factor, rel=0.3)
 
 
 @pytest.mark.parametrize("effect", ["g_sensitivity", "time_drift", "sinusoid"])

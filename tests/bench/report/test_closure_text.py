@@ -9,6 +9,7 @@ import pytest
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.loadable_model import declared_model
 from gyrobench.bench.closure.loop import close_loop, without_search
+from gyrobench.bench.closure.quantity import GYRO_BIAS
 from gyrobench.bench.foundations.arrays import rms
 from gyrobench.bench.report import closure_text
 from gyrobench.bench.report.closure_page import closure_sections
@@ -239,10 +240,23 @@ def test_the_remaining_residual_is_located_or_noise():
 
 def test_scatter_above_the_stated_uncertainties_is_stated():
     closure = close_loop(campaign_of(made_up_rows(SENSITIVITY, scatter=1.3)), effects=EFFECTS)
-    [sentence] = closure.noise.sentences(is_structureless=True)
+    [sentence] = closure.noise.sentences(GYRO_BIAS, is_structureless=True)
     assert sentence.startswith("The noise is 1.")
     assert "times the stated uncertainties; the residual has no structure" in sentence
-    assert explained().noise.sentences(is_structureless=True) == []
+    assert explained().noise.sentences(GYRO_BIAS, is_structureless=True) == []
+
+
+def test_a_gyro_that_scatters_otherwise_than_stated_is_named():
+    rows = made_up_rows()
+    rows = [
+        replace(row, sigma_dph=(row.sigma_dph[0], row.sigma_dph[1] / 3.0, row.sigma_dph[2])) for row in rows
+    ]
+    [sentence] = close_loop(campaign_of(rows), effects=EFFECTS).noise.sentences(
+        GYRO_BIAS, is_structureless=True
+    )
+    assert re.match(
+        r"The noise of the x, y and z gyros is 1\.00, [23]\.\d\d and 1\.00 times the stated", sentence
+    )
 
 
 def test_a_clean_search_states_its_sensitivity():
