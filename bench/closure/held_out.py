@@ -222,12 +222,13 @@ _MAX_ERROR, _MAX_HELD_OUT_NOISE = 5.0, 2.0
 _SIZE_ITERATIONS = 30
 
 
-def is_confirmed(before: FloatArray, after: FloatArray) -> bool:
+def is_confirmed(before: FloatArray, after: FloatArray, correlation_factor: float = 1.0) -> bool:
     """Whether effects reduce the errors in held-out dwells by more than chance, down to the noise.
 
     Required of all gyros together, and of each gyro in which the effects predict enough. ``before``,
     ``after`` (n, 3): measured minus predicted bias without and with the effects, as of
-    :meth:`~gyrobench.bench.closure.problem.Problem.whitened`; NaN if not measured.
+    :meth:`~gyrobench.bench.closure.problem.Problem.whitened`; NaN if not measured. ``correlation_factor``:
+    :attr:`Problem.correlation_factor`.
 
     Notes
     -----
@@ -239,11 +240,12 @@ def is_confirmed(before: FloatArray, after: FloatArray) -> bool:
     before, after = np.nan_to_num(before), np.nan_to_num(after)
     predicted_sizes = np.linalg.norm(before - after, axis=0)
     decisive = np.flatnonzero(predicted_sizes > _SINGLE_GYRO_FACTOR * _MIN_T)
-    pairs = [(before.ravel(), after.ravel()), *((before[:, each], after[:, each]) for each in decisive)]
-    return all(_is_reduced(*each) for each in pairs)
+    single_gyros = ((before[:, each], after[:, each], _MIN_T) for each in decisive)
+    together = before.ravel(), after.ravel(), _MIN_T * math.sqrt(correlation_factor)
+    return all(_is_reduced(*each) for each in (together, *single_gyros))
 
 
-def _is_reduced(before: FloatArray, after: FloatArray) -> bool:
+def _is_reduced(before: FloatArray, after: FloatArray, min_t: float) -> bool:
     """Whether errors (n,), in units of the noise, decrease by more than chance, down to the noise."""
     predicted = before - after
     noise = max(1.0, float(np.median(np.abs(after))) / MEDIAN_ABS_NORMAL)
@@ -254,6 +256,6 @@ def _is_reduced(before: FloatArray, after: FloatArray) -> bool:
         weighted_prediction = predicted * limit / np.maximum(np.abs(before - size * predicted), limit)
         size = float(weighted_prediction @ before / (weighted_prediction @ predicted))
     remaining = np.clip(before - size * predicted, -limit, limit)
-    is_observed = size * float(np.linalg.norm(predicted)) > _MIN_T * max(1.0, rms(remaining))
+    is_observed = size * float(np.linalg.norm(predicted)) > min_t * max(1.0, rms(remaining))
     is_smaller = rms(np.clip(after, -limit, limit)) < rms(np.clip(before, -limit, limit))
     return is_observed and is_smaller and _MIN_SIZE < size < _MAX_SIZE

@@ -83,9 +83,9 @@ def _search_and_test(campaign: Campaign, searched: BoolArray, candidates: Sequen
     )
     noise_dph = campaign.noise_dph(problem.noise_scale)[~searched]
     of_held_out = replace(problem, searched=~searched)
-    errors_white = [
+    before_white, after_white = (
         of_held_out.whitened(np.nan_to_num(each).T[..., None])[..., 0].T for each in (before_dph, after_dph)
-    ]
+    )
     held_out_part = campaign.part(~searched)
     circular = tuple(
         each.effect.name for each in accepted.candidates if _is_circular(each.effect, held_out_part)
@@ -99,7 +99,7 @@ def _search_and_test(campaign: Campaign, searched: BoolArray, candidates: Sequen
             is_confirmed=bool(accepted.candidates)
             and not searched.all()
             and not circular
-            and is_confirmed(*errors_white),
+            and is_confirmed(before_white, after_white, problem.correlation_factor),
         ),
         circular=circular,
         posterior=selected.posterior,

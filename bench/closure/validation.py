@@ -87,7 +87,7 @@ def lack_of_fit(problem: Problem, parameters: int) -> LackOfFit:
         p_noise=chi2_p_value(max(round(dof / factor), 1), problem.chi2 / factor),
         p_structure=structure,
         noise_ratio=float(np.sqrt(problem.chi2 / dof)),
-        correlated=_correlated(problem),
+        correlated=_correlation(problem)[0],
     )
 
 
@@ -96,30 +96,24 @@ def correlation_factor(problem: Problem) -> float:
 
     With correlations ``R``, a sum of squares has ``tr R R / 3`` times the variance (Satterthwaite).
     """
-    if _correlated(problem) is None:
-        return 1.0
-    correlations, dof = _correlations(problem)
-    return max(1.0, float(np.sum(correlations**2)) / 3.0 - 2.0 / dof)
+    return _correlation(problem)[1]
 
 
-def _correlations(problem: Problem) -> tuple[FloatArray, int]:
-    """Correlations (3, 3) of the residuals of the gyros, and their degrees of freedom."""
+def _correlation(problem: Problem) -> tuple[tuple[int, int, float] | None, float]:
+    """As :attr:`LackOfFit.correlated`, tested by Fisher's transformation; and :func:`correlation_factor`."""
     is_complete = problem.campaign.is_measured[problem.searched].all(axis=1)
     products = problem.residuals[is_complete].T @ problem.residuals[is_complete]
     lengths = np.sqrt(np.maximum(np.diag(products), problem.min_residual_variance))
+    correlations = products / np.outer(lengths, lengths)
     dof = int(is_complete.sum()) - max(basis.shape[1] for basis in problem.bases)
-    return products / np.outer(lengths, lengths), dof
-
-
-def _correlated(problem: Problem) -> tuple[int, int, float] | None:
-    """The two gyros with the largest correlation of residuals, tested by Fisher's transformation."""
-    correlations, dof = _correlations(problem)
     if dof < _MIN_CORRELATION_DOF:
-        return None
+        return None, 1.0
     first, second = max(combinations(range(3), 2), key=lambda pair: abs(correlations[pair]))
     value = float(np.clip(correlations[first, second], -_MAX_CORRELATION, _MAX_CORRELATION))
     p_value = 3.0 * math.erfc(abs(math.atanh(value)) * math.sqrt((dof - 2) / 2.0))
-    return (first, second, value) if p_value < LACK_OF_FIT_P else None
+    if p_value >= LACK_OF_FIT_P:
+        return None, 1.0
+    return (first, second, value), max(1.0, float(np.sum(correlations**2)) / 3.0 - 2.0 / dof)
 
 
 def _spline(values: FloatArray, knots: int) -> FloatArray:

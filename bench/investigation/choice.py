@@ -62,6 +62,8 @@ class Prediction:
 
     mean_dph: FloatArray  #: Shape (q,).
     covariance: FloatArray  #: Shape (q, q), (deg/h)^2, including the noise of the dwells.
+    #: :attr:`Problem.correlation_factor` of the noise, which the covariance does not include.
+    correlation_factor: float = 1.0
 
     @cached_property
     def factor(self) -> FloatArray:
@@ -73,12 +75,19 @@ class Prediction:
         return np.asarray(np.linalg.inv(self.factor))
 
     def log_likelihood(self, outcomes_dph: FloatArray) -> FloatArray:
-        """Logarithm of the density of outcomes (s, q), shape (s,)."""
-        return np.asarray(-0.5 * self.chi2(outcomes_dph) - np.sum(np.log(np.diag(self.factor))))
+        """Logarithm of the density of outcomes (s, q), shape (s,); correlated values count as fewer."""
+        log_determinant = 2.0 * np.sum(np.log(np.diag(self.factor))) / self.correlation_factor
+        return np.asarray(-0.5 * (self.chi2(outcomes_dph) + log_determinant))
 
     def chi2(self, outcomes_dph: FloatArray) -> FloatArray:
-        """chi2 of outcomes (s, q) with the predicted covariance, shape (s,)."""
-        return np.asarray(np.sum((self._whitening @ (outcomes_dph - self.mean_dph).T) ** 2, axis=0))
+        """chi2 of outcomes (s, q) with the predicted covariance, of :attr:`dof`, shape (s,)."""
+        squares = (self._whitening @ (outcomes_dph - self.mean_dph).T) ** 2
+        return np.asarray(np.sum(squares, axis=0) / self.correlation_factor)
+
+    @property
+    def dof(self) -> float:
+        """Number of independent values."""
+        return len(self.mean_dph) / self.correlation_factor
 
     def draw(self, normals: FloatArray) -> FloatArray:
         """Draw outcomes (s, q) with standard normal values (s, q)."""

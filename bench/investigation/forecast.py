@@ -26,11 +26,17 @@ class Forecast:
     """Thermal model of a unit, fitted to its measured dwells, and its state at the end of the last dwell.
 
     ``measured``: the dwells in the order of time; ``campaign``: the same as arrays; ``noise_scale``: ratio of
-    their noise to the stated uncertainties.
+    their noise to the stated uncertainties; ``correlation_factor``: :attr:`Problem.correlation_factor`.
     """
 
-    def __init__(self, measured: Sequence[DwellRow], noise_scale: FloatArray | float = 1.0) -> None:
-        self.measured, self.campaign, self.noise_scale = measured, campaign_of(measured), noise_scale
+    def __init__(
+        self,
+        measured: Sequence[DwellRow],
+        noise_scale: FloatArray | float = 1.0,
+        correlation_factor: float = 1.0,
+    ) -> None:
+        self.measured, self.campaign = measured, campaign_of(measured)
+        self.noise_scale, self.correlation_factor = noise_scale, correlation_factor
         self._typical_s = float(np.median([row.end_s - row.start_s for row in measured]))
         self._sigma_dph = np.nanmedian([row.sigma_dph for row in measured], axis=0)
 

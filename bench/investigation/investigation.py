@@ -353,7 +353,8 @@ class Investigator:
         return replace(stage, calibration=calibration)
 
     def _forecast(self, closure: Closure) -> Forecast:
-        return Forecast(closure.noise.weighted(self._rows), closure.noise.scales)
+        noise = closure.noise
+        return Forecast(noise.weighted(self._rows), noise.scales, noise.correlation_factor)
 
     def _ending(self, stage: Stage, *, is_last: bool = False) -> tuple[str, str] | None:
         """End and reason after a search, None to continue; ``is_last`` as in :meth:`_confirmation`."""

@@ -93,7 +93,7 @@ class Proposal:
         differences_dph = [first.mean_dph - each.mean_dph for each in others]
         pairs = zip(differences_dph, others, strict=True)
         return min(
-            float(difference_dph @ np.linalg.solve(each.covariance, difference_dph))
+            float(difference_dph @ np.linalg.solve(each.covariance, difference_dph)) / each.correlation_factor
             for difference_dph, each in pairs
         )
 
@@ -326,16 +326,17 @@ def _profile_variances(
         is_measured = is_new if only_new else offset < 0
         variances.append(np.diag(averaging @ each.covariance(is_measured, offset >= 0) @ averaging.T))
         if new and not only_new:
-            predictions.append(_prediction(each, offset < -len(new), is_new, variance))
+            predictions.append(_prediction(forecast, each, offset < -len(new), is_new, variance))
     return np.array(variances), predictions
 
 
 def _prediction(
-    linear: LinearizedHypothesis, measured: BoolArray, is_new: BoolArray, variance: float
+    forecast: Forecast, linear: LinearizedHypothesis, measured: BoolArray, is_new: BoolArray, variance: float
 ) -> Prediction:
     """Prediction of new dwells, including the variance of what a rival can't predict."""
     prediction = linear.prediction(measured, is_new)
-    return replace(prediction, covariance=prediction.covariance + variance * np.eye(len(prediction.mean_dph)))
+    covariance = prediction.covariance + variance * np.eye(len(prediction.mean_dph))
+    return Prediction(prediction.mean_dph, covariance, forecast.correlation_factor)
 
 
 def _predictions(forecast: Forecast, new: Sequence[DwellRow], rivals: Sequence[Rival]) -> list[Prediction]:
@@ -343,7 +344,7 @@ def _predictions(forecast: Forecast, new: Sequence[DwellRow], rivals: Sequence[R
     predictions = []
     for each, variance in _linearize_rivals(forecast, new, rivals):
         is_new = np.arange(len(each.sigma_dph) // 3) >= len(each.sigma_dph) // 3 - len(new)
-        predictions.append(_prediction(each, ~is_new, is_new, variance))
+        predictions.append(_prediction(forecast, each, ~is_new, is_new, variance))
     return predictions
 
 
@@ -464,7 +465,7 @@ def outcome_of(
         tuple((shares / shares.sum()).tolist()),
         tuple(errors),
         rms(sigma_dph),
-        tuple(chdtrc(bias_dph.size, chi2).tolist()),
+        tuple(chdtrc(predictions[0].dof, chi2).tolist()),
         _off_forecast_k(forecast.measured[-1], proposal.rows, usable),
     )
 

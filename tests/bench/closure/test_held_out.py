@@ -227,6 +227,20 @@ def share_confirmed(predicted, size, *, outliers=0.0):
     return confirmed / 50.0
 
 
+def test_noise_that_gyros_share_confirms_no_effect_that_they_share():
+    """With correlations of 0.8, a mean of three gyros has 1.6 times the standard deviation."""
+    random, confirmed = np.random.default_rng(5), {1.0: 0, 2.28: 0}
+    root = np.linalg.cholesky(np.full((3, 3), 0.8) + 0.2 * np.eye(3))
+    for _ in range(400):
+        shape = np.repeat(random.standard_normal((24, 1)), 3, axis=1)
+        predicted = 4.0 * shape / np.linalg.norm(shape)
+        noise = random.standard_normal((24, 3)) @ root.T
+        for factor in confirmed:
+            confirmed[factor] += is_confirmed(noise, noise - predicted, factor)
+    assert confirmed[1.0] > 8
+    assert confirmed[2.28] <= 2
+
+
 @pytest.mark.parametrize(
     "sigmas",
     [2.0, 30.0, pytest.param(8.0, marks=pytest.mark.long), pytest.param(1000.0, marks=pytest.mark.long)],

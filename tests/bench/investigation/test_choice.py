@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy.special import chdtrc
 from scipy.stats import multivariate_normal
 
 from gyrobench.bench.closure.campaign import campaign_of
@@ -17,6 +18,18 @@ def test_the_log_likelihood_is_that_of_a_normal_distribution_but_for_a_constant(
     outcomes = np.array([[0.0, 0.0], [1.0, -1.0], [3.0, 2.0]])
     expected = multivariate_normal([1.0, -1.0], covariance).logpdf(outcomes)
     assert np.allclose(np.diff(one.log_likelihood(outcomes)), np.diff(expected))
+
+
+def test_noise_that_gyros_share_rarely_settles_the_wrong_prediction_and_fits_the_right_one():
+    """Two predictions that differ by the same in all gyros; correlations of 0.8 count 2.28 values as one."""
+    right, wrong = (Prediction(np.full(18, mean), np.eye(18), 2.28) for mean in (0.0, 0.8))
+    root = np.linalg.cholesky(np.full((3, 3), 0.8) + 0.2 * np.eye(3))
+    noise = np.random.default_rng(0).standard_normal((4000, 6, 3)) @ root.T
+    outcomes = noise.swapaxes(1, 2).reshape(4000, 18)
+    odds = wrong.log_likelihood(outcomes) - right.log_likelihood(outcomes)
+    assert np.mean(odds > np.log(99.0)) < 0.01
+    assert np.mean(odds < -np.log(3.0)) > 0.5
+    assert np.mean(chdtrc(right.dof, right.chi2(outcomes)) < 0.01) == pytest.approx(0.01, abs=0.01)
 
 
 def test_equal_predictions_leave_the_entropy_as_it_is():

@@ -8,7 +8,7 @@ from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.effects.laws import TIME_DRIFT, WARM_UP
 from gyrobench.bench.closure.posterior import HypothesisProbability, Posterior
 from gyrobench.bench.investigation.blocks import Block, catalogue
-from gyrobench.bench.investigation.choice import ExpectedEntropy
+from gyrobench.bench.investigation.choice import ExpectedEntropy, Rival
 from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.open_hypotheses import confirming_rivals, rivals_of, search_campaign
 from gyrobench.bench.investigation.proposal import (
@@ -106,6 +106,21 @@ def test_new_dwells_without_electronics_are_compared_with_those_forecast(rows, c
     outcome = outcome_of(Forecast(rows, closure.noise_scale), proposal, bare, rivals)
     assert np.isfinite(outcome.error_dph).all()
     assert sum(outcome.probabilities) == pytest.approx(1.0)
+
+
+def test_correlated_noise_makes_new_dwells_worth_less(rows, closure):
+    steps = next(each.plan for each in catalogue(rows) if each.name == "hot, six positions").steps
+    new = simulate(UNIT | {"steps": UNIT["steps"] + [step.model_dump() for step in steps]})[len(rows) :]
+    effect = Rival(("g_sensitivity",), tuple(each.candidate for each in closure.effects), 0.5)
+    rivals, odds, gains = (effect, Rival((), (), 0.5)), [], []
+    for factor in (1.0, 2.0):
+        forecast = Forecast(rows, closure.noise.scales, factor)
+        found = next(each for each in propose(forecast, rivals) if each.block.name == "hot, six positions")
+        probable, improbable = outcome_of(forecast, found, new, rivals).probabilities
+        odds.append(np.log(probable / improbable))
+        gains.append(found.tested_per_h)
+    assert odds[1] == pytest.approx(odds[0] / 2.0)
+    assert gains[1] < gains[0]
 
 
 def proposal(hours, fall, unsettled, missing_h=0.0, replaced_h=0.0):
