@@ -111,12 +111,13 @@ class CampaignNoise:
         ``is_structureless``: whether the residual has no structure.
         """
         sentences = []
-        if np.any(self.scales != 1.0):
+        other = np.flatnonzero(self.scales != 1.0)
+        if other.size:
             note = "; the residual has no structure" if is_structureless else ""
             subject, ratio = "The noise", f"{self.scale:.2f}"
             if np.ptp(self.scales):
-                subject = f"The noise of the {quantity.place(quantity.axes)}"
-                ratio = listed([f"{each:.2f}" for each in self.scales.tolist()])
+                subject = f"The noise of the {quantity.place([quantity.axes[each] for each in other])}"
+                ratio = listed([f"{each:.2f}" for each in self.scales[other].tolist()])
             sentences.append(
                 f"{subject} is {ratio} times the stated uncertainties{note}. It is included in the noise "
                 "stated here."
