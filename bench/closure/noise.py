@@ -32,8 +32,8 @@ MEDIAN_ABS_NORMAL = 0.6745
 _MAX_OUTLIER_SHARE = 0.1
 #: Scatter without structure is noise up to this ratio to the stated uncertainties.
 _MAX_SCALE = 1.7
-#: The same for one gyro, and its reciprocal for less scatter than stated, if another one scatters as stated;
-#: p-value below which its scatter is another one.
+#: The same for one gyro, and its reciprocal for less scatter, if another one scatters as stated, and the
+#: p-value below which the scatter of two gyros differs.
 _MAX_GYRO_SCALE, _OTHER_P = 5.0, 1e-3
 #: p-values below which scatter is larger than stated, and below which it has structure.
 _LARGER_P, _STRUCTURE_P = 1e-2, 1e-2
@@ -238,27 +238,28 @@ def _with_scales(
 
 
 def _gyro_scales(problem: Problem, parameters: int) -> FloatArray:
-    """Ratio (3,) of the scatter of each gyro to that stated; 1 unless that of another gyro shows it.
+    """Ratio (3,) of the scatter of each gyro to that of the others, as stated; 1 where it does not differ.
 
-    The other gyro is the one whose scatter is closest to that stated.
+    It differs from that of the gyro whose scatter is closest to that stated.
     """
     measured = problem.campaign.is_measured[problem.searched].sum(axis=0)
     dof = measured - np.array([basis.shape[1] for basis in problem.bases]) - parameters / 3.0
-    scales, tested = np.ones(3), np.flatnonzero(dof > 0.0)
+    tested = np.flatnonzero(dof > 0.0)
     if not tested.size:
-        return scales
+        return np.ones(3)
     variances = np.sum(problem.residuals**2, axis=0) / np.maximum(dof, 1.0)
     variances = np.maximum(variances, problem.min_residual_variance)
     reference = tested[np.argmin(np.abs(np.log(variances[tested])))]
     if variances[reference] > _MAX_SCALE**2:
-        return scales
+        return np.ones(3)
+    differs = np.zeros(3, dtype=bool)
     for gyro in tested:
         larger, smaller = sorted((gyro, reference), key=lambda each: -variances[each])
         p_value = 2.0 * f_p_value(dof[larger], dof[smaller], variances[larger] / variances[smaller])
-        scale = math.sqrt(variances[gyro])
-        if p_value < _OTHER_P and 1.0 / _MAX_GYRO_SCALE < scale < _MAX_GYRO_SCALE:
-            scales[gyro] = scale
-    return scales
+        differs[gyro] = p_value < _OTHER_P
+    common = np.average(variances[~differs], weights=np.maximum(dof[~differs], 0.0))
+    scales = np.where(differs, np.sqrt(variances / common), 1.0)
+    return np.where((scales > 1.0 / _MAX_GYRO_SCALE) & (scales < _MAX_GYRO_SCALE), scales, 1.0)
 
 
 def _scale_of(test: LackOfFit) -> float:

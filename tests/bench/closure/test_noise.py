@@ -89,6 +89,13 @@ def test_two_gyros_whose_stated_uncertainties_are_wrong_have_their_own_scales():
     np.testing.assert_allclose(noise.scales * [0.4, 1.0, 0.3], 1.0, rtol=0.3)
 
 
+def test_a_gyro_has_its_own_scale_beside_noise_of_all_that_is_larger_than_stated():
+    campaign = campaign_of(with_sigmas_times(measure(noise=1.4, seed=0).rows, [1.0, 0.4, 1.0]))
+    noise = estimate_campaign_noise(campaign, campaign.all_dwells)
+    np.testing.assert_allclose(noise.scales * [1.0, 0.4, 1.0], 1.4, rtol=0.12)
+    assert noise.scales[0] == noise.scales[2]
+
+
 def test_a_gyro_that_was_not_measured_does_not_hide_the_scale_of_another_one():
     campaign = campaign_of(with_sigmas_times(measure(seed=0).rows, [1.0, 1.0 / 3.0, 1.0]))
     campaign = campaign.with_uncertainties(campaign.sigma_dph * [1.0, 1.0, np.inf])
