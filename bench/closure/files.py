@@ -168,7 +168,8 @@ def _gyro_bias_document(closure: Closure) -> dict[str, Any]:
         "noise_dph": closure.noise_dph,
         "noise_over_stated": closure.noise_scale,
         "noise": {
-            "scale": dict(zip(closure.quantity.axes, closure.noise.scales.tolist(), strict=True)),
+            "scale": closure.noise_scale,
+            "scales": dict(zip(closure.quantity.axes, closure.noise.scales.tolist(), strict=True)),
             "outliers": [
                 {"dwell": each.dwell, "gyro": each.gyro, "residual_sigma": each.residual_sigma}
                 for each in closure.noise.outliers
