@@ -64,6 +64,7 @@ def test_exchanged_temperatures_of_optics_and_electronics_are_named(dwells):
 
 
 _STEP_S = 10.0
+_NODES = ["case_c", "gyro_x_c", "gyro_y_c", "gyro_z_c", "board_x_c", "board_y_c", "board_z_c"]
 
 
 def _readings(scatter=0.0, seed=0, off_s=0.0):
@@ -94,8 +95,7 @@ def _readings(scatter=0.0, seed=0, off_s=0.0):
     network.step(1.0, air_each_second_c, np.resize(np.repeat(up, 10, axis=0), (len(air_each_second_c), 3)))
     nodes_c[is_on] = network.course.nodes_c[:: int(_STEP_S)]
     nodes_c[~is_on] = math.nan
-    gyro_c = dict(zip(("gyro_x_c", "gyro_y_c", "gyro_z_c"), nodes_c[:, 1:4].T, strict=True))
-    return {"time_s": time_s, "chamber_c": air_c, "case_c": nodes_c[:, 0], **gyro_c}
+    return {"time_s": time_s, "chamber_c": air_c, **dict(zip(_NODES, nodes_c.T, strict=True))}
 
 
 def _lagging(values_c, time_constant_s):
@@ -138,6 +138,25 @@ def test_a_sensor_that_lags_or_has_another_scale_is_named(scatter):
     assert "Temperatures of the gyros." in run_findings([], {}, None, [], sensors=lagging)
 
 
+@pytest.mark.parametrize("part", ["gyro", "board"])
+def test_exchanged_gyros_show_in_the_heat_that_their_electronics_lose_to_their_optics(part):
+    readings = _readings(scatter=0.1, seed=3)
+    noise = np.random.default_rng(1)
+    readings |= {name: readings[name] + 0.003 * noise.standard_normal(len(readings[name])) for name in _NODES}
+
+    def exchanged(order):
+        return sensors_sentence(
+            readings
+            | {f"{part}_{to}_c": readings[f"{part}_{own}_c"] for to, own in zip("xyz", order, strict=True)}
+        )
+
+    assert exchanged("xyz") == ""
+    assert "at the optics of another gyro: of y at x and of x at y." in exchanged("yxz")
+    assert "seem to be exchanged: check signal map" in exchanged("yzx")
+    readings["case_c"] = np.full_like(readings["case_c"], math.nan)
+    assert exchanged("yxz") == ""
+
+
 def test_the_sensors_of_a_run_folder_are_tested_by_its_telemetry(tmp_path):
     folder = RunFolder(tmp_path)
     telemetry = Telemetry(folder.telemetry)
@@ -156,3 +175,13 @@ def test_the_sensors_of_a_run_folder_are_tested_by_its_telemetry(tmp_path):
 def test_hardly_any_sound_unit_whose_gyros_follow_the_chamber_unequally_is_doubted():
     doubted = [seed for seed in range(500) if sensors_sentence(_readings(scatter=0.1, seed=seed))]
     assert len(doubted) <= 1, doubted
+
+
+@pytest.mark.long
+def test_exchanged_gyros_show_in_almost_all_units_whose_electronics_heat_their_own_optics():
+    found = 0
+    for seed in range(100):
+        readings = _readings(scatter=0.3, seed=seed)
+        swapped = {"gyro_y_c": readings["gyro_z_c"], "gyro_z_c": readings["gyro_y_c"]}
+        found += "of z at y and of y at z" in sensors_sentence(readings | swapped)
+    assert found >= 97
