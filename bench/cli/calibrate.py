@@ -62,7 +62,8 @@ def calibrate(
 
     With --out: coefficients.csv, correlations.csv, calibration.json, which is also what --json prints:
     {"logs", "map", "body_frame", "coefficients", "noise", "gravity_mps2", "gravity_sigma_mps2",
-    "earth_rate_up_dph", "rests", "rotations", "spins", "fit"}; spins need 'whole_turns_arcsec' in the map.
+    "earth_rate_up_dph", "rests", "rotations", "spins", "fit", "warnings"}; spins need 'whole_turns_arcsec' in
+    the map.
 
     Example: gyrobench calibrate rotations.csv --map my_imu.yaml --out calibration
     """
@@ -114,10 +115,12 @@ def calibrate(
     spins = [] if turns is None else spin_scale_factors(calibration, site, turns)
     if body_frame == "gyros":
         calibration = calibration.in_gyro_frame()
-    record = plain(calibration_record(calibration, site, spins, origin))
+    warnings = [caution] if (caution := log_map.calibrated.gravity_caution) else []
+    record = plain(calibration_record(calibration, site, spins, origin) | {"warnings": warnings})
     paths = write_calibration(out, calibration, record) if out else []
     summary = calibration_summary(calibration, site, spins, turns is not None, counts)
     empty_logs = [
         f"Left out {path}: no sample" for path, log in zip(logs, read_results, strict=True) if not log.samples
     ]
-    print_result(record, as_json, summary, *empty_logs, *(f"Written  {path}" for path in paths))
+    notes = [*(f"Warning: {text}" for text in warnings), *empty_logs, *(f"Written  {path}" for path in paths)]
+    print_result(record, as_json, summary, *notes)

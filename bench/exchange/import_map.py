@@ -19,6 +19,7 @@ from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.location import Location
 from gyrobench.bench.navigation.positions import AXES, PositionName
 from gyrobench.drivers import ins
+from gyrobench.drivers.ins.units import usual_spelling
 
 _SHIPPED_DBC = Path(ins.__file__).parent
 
@@ -52,17 +53,18 @@ def _require_one(model: Any, *names: str) -> None:
 
 
 # fmt: off
-GyroUnit = Literal[
+_GyroUnit = Literal[
     "rad/s", "mrad/s", "urad/s", "deg/s", "mdeg/s", "dps", "mdps", "deg/h", "mdeg/h", "arcsec/s",
     "rad", "mrad", "urad", "deg", "mdeg", "arcsec",
 ]
-ForceUnit = Literal["m/s2", "g", "mg", "m/s", "mm/s"]
+_ForceUnit = Literal["m/s2", "g", "mg", "ug", "m/s", "mm/s"]
+_AnySpelling = BeforeValidator(lambda unit: usual_spelling(unit) if isinstance(unit, str) else unit)
+GyroUnit = Annotated[_GyroUnit, _AnySpelling]
+ForceUnit = Annotated[_ForceUnit, _AnySpelling]
 
 #: Unit in brackets at the end of the name of a column, as in "gx [deg/s]", and one after an underscore.
 _UNIT_IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
 _UNIT_SUFFIX = re.compile(r"_(m?dps|radps|dph|(deg|rad)_(per_)?[sh]|mps2|m_s2|(?<=time_)(s|ms|us|ns))$")
-_SPELLINGS = (("°|degrees?", "deg"), ("[µμ]", "u"), (r"²|\^2", "2"), ("sec(ond)?s?$", "s"), ("/hr$", "/h"))
-_SYNONYMS = {"dps": "deg/s", "mdps": "mdeg/s", "radps": "rad/s", "dph": "deg/h", "mps2": "m/s2"}
 # fmt: on
 _KELVIN_OR_FAHRENHEIT = ("k", "kelvin", "f", "degf", "fahrenheit")
 
@@ -72,16 +74,13 @@ def _unit_in_name(column: Column) -> str:
     name = str(column).lower()
     bracketed, suffix = _UNIT_IN_BRACKETS.search(name), _UNIT_SUFFIX.search(name)
     unit = bracketed[1] if bracketed else suffix[1].replace("_per_", "/").replace("_", "/") if suffix else ""
-    if not unit.startswith("arc"):
-        for pattern, spelling in _SPELLINGS:
-            unit = re.sub(pattern, spelling, unit)
-    return _SYNONYMS.get(unit, unit)
+    return usual_spelling(unit)
 
 
 def _check_named_unit(column: Column, unit: str, known: Sequence[str]) -> None:
     """Raise ValueError if the name of a column states another of the ``known`` units."""
     named = _unit_in_name(column)
-    if named in known and named != _SYNONYMS.get(unit, unit):
+    if named in known and named != unit:
         raise ValueError(
             f"column '{column}' is in {named} by the log, and in {unit} by the map. Correct 'unit', or map "
             "a column whose unit is wrong in the log by its number"
@@ -140,7 +139,7 @@ class TimeRule(StrictModel):
     """When a sample was taken."""
 
     column: Column | None = Field(default=None, description="column with the time")
-    unit: Literal["s", "ms", "us", "ns", "min", "h", "iso8601"] = Field(
+    unit: Annotated[Literal["s", "ms", "us", "ns", "min", "h", "iso8601"], _AnySpelling] = Field(
         default="s", description="unit of that column; iso8601: 2026-03-01T12:00:00.5Z"
     )
     format: str | None = Field(
@@ -179,7 +178,7 @@ AxisColumn = Annotated[SignedColumn, _from_plain_value("column", Column, SignedC
 
 
 #: Suffixes of units of rate; other units are those of increments.
-_PER_TIME = ("/s", "/h", "dps")
+_PER_TIME = ("/s", "/h")
 
 
 class AxisColumns(StrictModel):
@@ -202,7 +201,7 @@ class AxisColumns(StrictModel):
         for axis in (self.x, self.y, self.z):
             if (unit := getattr(self, "unit", None)) and axis.scale == 1.0:
                 stated = f"{axis.column} [{units[axis.column]}]" if units.get(axis.column) else axis.column
-                _check_named_unit(stated, unit, (*get_args(GyroUnit), *get_args(ForceUnit)))
+                _check_named_unit(stated, unit, (*get_args(_GyroUnit), *get_args(_ForceUnit)))
 
     def by_quantity(self, names: Sequence[str], unit: float = 1.0) -> dict[str, ScaledColumn]:
         """Column, scale and offset of each sensor by name; ``unit``: factor on the scales."""

@@ -16,7 +16,6 @@ from gyrobench.bench.exchange.signal_logs import NoFramesError
 from gyrobench.bench.foundations.arrays import (
     DEG_PER_SQRT_H_TO_SI,
     RAD_TO_ARCMIN,
-    STANDARD_GRAVITY,
     UG_PER_SQRT_HZ_TO_SI,
     BoolArray,
     FloatArray,
@@ -25,10 +24,12 @@ from gyrobench.bench.foundations.arrays import (
 )
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.error_model import Site
+from gyrobench.drivers.ins.units import UNITS, Dimension
 
 #: SI units of angle and velocity, and of their rates, by the names in maps.
 _ANGLES = {"rad": 1.0, "deg": np.pi / 180.0, "arcsec": np.pi / 648000.0}
-_VELOCITIES = {"m/s2": 1.0, "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY, "m/s": 1.0, "mm/s": 1e-3}
+_VELOCITIES = {unit: gain for unit, (gain, _) in UNITS[Dimension.ACCELERATION].items()}
+_VELOCITIES |= {"m/s": 1.0, "mm/s": 1e-3}
 _PREFIXES = {"m": 1e-3, "u": 1e-6}
 _VELOCITY_INCREMENTS = ("m/s", "mm/s")
 #: Samples over which the usual interval is measured, samples on each side over which a jump of the time is
@@ -157,7 +158,7 @@ def _no_part_reason(time_s: FloatArray, parts: Sequence[IntArray]) -> str:
 
 def _angle_unit(unit: str) -> tuple[float, bool]:
     """Size of a unit of rate or angle in rad/s or rad, and whether it is a unit of increments."""
-    base, _, per = ({"dps": "deg/s", "mdps": "mdeg/s"}.get(unit, unit)).partition("/")
+    base, _, per = unit.partition("/")
     size = _ANGLES[base] if base in _ANGLES else _PREFIXES[base[0]] * _ANGLES[base[1:]]
     return size / (3600.0 if per == "h" else 1.0), not per
 

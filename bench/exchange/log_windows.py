@@ -44,7 +44,7 @@ _MAX_VALUE, _MAX_TIME_S = 1e15, 1e12
 _SIGNATURES = {"blf": b"LOGG", "parquet": b"PAR1", "mf4": b"MDF ", "px4": b"ULog"}
 #: Number of bytes that are read to recognise a format.
 _SIGNATURE_BYTES = 1024
-_TO_DPH = {"rad/s": RADPS_TO_DPH, "deg/s": 3600.0, "dps": 3600.0, "deg/h": 1.0, "arcsec/s": 1.0}
+_TO_DPH = {"rad/s": RADPS_TO_DPH, "deg/s": 3600.0, "deg/h": 1.0, "arcsec/s": 1.0}
 _PREFIXES = {"m": 1e-3, "u": 1e-6}
 _TO_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 #: Times after which the clocks of loggers and of GPS restart.

@@ -22,7 +22,7 @@ from gyrobench.bench.foundations.documents import DocumentProblem, StrictModel
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.yaml_nodes import KeyPath
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
-from gyrobench.drivers.ins.units import UNIT_SPELLINGS, Dimension
+from gyrobench.drivers.ins.units import UNITS, Dimension, usual_spelling
 
 
 def _check_signal_name(value: str) -> str:
@@ -489,13 +489,14 @@ _MAX_EXACT_BITS = 52
 
 
 def _gain_and_offset(quantity: MappedQuantity, signal: Signal) -> tuple[float, float]:
-    allowed = UNIT_SPELLINGS.get(quantity.dimension)
+    allowed = UNITS.get(quantity.dimension)
     if allowed is None:
         return 1.0, 0.0
     unit = quantity.source.unit if quantity.source.unit is not None else (signal.unit or "")
-    if unit.strip() not in allowed:
+    spelling = usual_spelling(unit.strip())
+    if spelling not in allowed:
         raise DocumentError(
             f"the signal {quantity.source.signal} has the unit '{unit}', not a unit of {quantity.dimension} "
             f"({', '.join(allowed)}). If the DBC is wrong, add the key 'unit' beside 'signal'."
         )
-    return allowed[unit.strip()]
+    return allowed[spelling]

@@ -1,7 +1,8 @@
-"""Dimensions of the quantities that an INS sends, and the spellings of their units."""
+"""Dimensions of the quantities that an INS sends, their units, and the spellings of these."""
 
 from __future__ import annotations
 
+import re
 from enum import StrEnum
 from types import MappingProxyType
 
@@ -26,15 +27,27 @@ _KNOT_MPS = 1852.0 / 3600.0
 _DEGREE_RAD = np.pi / 180.0
 _ZERO_C_IN_K = 273.15
 
-#: Gain and offset of each unit to SI or degrees Celsius, by dimension and spelling of the unit.
-UNIT_SPELLINGS: MappingProxyType[Dimension, dict[str, tuple[float, float]]] = MappingProxyType(
+# fmt: off
+_SPELLINGS = (
+    ("°|degrees?", "deg"), ("[µμ]", "u"), (r"²|\^2|\*\*2", "2"), (" per ", "/"), (r"sec(ond)?s?(?=2?$)", "s"),
+    (r"/h(ou)?rs?$", "/h"), ("/s/s$", "/s2"),
+)
+# fmt: on
+_SYNONYMS = {"dps": "deg/s", "mdps": "mdeg/s", "radps": "rad/s", "dph": "deg/h", "mps2": "m/s2"}
+
+
+def usual_spelling(unit: str) -> str:
+    """The unit as the files of this package spell it: deg/h for "°/hr", m/s2 for "m/s²"."""
+    if not unit.startswith("arc"):
+        for pattern, spelling in _SPELLINGS:
+            unit = re.sub(pattern, spelling, unit)
+    return _SYNONYMS.get(unit, unit)
+
+
+#: Gain and offset of each unit to SI or degrees Celsius, by dimension and its :func:`usual_spelling`.
+UNITS: MappingProxyType[Dimension, dict[str, tuple[float, float]]] = MappingProxyType(
     {
-        Dimension.TIME: {
-            **dict.fromkeys(("s", "sec"), (1.0, 0.0)),
-            "ms": (1e-3, 0.0),
-            **dict.fromkeys(("us", "µs", "μs"), (1e-6, 0.0)),
-            "ns": (1e-9, 0.0),
-        },
+        Dimension.TIME: {"s": (1.0, 0.0), "ms": (1e-3, 0.0), "us": (1e-6, 0.0), "ns": (1e-9, 0.0)},
         Dimension.SPEED: {
             **dict.fromkeys(("m/s", "m.s-1", "mps"), (1.0, 0.0)),
             **dict.fromkeys(("kt", "kn", "knot", "knots"), (_KNOT_MPS, 0.0)),
@@ -42,23 +55,24 @@ UNIT_SPELLINGS: MappingProxyType[Dimension, dict[str, tuple[float, float]]] = Ma
         },
         Dimension.ANGLE: {
             **dict.fromkeys(("rad", "radian"), (1.0, 0.0)),
-            **dict.fromkeys(("deg", "degree", "degrees", "°"), (_DEGREE_RAD, 0.0)),
+            "deg": (_DEGREE_RAD, 0.0),
             "arcsec": (_DEGREE_RAD / 3600.0, 0.0),
         },
         Dimension.ANGULAR_RATE: {
             "rad/s": (1.0, 0.0),
-            **dict.fromkeys(("deg/s", "°/s"), (_DEGREE_RAD, 0.0)),
-            **dict.fromkeys(("deg/h", "°/h"), (DPH_TO_RADPS, 0.0)),
+            "deg/s": (_DEGREE_RAD, 0.0),
+            "deg/h": (DPH_TO_RADPS, 0.0),
         },
         Dimension.ACCELERATION: {
-            **dict.fromkeys(("m/s2", "m/s^2", "m/s²"), (1.0, 0.0)),
+            "m/s2": (1.0, 0.0),
             "g": (STANDARD_GRAVITY, 0.0),
             "mg": (1e-3 * STANDARD_GRAVITY, 0.0),
+            "ug": (1e-6 * STANDARD_GRAVITY, 0.0),
         },
         Dimension.TEMPERATURE: {
-            **dict.fromkeys(("degC", "deg C", "°C", "C"), (1.0, 0.0)),
+            **dict.fromkeys(("degC", "deg C", "C"), (1.0, 0.0)),
             "K": (1.0, -_ZERO_C_IN_K),
-            **dict.fromkeys(("degF", "deg F", "°F", "F"), (5.0 / 9.0, -160.0 / 9.0)),
+            **dict.fromkeys(("degF", "deg F", "F"), (5.0 / 9.0, -160.0 / 9.0)),
         },
     }
 )

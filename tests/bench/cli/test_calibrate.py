@@ -96,6 +96,16 @@ def test_the_deflection_of_the_vertical_is_in_the_uncertainty_of_the_gyro_biases
     assert "Latitude ± 3.3 arcmin: up to 0.0" in printed
 
 
+def test_gravity_that_is_stated_to_be_known_without_its_value_is_doubted(tmp_path):
+    write_log(tmp_path, unit())
+    with (tmp_path / "map.yaml").open("a") as file:
+        file.write("  gravity_uncertainty_mps2: 1e-6\n")
+    output = output_of("calibrate", "log.csv", "--map", "map.yaml", "--out", "found", cwd=tmp_path)
+    assert "Warning: gravity_uncertainty_mps2 is 1e-06 without gravity_mps2." in " ".join(output.split())
+    (warning,) = json.loads((tmp_path / "found/calibration.json").read_text())["warnings"]
+    assert "Normal gravity, used then, differs" in warning
+
+
 def test_the_body_frame_may_be_that_of_the_gyros(tmp_path):
     write_log(tmp_path, unit())
     command = ("calibrate", "log.csv", "--map", "map.yaml", "--body-frame", "gyros")

@@ -78,7 +78,12 @@ def test_a_column_whose_name_states_another_unit_is_refused(log, key, value, mes
     [
         ("gyro", "{unit: dps, x: 'gx [deg/s]', y: gy_dps, z: 'gyro_rad[0]'}"),
         ("gyro", "{unit: rad/s, x: {column: 'gx [deg/s]', scale: 0.0174532925}, y: 3, z: gyro_rad_per_s}"),
+        ("gyro", "{unit: °/hr, x: 'gx [dph]', y: 'gy (deg/h)', z: gz}"),
+        ("gyro", "{unit: degrees per second, x: 'gx [°/s]', y: gy_dps, z: gz}"),
         ("time", "{column: timestamp, unit: us}"),
+        ("time", "{column: 't [us]', unit: µs}"),
+        ("calibration", "{accelerometers: {unit: m/s², x: 'ax [m/s^2]', y: b, z: c}, latitude_deg: 36.4}"),
+        ("calibration", "{accelerometers: {unit: µg, x: 'ax [ug]', y: b, z: c}, latitude_deg: 36.4}"),
         ("time", "{column: 't (sec)'}"),
         ("time", "{column: gps_ms, unit: s}"),
         ("temperatures", "{gyros: 'temperature [K]', offset_c: -273.15}"),
