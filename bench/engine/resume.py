@@ -205,10 +205,11 @@ class Resumption:
                     "compared with these. --repeat plateaus measures whole plateaus again."
                 )
         if state.next_index:
-            lines.append(
-                "Before that the INS is switched off and on, and temperature and position are approached "
-                "again."
-            )
+            is_always_on = self.job.station.file.unit.power == "always_on"
+            power = "" if is_always_on else "the INS is switched off and on, and "
+            lines.append(f"Before that {power}temperature and position are approached again.")
+            if is_always_on:
+                lines.append("The INS stays on, but may have restarted: a new power cycle is counted.")
         return "\n".join(lines)
 
 

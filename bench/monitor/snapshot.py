@@ -147,7 +147,8 @@ def _direction(cosines: Sequence[float]) -> str:
 class CurrentStep(StrictRecord):
     """The step in progress."""
 
-    #: number, count: Its number in the plan, from 1, and the number of steps.
+    #: number, count: Its number in the plan, from 1, and the number of steps; while the run returns to a step
+    #: after an interruption, the number of that step.
     number: int
     count: int
     #: label, description: Place in the plan ("cycle 1, 60 degC, z_up") and action ("navigate 10 min").
@@ -156,6 +157,7 @@ class CurrentStep(StrictRecord):
     #: started_s, planned_s: Start, and planned duration.
     started_s: float
     planned_s: float
+    is_return: bool = False  #: Whether the run returns to the step ``number``.
 
 
 @dataclass(frozen=True)

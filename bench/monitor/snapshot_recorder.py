@@ -334,7 +334,13 @@ class SnapshotRecorder(RunObserver):
         self._estimate = None
         self._state, self._reason = RunState.RUNNING, ""
         self._step = CurrentStep(
-            planned.number, len(self._plan.steps), planned.label, step.describe(), now_s, planned.duration_s
+            planned.returns_to or planned.number,
+            len(self._plan.steps),
+            planned.label,
+            step.describe(),
+            now_s,
+            planned.duration_s,
+            is_return=planned.returns_to is not None,
         )
         if isinstance(step, GoTo):
             self._position, self._azimuth_deg = step.position, step.azimuth_deg

@@ -77,7 +77,7 @@ def _step_line(snapshot: RunSnapshot) -> Text:
     step = snapshot.step
     if step is None:
         return Text("no step in progress", "dim")
-    number_text = f"step {step.number}/{step.count}"
+    number_text = f"{'returning to ' if step.is_return else ''}step {step.number}/{step.count}"
     elapsed_s = max(0.0, snapshot.now_s - step.started_s)
     label = f"{step.label}: " if step.label else ""
     return Text.assemble(

@@ -222,5 +222,6 @@ def _schedule(steps: list[PlannedStep], target: PlannedStep, chamber_c: float) -
     for planned in steps:
         duration_s = planned.step.expected_s(bench)
         limit_s = max(planned.timeout_s, planned.step.usual_time_limit_s(duration_s))
-        yield replace(planned, duration_s=duration_s, timeout_s=limit_s, before=bench, dwell=None)
+        scheduled = replace(planned, duration_s=duration_s, timeout_s=limit_s, before=bench)
+        yield replace(scheduled, dwell=None, returns_to=target.number)
         bench = planned.step.after(bench, duration_s)

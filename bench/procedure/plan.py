@@ -40,6 +40,7 @@ class PlannedStep:
     #: before, between and after the turns that follow it.
     dwell: int | None = None
     purpose: DwellPurpose = DwellPurpose.CALIBRATION  #: Of its dwell.
+    returns_to: int | None = None  #: In a re-approach the number of the step to which it leads.
     #: Places of the values that came from loop variables, by key path in the step.
     value_places: Mapping[KeyPath, KeyPath] = field(default_factory=dict, repr=False)
 

@@ -197,6 +197,17 @@ def test_it_describes_what_it_found_and_what_it_will_do(broken):
     assert "unit 1003" in words
 
 
+def test_an_ins_that_is_always_on_is_not_said_to_be_switched(broken, in_third_dwell):
+    assert (
+        "Before that the INS is switched off and on, and temperature" in prepare_resumption(broken).describe()
+    )
+    station = in_third_dwell / "station.yaml"
+    station.write_text(station.read_text().replace("power: chamber_event", "power: always_on"))
+    words = prepare_resumption(in_third_dwell).describe()
+    assert "Before that temperature and position are approached again.\nThe INS stays on" in words
+    assert "switched off" not in words
+
+
 def test_the_approach_is_noted_as_it_begins(in_third_dwell):
     _, _, watcher = resumed(in_third_dwell)
     (way,) = [text for text in watcher.notes if text.startswith("returning to step")]

@@ -246,6 +246,14 @@ def test_a_pause_gives_the_dwell_up_and_says_who_paused(witnessed):
     assert len(last.dwells) == 2
 
 
+def test_steps_that_lead_back_to_an_interrupted_one_show_the_number_of_that_one(witnessed):
+    seen, _ = witnessed("navigate", order(signal.SIGTSTP))
+    steps = [each.step for each in seen[RunState.RUNNING] if each.step]
+    returns = {(step.number, step.description) for step in steps if step.is_return}
+    align = next(step.number for step in steps if step.description.startswith("align"))
+    assert returns == {(align, "go to z_up, azimuth 0 deg")}
+
+
 def test_a_hold_that_was_ordered_keeps_the_dwell_that_was_under_way(witnessed):
     seen, _ = witnessed("navigate", order(signal.SIGUSR1))
     holding = seen[RunState.HOLDING]

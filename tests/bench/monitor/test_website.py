@@ -330,6 +330,9 @@ def test_a_run_under_way_shows_its_dwell_and_one_that_is_over_what_it_left():
     finished = run_fragment(*SNAPSHOTS["finished"], {"report.html": "Report"}, "")
     assert "Live bias of the X gyro" in running
     assert "Step 212 of 325: navigate 10 min (cycle 1, -10 degC, Z-Down)" in running
+    snapshot, *others = SNAPSHOTS["running"]
+    returning = replace(snapshot, step=replace(snapshot.step, is_return=True))
+    assert "Returning to step 212 of 325: " in run_fragment(returning, *others, {}, "")
     assert "Live bias" not in finished
     assert '<a id="record-1" href="report.html">Report</a>' in finished
 
