@@ -35,7 +35,8 @@ from gyrobench.bench.runs.tables.coefficient_table import COMMON_SOURCES, Platea
 
 #: Smallest spacing of plateau temperatures from which slopes are estimated, K, and degree of the curve.
 _MIN_SPACING_C, _SLOPE_DEGREE = 2.0, 2
-#: Dwells and rotations contradict each other if their difference has a smaller p-value.
+#: Dwells and rotations contradict each other if their difference has a smaller p-value, corrected for the
+#: number of plateaus.
 _MIN_P_VALUE = 1e-3
 #: Largest mean specific force of the positions, relative to gravity, without effect on the mean biases.
 _MAX_MEAN_UP = 0.05
@@ -169,8 +170,12 @@ def calibrate_plateaus(
         rotations = [each for each in rotations if each is not matching]
         plateaus_in_time.append((measured[0].dwell, solution, matching))
     plateaus_in_time += [(each.marks.dwell, None, each) for each in rotations]
+    comparisons = sum(
+        solution is not None and matching is not None and matching.calibration is not None
+        for _, solution, matching in plateaus_in_time
+    )
     plateaus = [
-        _calibrate_plateau(number, solution, matching, by_number, setup)
+        _calibrate_plateau(number, solution, matching, by_number, setup, comparisons)
         for number, (_, solution, matching) in enumerate(
             sorted(plateaus_in_time, key=lambda each: each[0]), 1
         )
@@ -225,7 +230,9 @@ def _calibrate_plateau(
     rotations: PlateauRotations | None,
     rows: Mapping[int, DwellRow],
     setup: MeasurementSetup,
+    comparisons: int,
 ) -> PlateauCalibration:
+    """``comparisons``: number of plateaus at which dwells are compared with rotations."""
     estimates, with_force = [], None
     findings: list[str] = []
     ranges = [np.full((2, 4), np.nan)]
@@ -249,8 +256,9 @@ def _calibrate_plateau(
             gyro_c, case_c = rotations.gyro_c, rotations.case_c
             if rotations.with_force is not None:
                 with_force = _combine([*estimates[:-1], rotations.with_force])
-    if len(estimates) > 1 and (p_value := _agreement_p_value(*estimates)) < _MIN_P_VALUE:
-        findings.append(f"dwells and rotations contradict each other (p = {p_value:.1g})")
+    if len(estimates) > 1 and (p_value := comparisons * _agreement_p_value(*estimates)) < _MIN_P_VALUE:
+        corrected = f", corrected for {comparisons} plateaus" if comparisons > 1 else ""
+        findings.append(f"dwells and rotations contradict each other (p = {p_value:.1g}{corrected})")
     estimate = _combine(estimates) if estimates else None
     notes = [*(rotations.notes if rotations else ()), *(common_scale_notes(estimate) if estimate else ())]
     variances = {name: np.diag(part).copy() for name, part in estimate.parts.items()} if estimate else {}

@@ -22,9 +22,9 @@ from gyrobench.bench.report.figures.estimators import (
     has_distribution,
     noise_figure,
 )
-from gyrobench.bench.report.number_format import NO_PAPER, BiasScale, p_in_brackets, p_text
+from gyrobench.bench.report.number_format import NO_PAPER, BiasScale, corrected_p, p_in_brackets, p_text
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable
-from gyrobench.bench.report.run_findings import declared_noise
+from gyrobench.bench.report.run_findings import CONTRADICTION_P, corrected_p_values, declared_noise
 from gyrobench.bench.report.run_text import POSITION_SIGNIFICANCE, fit_sentence
 from gyrobench.bench.runs.tables.joint_table import JointPlateauRow, JointSigmas
 
@@ -129,7 +129,6 @@ _LATITUDE_CONCLUSION = (
     "biases without the rate Up, and check the latitude in station file and INS."
 )
 _INVALID_CONCLUSION = "the joint biases of this plateau are invalid."
-_MISFIT_P = 1e-3
 #: The data do not determine an accelerometer bias with a larger uncertainty.
 _MAX_ACCELEROMETER_SIGMA_UG = 100.0
 
@@ -206,12 +205,13 @@ def _finding_sentence(plateaus: Sequence[JointPlateauRow]) -> str:
 
 
 def _misfit_sentences(plateaus: Sequence[JointPlateauRow]) -> list[str]:
+    corrected = corrected_p_values(plateaus)
     return [
-        f"At plateau {row.plateau} {_subject(row)}{p_in_brackets(row.fit_p_value)}: "
-        + (_LATITUDE_CONCLUSION if row.any_north_p_value >= _MISFIT_P else _INVALID_CONCLUSION)
-        for row in plateaus
+        f"At plateau {row.plateau} {_subject(row)}{corrected_p(fit_p, len(corrected))}: "
+        + (_LATITUDE_CONCLUSION if any_north_p >= CONTRADICTION_P else _INVALID_CONCLUSION)
+        for row, fit_p, any_north_p in corrected
         # The goodness-of-fit test of a single dwell finds its other contradictions.
-        if row.fit_p_value < _MISFIT_P and (row.dwells > 1 or row.any_north_p_value >= _MISFIT_P)
+        if fit_p < CONTRADICTION_P and (row.dwells > 1 or any_north_p >= CONTRADICTION_P)
     ]
 
 

@@ -80,6 +80,11 @@ def p_in_brackets(p_value: float) -> str:
     return "" if math.isnan(p_value) else f" ({p_phrase(p_value)})"
 
 
+def corrected_p(p_value: float, plateaus: int) -> str:
+    """Write a p-value that is corrected for the number of plateaus, in brackets as :func:`p_in_brackets`."""
+    return f" ({p_phrase(p_value)}{f', corrected for {plateaus} plateaus' if plateaus > 1 else ''})"
+
+
 def p_phrase(p_value: float) -> str:
     """Write a p-value for a sentence: "p = 0.02", "p < 1e-9"."""
     text = p_text(p_value)

@@ -18,7 +18,7 @@ from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.vertical_pairs import Finding
 from gyrobench.bench.foundations.text import capitalised, counted, flag_text, listed
 from gyrobench.bench.navigation.positions import AXES
-from gyrobench.bench.report.number_format import p_in_brackets
+from gyrobench.bench.report.number_format import corrected_p
 from gyrobench.bench.report.temperature_findings import temperatures_sentence
 from gyrobench.bench.runs.journal import RunFacts
 from gyrobench.bench.runs.tables.joint_table import JointPlateauRow
@@ -38,8 +38,9 @@ _NOISE_KEYS = MappingProxyType(
         "velocity random walk": "velocity_random_walk_ug_per_sqrt_hz",
     }
 )
-#: Dwells contradict one another if their p-value is smaller; a rate Up is reported above this many sigmas.
-_CONTRADICTION_P, _SIGNIFICANT_SIGMAS = 1e-3, 4.0
+#: Dwells contradict one another if their p-value, corrected for the number of plateaus, is smaller; a rate Up
+#: is reported above this many sigmas.
+CONTRADICTION_P, _SIGNIFICANT_SIGMAS = 1e-3, 4.0
 _NUMBERS = re.compile(r"[-+]?\d[\d.]*(e[-+]\d+)?")
 #: At lower latitudes the Earth's rate Up is too small to show a unit that is mirrored East to West, deg.
 _EQUATORIAL_DEG = 12.0
@@ -249,20 +250,29 @@ def joint_solution_sentences(plateaus: Sequence[JointPlateauRow]) -> dict[str, s
             "uncertainties allow for that. Check the table against a polygon, and multiply "
             "gyro_scale_factor_ppm of ins.uncertainty by that number, or calibrate the gyros by rotations."
         )
-    contradictory = [
-        each
-        for each in plateaus
-        if each.dwells > 1 and max(each.fit_p_value, each.any_north_p_value) < _CONTRADICTION_P
+    corrected = [
+        max(fit_p, any_north_p)
+        for each, fit_p, any_north_p in corrected_p_values(plateaus)
+        if each.dwells > 1
     ]
+    contradictory = [each for each in corrected if each < CONTRADICTION_P]
     if contradictory:
-        p_value = min(max(each.fit_p_value, each.any_north_p_value) for each in contradictory)
         sentences["Dwells contradict one another."] = (
             f"At {counted(len(contradictory), 'plateau')} they disagree on the accelerometer biases, "
-            f"misalignments and rates that they share{p_in_brackets(p_value)}: biases of positions may seem "
-            "to differ. Accelerometer biases that follow the temperature do that: soak longer, or measure on "
-            "slower ramps. See the joint solution in the report."
+            f"misalignments and rates that they share{corrected_p(min(contradictory), len(corrected))}: "
+            "biases of positions may seem to differ. Accelerometer biases that follow the temperature do "
+            "that: soak longer, or measure on slower ramps. See the joint solution in the report."
         )
     return sentences
+
+
+def corrected_p_values(plateaus: Sequence[JointPlateauRow]) -> list[tuple[JointPlateauRow, float, float]]:
+    """Plateaus with a test of their dwells, and its p-values corrected for the number of plateaus.
+
+    The p-values are those with the declared latitude, and with any rate North.
+    """
+    tested = [each for each in plateaus if math.isfinite(each.fit_p_value)]
+    return [(each, len(tested) * each.fit_p_value, len(tested) * each.any_north_p_value) for each in tested]
 
 
 def signs_sentence(facts: RunFacts, station: Mapping[str, Any], name: str | Path) -> str:

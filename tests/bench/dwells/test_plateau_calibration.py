@@ -1,8 +1,10 @@
 """Coefficients over temperature from runs of the emulated bench, beside the declared truth of its world."""
 
 import itertools
+import re
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -34,6 +36,7 @@ from gyrobench.bench.runs.tables.coefficient_table import read_coefficients
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.emulators.world.sensor_errors import accelerometer_errors, gyro_errors
 from gyrobench.drivers.emulators.world.world_file import load_world
+from tests.bench.bias.emulated_groups import any_unit, joint_solution_of, measure
 
 WORLD = "all_coefficients"
 #: One in a thousand sound runs exceeds it.
@@ -342,6 +345,29 @@ def test_a_latitude_that_contradicts_the_rotations_is_named_while_the_run_goes_a
     (first, *_), rows = said or [plateaus[0].finding], plateaus[0].rows()
     assert "noise does not explain the velocity at rest" in first
     assert any("noise does not explain" in text for text in coefficients_section(rows).paragraphs)
+
+
+def test_a_contradiction_of_dwells_and_rotations_is_corrected_for_the_number_of_plateaus(folder, setup):
+    [rotations] = calibrated(rotated_dwells(folder), setup)
+    others = [replace(rotations, marks=replace(rotations.marks, cycle=cycle)) for cycle in (1, 2)]
+    solutions, rows = [], []
+    for cycle in (1, 2):
+        same = {"run": rotations.marks.run, "cycle": cycle, "gyro_c": rotations.gyro_c}
+        dwells = measure(any_unit(np.random.default_rng(1)), None, ("z_up", "z_down"), first=10 * cycle)
+        same["chamber_set_c"] = rotations.marks.chamber_set_c
+        solutions.append(joint_solution_of([replace(each, **same) for each in dwells], setup.prior))
+        rows += [
+            SimpleNamespace(
+                dwell=each.number,
+                gyro_c=rotations.gyro_c,
+                gyro_rate_c_per_h=rotations.gyro_rate_c_per_h,
+                case_c=rotations.case_c,
+            )
+            for each in dwells
+        ]
+    for count, ending in ((1, r"p = \S+\)$"), (2, r"p = \S+, corrected for 2 plateaus\)$")):
+        for plateau in calibrate_plateaus(solutions[:count], rows, others[:count], setup):
+            assert re.search(f"dwells and rotations contradict each other .{ending}", plateau.finding)
 
 
 def test_rotations_that_give_nothing_are_a_section_that_states_why(folder, setup):

@@ -157,8 +157,8 @@ def test_plateaus_whose_dwells_do_not_agree_are_named():
     wrong = plateau_row(2, fit_p_value=1e-12, any_north_p_value=1e-12)
     section = joint_section_of([plateau_row(), wrong, plateau_row(3, fit_p_value=2e-4)])
     assert [text[: text.index(":")] for text in section.paragraphs[2:]] == [
-        "At plateau 2 dwells disagree on shared parameters (p < 1e-9)",
-        "At plateau 3 dwells disagree on shared parameters (p = 2e-4)",
+        "At plateau 2 dwells disagree on shared parameters (p < 1e-9, corrected for 3 plateaus)",
+        "At plateau 3 dwells disagree on shared parameters (p = 6e-4, corrected for 3 plateaus)",
     ]
     assert "are invalid" in section.paragraphs[2]
     assert "the latitude error exceeds the declared uncertainty" in section.paragraphs[3]

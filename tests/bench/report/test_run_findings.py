@@ -54,6 +54,18 @@ def test_what_the_joint_solution_finds_wrong_with_the_bench_is_stated(finding, p
     assert joint_solution_sentences([]) == {}
 
 
+def test_a_contradiction_of_dwells_is_corrected_for_the_number_of_plateaus():
+    numbers = [0.0] * 6 + [0.0, 0.001, 0.006, 0.001, 10.0, 0.1, 0.5]
+    agreeing = JointPlateauRow(1, 1, 6, 25.0, *numbers, "latitude", 0.3, 0.3)
+    contradictory = replace(agreeing, fit_p_value=1e-4, any_north_p_value=1e-4)
+    (text,) = joint_solution_sentences([*[agreeing] * 4, contradictory]).values()
+    assert "At 1 plateau they disagree" in text
+    assert "(p = 5e-4, corrected for 5 plateaus)" in text
+    assert joint_solution_sentences([*[agreeing] * 11, contradictory]) == {}
+    untested = replace(agreeing, dwells=0, fit_p_value=math.nan, any_north_p_value=math.nan)
+    assert joint_solution_sentences([*[untested] * 11, contradictory])
+
+
 def test_gyro_errors_larger_than_declared_are_stated_with_their_size():
     row = JointPlateauRow(1, 1, 6, 25.0, *[math.nan] * 13, "latitude", 0.3, 0.3, 1.0)
     larger = replace(row, gyro_error_factor=6.53)
