@@ -400,6 +400,7 @@ def head_facts(content: RunContent) -> dict[str, str]:
     """Unit, procedure, bench, operator and times of a run by label; unknown values are omitted."""
     facts, provenance = content.facts, content.provenance
     options = {**provenance.get("options", {}), **facts.options}
+    own_clock = " by the run's own clock" if "speed" in options or options.get("clock") == "virtual" else ""
     if "speed" in options:
         options["speed"] = f"{options['speed']:g} (the run's clock, relative to real time)"
     resumed = f", resumed {counted(facts.resumes, 'time')}" if facts.resumes else ""
@@ -413,8 +414,8 @@ def head_facts(content: RunContent) -> dict[str, str]:
             str(provenance[name]) for name in ("operator", "host") if provenance.get(name)
         ),
         "started": _utc_and_local(content.started, 0.0, provenance),
-        "ended": _utc_and_local(content.started, facts.last_s, provenance)
-        if facts.ended and is_end_known
+        "ended": _utc_and_local(content.started, facts.last_s, provenance) + own_clock
+        if facts.ended and is_end_known and content.started
         else "",
         "duration": f"{hours_minutes(facts.last_s)} h{resumed}" if facts.last_s and is_end_known else "",
         "dwells": _dwell_counts(content),

@@ -53,9 +53,12 @@ def test_a_run_that_was_stopped_resumed_and_killed_has_not_ended(stopped: RunFol
 
 def test_a_run_faster_than_real_time_states_its_speed(stopped: RunFolder):
     content = read_run(stopped)
-    assert "speed" not in head_facts(content)["options"]
-    fast = replace(content, facts=replace(content.facts, options={**content.facts.options, "speed": 10.0}))
+    real = replace(content, facts=replace(content.facts, options={"clock": "wall"}))
+    assert "speed" not in head_facts(real)["options"]
+    assert "clock" not in head_facts(real)["ended"]
+    fast = replace(content, facts=replace(content.facts, options={"clock": "wall", "speed": 10.0}))
     assert head_facts(fast)["options"].endswith("speed 10 (the run's clock, relative to real time)")
+    assert head_facts(fast)["ended"].endswith(" by the run's own clock")
 
 
 def test_a_run_that_was_stopped_and_resumed_has_its_new_end(stopped: RunFolder):
