@@ -31,7 +31,7 @@ from gyrobench.bench.dwells.dwell_output import (
 )
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.dwells.output_checks import OutputFault
-from gyrobench.bench.dwells.setup_check import SetupEvidence, drift_fault, raise_setup_fault
+from gyrobench.bench.dwells.setup_check import SetupEvidence, drift_fault, raise_setup_fault, sequence_fault
 from gyrobench.bench.dwells.temperatures import DwellTemperatures, dwell_temperatures
 from gyrobench.bench.foundations.arrays import UG_TO_MPS2, Triple, triple
 from gyrobench.bench.foundations.errors import MeasurementError, SignalMapError
@@ -143,6 +143,8 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
     try:
         navigation = decoder.decode(marks, frames, setup)
         dwell = dwell_at_rest(marks, navigation, setup)
+        if fault := sequence_fault(dwell.windows, setup.signals):
+            raise SignalMapError(fault)
         noise = setup.noise_in(dwell.windows)
         if fault := turn_fault(dwell, setup, noise):
             flags.append(fault)

@@ -15,6 +15,9 @@ station file a dwell still looks good:
   unit with accelerometer biases of some micro-g. Other latitudes are tried in the same way: one tens of
   degrees off, as a longitude entered in its place, shows in several dwells.
 
+* At the singularity of its Euler sequence a heading and an angle are free: where the INS sends another
+  sequence than declared, that angle stays near zero, and a tilt is taken for a change of heading.
+
 If one dwell does not decide, all dwells of a run together do.
 """
 
@@ -28,7 +31,7 @@ import numpy as np
 
 from gyrobench.bench.bias.bias_filter import dwell_chi2, estimate_state_space
 from gyrobench.bench.bias.damping import Damping
-from gyrobench.bench.bias.dwell import Dwell
+from gyrobench.bench.bias.dwell import Dwell, NavigationWindow
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.bias.statistics import chi2_p_value
@@ -38,6 +41,7 @@ from gyrobench.bench.foundations.arrays import UG_TO_MPS2, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError, SignalMapError
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES
+from gyrobench.drivers.ins.signal_map import SignalMap
 
 #: A scale, or an angle in rad, is wrong if it is off by more than this number of standard uncertainties,
 #: which noise exceeds with a probability of 3e-5, and by more than this value.
@@ -64,6 +68,8 @@ _MIN_NEARER_GAIN, _MIN_NEARER_DWELLS = 60.0, 6
 _NO_GAINS = np.zeros(len(_LATITUDES))
 #: Largest difference of the latitudes of INS and station, rad: more than an INS drifts on the bench.
 _MAX_LATITUDE_DIFFERENCE = math.radians(0.05)
+#: Largest angle from the singularity of an Euler sequence, and smallest plausible free angle there, rad.
+_MAX_FROM_SINGULAR, _MIN_FREE_ANGLE = math.radians(0.5), math.radians(0.1)
 _VELOCITIES = ("ins.signals.velocity_east", "ins.signals.velocity_north")
 #: Mistakes that multiply a velocity by each factor.
 _UNITS = {
@@ -127,6 +133,28 @@ def latitude_fault(sent: float, site: Site) -> str:
     return (
         f"the INS uses a latitude of {math.degrees(sent):.4f} deg, location.latitude_deg is "
         f"{math.degrees(site.latitude):.4f} deg. Correct the one that is wrong"
+    )
+
+
+def sequence_fault(windows: Sequence[NavigationWindow], signals: SignalMap | None) -> str:
+    """Message if the attitude contradicts a declared Euler sequence that never changes; else empty.
+
+    In this sequence the free angle follows the tilt of a table or unit, in any direction, and changes by half
+    a turn where the unit is turned by that.
+    """
+    euler = signals.attitude.euler if signals else None
+    if euler is None or euler.sequence.fixed is None:
+        return ""
+    is_rpy = euler.sequence.fixed == "rpy_321"
+    east, north, up = np.vstack([window.C_nb[:, 2] for window in windows]).T  # of Up in body axes
+    singular, free = (north, np.arctan2(-east, up)) if is_rpy else (east, np.arctan2(north, up))
+    if np.abs(singular).min() < math.cos(_MAX_FROM_SINGULAR) or np.abs(np.sin(free)).max() > _MIN_FREE_ANGLE:
+        return ""
+    angle, other = ("roll", "pry_231") if is_rpy else ("pitch", "rpy_321")
+    return (
+        f"ins.signals.attitude.euler.sequence is {euler.sequence.fixed}, in which {angle} is undefined in "
+        f"this position, but it stays within {math.degrees(_MIN_FREE_ANGLE):.1f} deg of zero: the INS seems "
+        f"to send {other} here, or sets {angle} to zero. Correct the sequence, or map a quaternion"
     )
 
 

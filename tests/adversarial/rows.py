@@ -31,6 +31,12 @@ def _latitude(error_arcmin: float) -> Any:
     return lambda case: replace(case, place=replace(case.place, latitude_error_arcmin=error_arcmin))
 
 
+def _base(east_deg: float, north_deg: float, up_deg: float) -> Any:
+    """A table whose base is turned."""
+    turned = (east_deg, north_deg, up_deg)
+    return lambda case: replace(case, place=replace(case.place, table_turned_deg=turned))
+
+
 def _mirrored(*names: str) -> Any:
     return _station(
         {
@@ -42,6 +48,10 @@ def _mirrored(*names: str) -> Any:
 
 def _reversed(angle: str) -> dict[str, Any]:
     return {"signal": f"ROLL_PITCH.{angle}", "sign": -1}
+
+
+def _sequence(name: str) -> Any:
+    return _station({f"{EULER}.sequence": name})
 
 
 def _opposite_latitude(case: Case) -> Case:
@@ -97,6 +107,8 @@ ROWS = (
     Row("roll with the wrong sign", _station({f"{EULER}.roll": _reversed("ROLL")}), "roll"),
     Row("pitch with the wrong sign", _station({f"{EULER}.pitch": _reversed("PITCH")}), "pitch"),
     Row("roll and pitch exchanged", _station(_EXCHANGED_ANGLES), "exchange"),
+    Row("Euler sequence rpy_321, of an INS that changes it", _sequence("rpy_321"), "sequence"),
+    Row("Euler sequence pry_231, of an INS that changes it", _sequence("pry_231"), "sequence"),
     Row("velocities with half their scale", _unit(velocity_scale=(0.5,) * 3), "half the scale"),
     Row("velocities in knots taken for m/s", _unit(velocity_scale=(1.0 / 0.514444,) * 3), "knots"),
     Row(
@@ -120,6 +132,10 @@ ROWS = (
     Row("unit turned by 90 deg on the table", _mounted("north", "west", "up"), "mounting"),
     Row("unit turned by 180 deg on the table", _mounted("west", "south", "up"), "mounting"),
     Row("unit upside down on the table", _mounted("east", "south", "down"), "mounting"),
+    Row("table tilted by 0.1 deg", _base(0.1, -0.1, 0.0)),
+    Row("table tilted by 1 deg", _base(1.0, 1.0, 0.0)),
+    Row("north reference of the table 1 deg off", _base(0.0, 0.0, 1.0)),
+    Row("north reference of the table 10 deg off", _base(0.0, 0.0, -10.0), "lost its zero"),
     Row("unit 0.3 m off the intersection of the table's axes", _unit(lever_arm_m=(0.3, 0.1, 0.05))),
     Row("deflection of the vertical by 8 arcsec", _latitude(8.0 / 60.0)),
     Row("deflection of the vertical by 20 arcsec", _latitude(20.0 / 60.0)),

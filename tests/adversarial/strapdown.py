@@ -72,6 +72,8 @@ class Place:
     height_m: float = 60.0
     #: Entered less true; a deflection of the vertical to the north acts the same.
     latitude_error_arcmin: float = 0.0
+    #: Rotation of the table's base from its nominal axes, about East, North and Up.
+    table_turned_deg: Triple = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -99,13 +101,16 @@ class Output:
 
 @dataclass(frozen=True)
 class Table:
-    """Outer axis East, inner axis Up, body x East and y North at zero angles."""
+    """Outer axis East, inner axis Up, body x East and y North at zero angles; the base may be turned."""
+
+    turned_deg: Triple = (0.0, 0.0, 0.0)
 
     def attitude(self, outer_rad: Floats, inner_rad: Floats) -> Floats:
         """Attitudes (n, 3, 3) at axis angles (n,)."""
         outer, inner = np.zeros((2, len(outer_rad), 3))
         outer[:, 0], inner[:, 2] = outer_rad, inner_rad
-        return np.asarray(Rotation.from_rotvec(outer).as_matrix() @ Rotation.from_rotvec(inner).as_matrix())
+        base = Rotation.from_rotvec(self.turned_deg, degrees=True)
+        return np.asarray((base * Rotation.from_rotvec(outer) * Rotation.from_rotvec(inner)).as_matrix())
 
 
 def simulate(
@@ -184,7 +189,7 @@ def _gravity(latitude: float, height: float) -> float:
 def _resting(place: Place, angles_deg: Angles, epochs: int) -> _Increments:
     """Increments at rest over a number of epochs."""
     latitude = math.radians(place.latitude_deg)
-    C_nb = Table().attitude(*np.radians(angles_deg)[:, np.newaxis])[0]
+    C_nb = Table(place.table_turned_deg).attitude(*np.radians(angles_deg)[:, np.newaxis])[0]
     rate, force = C_nb.T @ _earth(latitude), C_nb.T @ [0.0, 0.0, _gravity(latitude, place.height_m)]
     count = round(epochs * EPOCH_S / _REST_STEP_S)
     return _REST_STEP_S, np.tile(rate * _REST_STEP_S, (count, 1)), np.tile(force * _REST_STEP_S, (count, 1))
@@ -198,7 +203,7 @@ def _turning(unit: Unit, place: Place, schedule: Schedule, start: Angles, end: A
     share = np.linspace(0.0, 1.0, 2 * count + 1)
     share = share - np.sin(2.0 * math.pi * share) / (2.0 * math.pi)
     outer, inner = (math.radians(a) + math.radians(b - a) * share for a, b in zip(start, end, strict=True))
-    C_nb = Table().attitude(outer, inner)
+    C_nb = Table(place.table_turned_deg).attitude(outer, inner)
     lever = C_nb @ np.array(unit.lever_arm_m)
     moving = np.gradient(lever, 0.5 * step_s, axis=0, edge_order=2)
     moving[[0, -1]] = 0.0

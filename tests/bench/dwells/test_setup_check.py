@@ -10,6 +10,8 @@ from gyrobench.bench.bias.damping import Damping
 from gyrobench.bench.bias.joint_solution import JointDwell, solve_jointly
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.dwells.setup_check import drift_fault, measured_scale, setup_evidence, setup_fault
+from tests.adversarial import frames
+from tests.adversarial.frames import euler_deg
 from tests.adversarial.harness import ALL, LATITUDES_DEG, Case, any_unit, measured_dwells
 from tests.adversarial.strapdown import Place, Schedule
 from tests.bench.bias.emulated_dwells import UG, emulate, noise_model, sensors, site
@@ -180,6 +182,25 @@ def test_turns_show_the_scale_factors_of_the_gyros(scale_ppm, misalignment_arcse
     )
     joint = [JointDwell(each.row.dwell, each.row.position, each.joint_information) for each in dwells]
     assert solve_jointly(joint, PriorKnowledge()).scale_factor_ratio == pytest.approx(expected, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("sent", "declared", "position", "named"),
+    [
+        ("as declared", "rpy_321", "y_up", ""),
+        ("as declared", "pry_231", "x_down", ""),
+        ("the other", "rpy_321", "y_down", "sequence is rpy_321, in which roll is undefined"),
+        ("the other", "pry_231", "x_up", "sequence is pry_231, in which pitch is undefined"),
+        ("the other", "rpy_321", "x_up", ""),
+    ],
+)
+def test_a_wrong_euler_sequence_shows_at_its_singularity(monkeypatch, sent, declared, position, named):
+    is_pry = (declared == "pry_231") == (sent == "as declared")
+    monkeypatch.setattr(frames, "euler_deg", lambda C_nb, _: euler_deg(C_nb, is_pry))
+    station = {"ins.signals.attitude.euler.sequence": declared}
+    (dwell,) = dwells_of(station=station, positions=(position,))
+    assert named in dwell.setup_fault
+    assert bool(named) == bool(dwell.setup_fault)
 
 
 @pytest.mark.parametrize("aligns_again", [False, True])
