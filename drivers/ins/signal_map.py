@@ -497,6 +497,6 @@ def _gain_and_offset(quantity: MappedQuantity, signal: Signal) -> tuple[float, f
     if spelling not in allowed:
         raise DocumentError(
             f"the signal {quantity.source.signal} has the unit '{unit}', not a unit of {quantity.dimension} "
-            f"({', '.join(allowed)}). If the DBC is wrong, add the key 'unit' beside 'signal'."
+            f"({', '.join(allowed)}). Give the unit with the keys 'unit' and 'scale' beside 'signal'."
         )
     return allowed[spelling]

@@ -50,17 +50,25 @@ UNITS: MappingProxyType[Dimension, dict[str, tuple[float, float]]] = MappingProx
         Dimension.TIME: {"s": (1.0, 0.0), "ms": (1e-3, 0.0), "us": (1e-6, 0.0), "ns": (1e-9, 0.0)},
         Dimension.SPEED: {
             **dict.fromkeys(("m/s", "m.s-1", "mps"), (1.0, 0.0)),
+            "cm/s": (1e-2, 0.0),
+            "mm/s": (1e-3, 0.0),
             **dict.fromkeys(("kt", "kn", "knot", "knots"), (_KNOT_MPS, 0.0)),
             **dict.fromkeys(("km/h", "kph"), (1.0 / 3.6, 0.0)),
         },
         Dimension.ANGLE: {
             **dict.fromkeys(("rad", "radian"), (1.0, 0.0)),
+            "mrad": (1e-3, 0.0),
+            "urad": (1e-6, 0.0),
             "deg": (_DEGREE_RAD, 0.0),
+            "mdeg": (1e-3 * _DEGREE_RAD, 0.0),
+            "arcmin": (_DEGREE_RAD / 60.0, 0.0),
             "arcsec": (_DEGREE_RAD / 3600.0, 0.0),
         },
         Dimension.ANGULAR_RATE: {
             "rad/s": (1.0, 0.0),
+            "mrad/s": (1e-3, 0.0),
             "deg/s": (_DEGREE_RAD, 0.0),
+            "mdeg/s": (1e-3 * _DEGREE_RAD, 0.0),
             "deg/h": (DPH_TO_RADPS, 0.0),
         },
         Dimension.ACCELERATION: {

@@ -66,7 +66,11 @@ def test_mistakes_of_a_map_are_named(make_signal_map, old, new, message):
     [
         ("velocity_east", '"m/s"', '"kt"', 2.0, 2 * 1852 / 3600),
         ("velocity_east", '"m/s"', '"km/h"', 3.6, 1.0),
+        ("velocity_east", '"m/s"', '"mm/s"', 2.0, 2e-3),
+        ("velocity_up", '"m/s"', '"cm/s"', 2.0, -0.02),
         ("velocity_up", '"m/s"', '"m/s"', 2.0, -2.0),
+        ("attitude.euler.roll", '"deg"', '"mrad"', 5.0, 5e-3),
+        ("attitude.euler.roll", '"deg"', '"arcmin"', 60.0, np.pi / 180),
         ("attitude.euler.roll", '"deg"', '"rad"', 0.5, 0.5),
         ("attitude.euler.roll", '"deg"', '"deg"', 180.0, np.pi),
         ("attitude.euler.roll", '"deg"', '"degrees"', 180.0, np.pi),
