@@ -17,7 +17,13 @@ from typing import Any, TypeVar
 
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.files import decode_text, read_limited, read_lines, write_whole
-from gyrobench.bench.foundations.text import WRITE_POINT, did_you_mean, format_cell, has_decimal_comma
+from gyrobench.bench.foundations.text import (
+    WRITE_POINT,
+    counted,
+    did_you_mean,
+    format_cell,
+    has_decimal_comma,
+)
 
 _RowT = TypeVar("_RowT")
 
@@ -67,7 +73,8 @@ class CsvTable:
 
     def __init__(self, text: str, name: str, required: Sequence[str], skipped_lines: int = 0) -> None:
         self._name = name
-        self._problems: list[str] = []
+        #: Problems by column and kind: the first, and in how many rows.
+        self._problems: dict[tuple[str, str], tuple[str, int]] = {}
         #: The rows as text, and the cells of the row that was read last: storing all cells would take five
         #: times the memory.
         self._rows: list[str] = []
@@ -179,15 +186,23 @@ class CsvTable:
         return rows
 
     def problem(self, index: int, column: str, message: str) -> None:
-        """Record that a cell is wrong."""
-        self._problems.append(f"{self._name}:{self.lines[index]}: column {column}: {message}")
+        """Record that a cell is wrong; of problems alike in a column the first is listed."""
+        key = column, message.partition("; found")[0]
+        first, count = self._problems.get(
+            key, (f"{self._name}:{self.lines[index]}: column {column}: {message}", 0)
+        )
+        self._problems[key] = first, count + 1
 
     def raise_problems(self) -> None:
         """Raise a DocumentError that lists the recorded problems, if there are any."""
         if not self._problems:
             return
-        unlisted = len(self._problems) - _MAX_LISTED_PROBLEMS
-        lines = self._problems[:_MAX_LISTED_PROBLEMS] + ([f"... and {unlisted} more"] if unlisted > 0 else [])
+        problems = [
+            first + (f" (and in {counted(count - 1, 'more line')})" if count > 1 else "")
+            for first, count in self._problems.values()
+        ]
+        unlisted = len(problems) - _MAX_LISTED_PROBLEMS
+        lines = problems[:_MAX_LISTED_PROBLEMS] + ([f"... and {unlisted} more"] if unlisted > 0 else [])
         raise DocumentError("\n".join(lines))
 
     def _check_shape(self, counts: Sequence[int], required: Sequence[str]) -> None:

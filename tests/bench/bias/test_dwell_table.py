@@ -230,10 +230,15 @@ def test_says_which_cell_is_wrong(column, cell, message):
         parse_dwells(",".join(COLUMNS) + "\n" + ",".join(cells), "x")
 
 
-def test_lists_every_mistake_at_once():
-    text = format_dwells([ROW, replace(ROW, dwell=4)]).replace("0.0019", "?")
-    with pytest.raises(DocumentError, match=r"x:2: column sigma_y_dph.*\nx:3: column sigma_y_dph"):
-        parse_dwells(text, "x")
+def test_lists_every_mistake_at_once_and_those_alike_in_a_column_once():
+    text = format_dwells([replace(ROW, dwell=dwell) for dwell in range(40)]).replace("0.0019", "?")
+    head, row, *rest = text.splitlines()
+    with pytest.raises(DocumentError) as error:
+        parse_dwells("\n".join([head, row.replace("y_up", "Z+"), *rest]), "x")
+    assert str(error.value).splitlines() == [
+        "x:2: column sigma_y_dph: expected a number; found '?' (and in 39 more lines)",
+        "x:2: column position: expected one of z_up, z_down, y_up, y_down, x_up, x_down; found 'Z+'",
+    ]
 
 
 def test_refuses_a_dwell_number_given_twice():
