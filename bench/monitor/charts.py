@@ -366,8 +366,11 @@ def _lanes(x: Axis, snapshot: RunSnapshot) -> dict[str, list[PositionBar]]:
     """Bars of each position, future ones shifted by the run's delay."""
     used = {span.position for span in snapshot.planned.positions}
     lanes: dict[str, list[PositionBar]] = {position: [] for position in POSITIONS if position in used}
+    measured = {each.number for each in snapshot.dwells}
     for span in snapshot.planned.positions:
-        is_over = span.end_s <= snapshot.plan_now_s
+        # The return to an interrupted dwell can take the plan's present back into the visit before it.
+        is_measured = bool(span.dwells) and measured.issuperset(span.dwells)
+        is_over = span.end_s <= snapshot.plan_now_s or (is_measured and span.start_s < snapshot.plan_now_s)
         if span.start_s > snapshot.plan_now_s:
             start_s = span.start_s + snapshot.behind_s
         else:

@@ -190,6 +190,22 @@ def test_each_position_has_its_lane_with_the_stays_that_are_over_marked(snapshot
         assert bar.is_over == (bar.start_percent + bar.width_percent < profile.chart.now_percent)
 
 
+def test_a_measured_dwell_stays_over_where_the_return_to_the_next_one_takes_the_plan_back(snapshot):
+    planned = snapshot.planned
+    visit = max(
+        (each for each in planned.positions if each.end_s <= snapshot.plan_now_s), key=lambda each: each.end_s
+    )
+    for number, is_over in ((snapshot.dwells[-1].number, True), (99, False)):
+        positions = (replace(visit, dwells=(number,)),)
+        taken_back = replace(
+            snapshot,
+            left_s=snapshot.planned_s - visit.end_s + 60.0,
+            planned=replace(planned, positions=positions),
+        )
+        (bar,) = profile_chart(taken_back).lanes[visit.position]
+        assert bar.is_over is is_over
+
+
 def test_a_run_that_was_faster_than_its_plan_shows_the_whole_plan(snapshot):
     profile = profile_chart(replace(snapshot, state=RunState.FINISHED, left_s=0.0, now_s=9.2 * S_PER_H))
     ends = [bar.start_percent + bar.width_percent for bars in profile.lanes.values() for bar in bars]
