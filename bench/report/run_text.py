@@ -198,7 +198,8 @@ def _limits_in_doubt(acceptance: Acceptance) -> Iterator[str]:
 def _verdict_sentence(acceptance: Acceptance) -> str:
     if acceptance.limits is None:
         return _NO_LIMITS
-    limit = _limits_text(acceptance)
+    decisive = {"rejected": "fail", "marginal": "marginal"}.get(acceptance.verdict)
+    limit = _limits_text(acceptance, decisive)
     with_confidence = f"with {100.0 * acceptance.limits.confidence:g} % confidence"
     match acceptance.verdict:
         case "accepted":
@@ -226,14 +227,24 @@ def _measurement_advice(acceptance: Acceptance) -> str:
     return _CYCLES_ADVICE.format(slowest.cycles_to_decide, slowest.passes)
 
 
-def _limits_text(acceptance: Acceptance) -> str:
+def _limits_text(acceptance: Acceptance, verdict: str | None) -> str:
+    """Limits of the procedure; with a verdict those for which a judgement has it."""
     limits = acceptance.limits
     if limits is None:
         return ""
-    text = f"the limit of {limits.position_difference_dph:g} deg/h between positions"
-    if limits.vertical_difference_dph is not None:
-        text += f" ({limits.vertical_difference_dph:g} with the gyro up and down)"
-    return text if limits.bias_dph is None else f"{text} or that of {limits.bias_dph:g} deg/h for the bias"
+    named = {each.quantity for each in acceptance.judgements if verdict in (None, each.verdict)}
+    between, vertical = limits.position_difference_dph, limits.vertical_difference_dph
+    texts = [f"{between:g} deg/h between positions"] if "position difference" in named else []
+    if vertical is not None and "vertical difference" in named:
+        vertical_text = "with the gyro up and down"
+        texts = (
+            [f"{texts[0]} ({vertical:g} {vertical_text})"]
+            if texts
+            else [f"{vertical:g} deg/h {vertical_text}"]
+        )
+    if limits.bias_dph is not None and "bias" in named:
+        texts.append(f"{limits.bias_dph:g} deg/h for the bias")
+    return f"the limit of {' or that of '.join(texts)}"
 
 
 def _not_measured_sentence(acceptance: Acceptance) -> str:

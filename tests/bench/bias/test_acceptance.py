@@ -268,6 +268,23 @@ def test_a_limit_in_another_unit_than_deg_per_h_is_in_doubt(limits, sentence):
     assert text.endswith("Check its unit, deg/h.")
 
 
+@pytest.mark.parametrize(
+    ("limits_dph", "words"),
+    [
+        ((0.008, None, 5.0), "0.008 deg/h between positions, with"),
+        ((5.0, 0.006, 5.0), "0.006 deg/h with the gyro up and down, with"),
+        ((0.008, 0.006, 5.0), "0.008 deg/h between positions (0.006 with the gyro up and down), with"),
+        ((5.0, None, 0.05), "0.05 deg/h for the bias, with"),
+        ((0.008, 5.0, 0.05), "0.008 deg/h between positions or that of 0.05 deg/h for the bias, with"),
+    ],
+)
+def test_only_the_limits_that_decide_a_verdict_are_named(limits_dph, words):
+    names = ("position_difference_dph", "vertical_difference_dph", "bias_dph")
+    limits = AcceptanceLimits(**dict(zip(names, limits_dph, strict=True)))
+    text = acceptance_sentence(judged(campaign({"z_up": 0.3}), limits))
+    assert f"beyond the limit of {words} 95 % confidence" in text
+
+
 @pytest.mark.parametrize("largest_dph", [0.0, 0.002, 0.006, 0.05])
 def test_a_limit_of_the_size_of_the_data_is_not_in_doubt(largest_dph):
     limits = AcceptanceLimits(position_difference_dph=0.008, vertical_difference_dph=0.006, bias_dph=0.2)
