@@ -76,7 +76,10 @@ def find_document(kind: str, name: str) -> Path:
             return path
         if (path / "journal.jsonl").is_file():
             raise DocumentError(f"{name}: {_RUN_FOLDER}")
-        raise DocumentError(f"{name}: there is no such file{_suggestion(kind, path.stem)}")
+        beside = [each.name for each in sorted(path.parent.glob("*.y*ml"))]
+        raise DocumentError(
+            f"{name}: there is no such file{did_you_mean(path.name, beside) or _suggestion(kind, path.stem)}"
+        )
     new_name = _NEW_NAMES.get(kind, {}).get(name)
     if new_name is not None:
         logging.getLogger("gyrobench").warning(f"{name}: this {kind.removesuffix('s')} is called {new_name}")
@@ -86,6 +89,8 @@ def find_document(kind: str, name: str) -> Path:
             return candidate
     if (path / "journal.jsonl").is_file():
         raise DocumentError(f"{name}: {_RUN_FOLDER}")
+    if (file := Path(f"{name}.yaml")).is_file():
+        raise DocumentError(f"{name}: not a shipped name. Give the file as {file}")
     raise DocumentError(f"{name}: no such file or shipped name{_suggestion(kind, name)}")
 
 

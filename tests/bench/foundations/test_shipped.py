@@ -24,6 +24,17 @@ def test_the_name_of_a_shipped_file_of_another_kind_is_named_with_what_to_write(
         find_document("procedures", "warmup")
 
 
+def test_the_file_that_was_meant_is_named(tmp_path, monkeypatch):
+    (tmp_path / "mine.yaml").touch()
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(DocumentError, match=r"^mine: not a shipped name\. Give the file as mine\.yaml$"):
+        find_document("procedures", "mine")
+    with pytest.raises(
+        DocumentError, match=r"^mien\.yaml: there is no such file \(did you mean 'mine\.yaml'\?\)$"
+    ):
+        find_document("procedures", "mien.yaml")
+
+
 def test_a_run_folder_in_place_of_a_file_is_named_with_the_commands_that_take_it(tmp_path, monkeypatch):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine/journal.jsonl").touch()
