@@ -43,7 +43,8 @@ def until_settled(step: Soak, run: RunContext, units: Units) -> Iterator[None]:
     is_known, limit_c_per_h = math.isfinite(rate_c_per_h), step.until_gyro_rate_below_c_per_h
     rate = f"a gyro still changes by {rate_c_per_h:.3g} degC/h" if is_known else "the rate is not known yet"
     text = (
-        f"soak not settled after at_most_s ({span(step.at_most_s)}): {rate}, limit {limit_c_per_h:g} degC/h"
+        f"soak not settled after at_most_s ({span(step.at_most_s)}), the run continues: {rate}, "
+        f"limit {limit_c_per_h:g} degC/h"
     )
     run.journal.record("soak_not_settled", text=text, rate_c_per_h=rate_c_per_h, limit_c_per_h=limit_c_per_h)
     run.observers.noted(text)

@@ -203,8 +203,10 @@ def problems_of(error: ValidationError, parent: KeyPath = ()) -> list[DocumentPr
 
 def _advice(error_type: str, value: Any, location: KeyPath) -> str:
     """Advice how to write the value correctly, as a sentence; empty if unknown."""
-    if error_type == "list_type" and isinstance(value, int | float):
-        return f". Put it in brackets: [{excerpt(value)}, ...]"
+    if error_type == "list_type" and isinstance(value, int | float | str):
+        return f". Put it in brackets: [{value if isinstance(value, str) else excerpt(value)}, ...]"
+    if error_type == "list_type" and value is None:
+        return ". The items of a list are in brackets: [a, b]"
     if error_type == "list_type" and isinstance(value, dict) and any(key.startswith("-") for key in value):
         return ". Write '- ', with a blank, before an item"
     if not isinstance(value, str):

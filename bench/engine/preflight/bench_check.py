@@ -132,7 +132,7 @@ def signal_map_checks(outcome: RunOutcome, folder: RunFolder) -> Iterator[Check]
                 found += f"; scale of the velocities {scale:.2f} ± {sigma:.2f}"
         else:
             found = (flag_text(dwell.flags) if dwell else "") or unit.reason or outcome.reason
-        found = f"{found} ({folder.path})"
+        found = f"{found.rstrip('.')}. Run folder: {folder.path}"
         if is_good and advice:
             yield Check.skipped(subject, what, found, advice)
         else:

@@ -164,6 +164,7 @@ def test_a_process_that_does_not_hold_the_run_gets_no_signal(run_in_progress, pi
 
 def test_the_version_is_printed(tmp_path):
     assert gyrobench("--version", cwd=tmp_path).stdout == f"gyrobench {__version__}\n"
+    assert "--no-version" not in gyrobench("--help", cwd=tmp_path).stdout
 
 
 @pytest.mark.parametrize(

@@ -215,6 +215,7 @@ def test_a_dwell_that_does_not_test_the_signs_never_passes(tmp_path, scale, verd
     (check,) = signal_map_checks(SimpleNamespace(units={}, dwells=[dwell]), RunFolder(tmp_path))
     assert check.verdict is verdict
     assert words in check.found
+    assert check.found.endswith(f". Run folder: {tmp_path}")
     assert "signs of velocities and attitude" in check.advice
 
 
