@@ -47,7 +47,10 @@ class StoredCompensation:
             return
         previous = self._agreed
         if status.compensation is None and previous is None:
-            unit.note("the INS does not report whether it compensates its gyros (ins.signals.compensation)")
+            unit.note(
+                "the INS does not report whether it compensates its gyros (ins.signals.compensation): "
+                "the biases measured are those of its output"
+            )
         must_clear = self._required is not None  # no term of an earlier compensation may remain
         if status.compensation and (self._loaded is None or status.compensation_in_use != self._loaded):
             must_clear = yield from self._decide(status, appeared=previous is not None)

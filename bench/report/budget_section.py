@@ -66,7 +66,9 @@ def budget_box(budget: BudgetSummary) -> Box | None:
         return None
     k = _range_text([factor for group in budget.all_gyros.values() for factor in group[COMBINED].k], ".2f")
     return Box(
-        "open", "Standard uncertainty of a bias in a dwell:", f"{'; '.join(texts)}. U = {k} sigma (95 %)."
+        "open",
+        "Standard uncertainty of a bias in a dwell:",
+        f"{'; '.join(texts)}. Expanded uncertainty: k = {k} (95 %).",
     )
 
 

@@ -79,7 +79,7 @@ def _end_sentence(investigation: Investigation) -> str:
         if investigation.spent_h
         else ""
     )
-    comparison = f" ({share_text} of repeating the first)" if block_text else ""
+    comparison = f" ({share_text} of a repeat of the first table)" if block_text else ""
     return (
         f"{investigation.reason} On the bench: first table {investigation.repeated_campaign_h:.1f} "
         f"h{block_text}{comparison}."

@@ -69,7 +69,7 @@ def test_a_tie_is_settled_in_favour_of_what_is_there_in_a_quarter_of_a_campaign(
     at_end = next(each for each in found.stages if each.closure.probability >= 0.99)
     assert at_end.spent_h <= 0.25 * found.repeated_campaign_h
     first, *_ = investigation_text.closing_sentences(found)
-    share = f"{100.0 * found.spent_h / found.repeated_campaign_h:.0f} % of repeating the first"
+    share = f"{100.0 * found.spent_h / found.repeated_campaign_h:.0f} % of a repeat of the first table"
     assert f"On the bench: first table {found.repeated_campaign_h:.1f} h, " in first
     assert first.endswith(f"{len(found.stages) - 1} blocks {found.spent_h:.1f} h ({share}).")
 

@@ -46,7 +46,7 @@ def test_the_statement_gives_the_causes_of_level_and_vertical_gyros_the_largest_
         "0.0010 deg/h for a level gyro, 100 % of the variance by angle random walk of the gyros "
         "(0.0006 deg/sqrt(h), declared); 0.0010 deg/h for a vertical gyro, 64 % of the variance by latitude "
         "and deflection of the vertical (0.33 arcmin, declared) and 36 % by angle random walk of the gyros "
-        "(0.0006 deg/sqrt(h), declared). U = 1.96 sigma (95 %)."
+        "(0.0006 deg/sqrt(h), declared). Expanded uncertainty: k = 1.96 (95 %)."
     )
 
 
@@ -56,7 +56,7 @@ def test_the_statement_says_what_was_estimated_and_the_range_of_k():
     )
     text = budget_box(rows).text
     assert "angle random walk of the gyros (0.0006 deg/sqrt(h), estimated)" in text
-    assert text.endswith("U = 1.96 to 2.78 sigma (95 %).")
+    assert text.endswith("Expanded uncertainty: k = 1.96 to 2.78 (95 %).")
 
 
 def test_a_latitude_that_the_data_show_to_be_off_is_not_called_declared():
