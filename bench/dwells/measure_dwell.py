@@ -222,7 +222,7 @@ def estimate_dwell(
         disturbances.append(
             f"a bias is not constant: that of the {AXES[step.gyro]} gyro seems to step by "
             f"{step.size_dph:.2g} deg/h at {step.time_s:.0f} s on the clock of the INS (p = "
-            f"{step.p_value:.1g}, corrected for the search). Measure the dwell again"
+            f"{step.p_value:.1g}, corrected for the search)"
         )
     by_noise = [fault.text for fault in faults if fault.may_be_noise]
     return EstimatedDwell(estimate, tuple(disturbances), (*by_noise, *persistent_flags))

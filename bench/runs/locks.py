@@ -128,7 +128,7 @@ class Lock:
                 self._files.append(file)
             self._resources = resources.pop_all()
         self.taken_over = [
-            f"took over locks left by {holder.describe()}, which did not release them: {', '.join(names)}"
+            f"locks taken over: {', '.join(names)}. They were left by {holder.describe()}"
             for holder, names in names_by_holder.items()
         ]
         return self

@@ -85,7 +85,7 @@ def trend_summary(
             bin_label(quantity.bin_low_c, quantity.bin_high_c, ".."),
             str(len(each.runs)),
             scale.with_sigma(each.bias_dph, each.sigma_dph, "±"),
-            scale.text(each.between_runs_dph),
+            scale.text(each.between_runs_dph) if len(each.runs) > 1 else "",
             _slope_text(scale, each),
             p_text(each.p_value),
             p_text(each.p_adjusted),

@@ -6,7 +6,9 @@ from itertools import pairwise
 import pytest
 
 from gyrobench.bench.report.figures.drift import trend_figure
+from gyrobench.bench.report.terminal.runs import trend_summary
 from gyrobench.bench.runs.index.run_biases import LEVEL, BiasQuantity, RunBias, trends
+from tests.bench.report.plain_terminal import printed_lines
 
 
 def trends_of(bins, runs):
@@ -18,6 +20,13 @@ def trends_of(bins, runs):
         for number in range(bins)
     ]
     return trends(dict.fromkeys(quantities, biases))
+
+
+@pytest.mark.parametrize(("runs", "scatter"), [(1, []), (2, ["0.0"])])
+def test_the_scatter_between_runs_is_empty_for_a_single_run(runs, scatter):
+    lines = printed_lines(trend_summary("1001", trends_of(1, runs), [], []))
+    row = next(line for line in lines if line.startswith("x "))
+    assert row.split()[4:] == scatter
 
 
 @pytest.mark.draws
