@@ -87,6 +87,7 @@ def test_a_lock_left_by_a_killed_process_is_taken_over_and_named(make_station, t
         assert bench_holders(station) == []
         with BenchLock(station, run, WallClock()) as lock, RunLock(run, WallClock()) as run_lock:
             (note,), (run_note,) = lock.taken_over, run_lock.taken_over
+            assert note.startswith("locks taken over: ")
             assert f"process {process.pid}" in note
             assert f"process {process.pid}" in run_note
             assert all(port in note for port in ("/dev/table", "/dev/chamber", "/dev/can"))
