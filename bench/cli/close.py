@@ -17,7 +17,7 @@ def close(
         list[Path],
         typer.Argument(
             metavar="DWELLS_OR_RUN",
-            help="Dwell tables or run folders of one unit.",
+            help="Run folders of one unit, or tables with the columns of dwells.csv (docs/tables.md).",
             autocompletion=complete_run,
         ),
     ],
