@@ -368,14 +368,16 @@ def _lanes(x: Axis, snapshot: RunSnapshot) -> dict[str, list[PositionBar]]:
     lanes: dict[str, list[PositionBar]] = {position: [] for position in POSITIONS if position in used}
     measured = {each.number for each in snapshot.dwells}
     for span in snapshot.planned.positions:
-        # The return to an interrupted dwell can take the plan's present back into the visit before it.
+        # The return to an interrupted dwell takes the plan's present back before visits that are over.
         is_measured = bool(span.dwells) and measured.issuperset(span.dwells)
-        is_over = span.end_s <= snapshot.plan_now_s or (is_measured and span.start_s < snapshot.plan_now_s)
-        if span.start_s > snapshot.plan_now_s:
-            start_s = span.start_s + snapshot.behind_s
-        else:
-            start_s = span.start_s if is_over else min(span.start_s, snapshot.now_s)
-        end_s = span.end_s if is_over else span.end_s + snapshot.behind_s
+        start_s, end_s = span.start_s, span.end_s
+        is_over = end_s <= snapshot.plan_now_s
+        if not is_over and is_measured and start_s < snapshot.now_s:
+            is_over, end_s = True, min(end_s, snapshot.now_s)
+        elif not is_over:
+            is_future = span.start_s > snapshot.plan_now_s
+            start_s = start_s + snapshot.behind_s if is_future else min(start_s, snapshot.now_s)
+            end_s += snapshot.behind_s
         start_percent, end_percent = x.percent(start_s), x.percent(end_s)
         lanes.setdefault(span.position, []).append(
             PositionBar(

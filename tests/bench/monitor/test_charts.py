@@ -195,15 +195,22 @@ def test_a_measured_dwell_stays_over_where_the_return_to_the_next_one_takes_the_
     visit = max(
         (each for each in planned.positions if each.end_s <= snapshot.plan_now_s), key=lambda each: each.end_s
     )
-    for number, is_over in ((snapshot.dwells[-1].number, True), (99, False)):
+    for number, back_s, is_over in (
+        (snapshot.dwells[-1].number, 60.0, True),
+        (snapshot.dwells[-1].number, 7200.0, True),
+        (99, 60.0, False),
+    ):
         positions = (replace(visit, dwells=(number,)),)
         taken_back = replace(
             snapshot,
-            left_s=snapshot.planned_s - visit.end_s + 60.0,
+            left_s=snapshot.planned_s - visit.end_s + back_s,
             planned=replace(planned, positions=positions),
         )
-        (bar,) = profile_chart(taken_back).lanes[visit.position]
+        profile = profile_chart(taken_back)
+        (bar,) = profile.lanes[visit.position]
         assert bar.is_over is is_over
+        is_left_of_now = bar.start_percent + bar.width_percent <= profile.chart.now_percent + 0.001
+        assert is_left_of_now is is_over
 
 
 def test_a_run_that_was_faster_than_its_plan_shows_the_whole_plan(snapshot):
