@@ -26,14 +26,13 @@ from gyrobench.bench.authoring.file_kinds import (
     schema_of,
 )
 from gyrobench.bench.closure.effects.effect_file import EffectFile
-from gyrobench.bench.foundations.documents import parse_document, read_document, validate
+from gyrobench.bench.foundations.documents import FILL_IN, parse_document, read_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.json_schema import Schema
 from gyrobench.bench.foundations.shipped import TEMPLATES, find_document
 from gyrobench.bench.procedure.procedure_file import STEP_KINDS, checked_procedure, resolve
 from gyrobench.bench.procedure.steps import Step
 from gyrobench.bench.station.instrument_sections import section_of
-from gyrobench.bench.station.station import FILL_IN
 from gyrobench.bench.station.station_file import StationFile
 
 #: A bound this large only keeps computations finite: templates and pages leave it out.

@@ -26,6 +26,8 @@ from gyrobench.bench.foundations.text import WRITE_POINT, did_you_mean, excerpt,
 from gyrobench.bench.foundations.yaml_nodes import InvalidYamlError, KeyPath, read_yaml
 
 MAX_DOCUMENT_BYTES = 1_000_000
+#: Start of a text that is a placeholder for what a person has to write.
+FILL_IN = "fill_in"
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _OTHER_MINUS_SIGNS = re.compile("^[\u2010-\u2015\u2212]")
 _NUMBER_WITH_UNIT = re.compile(r"[-+]?\d+(\.\d+)?\s*[^\d\s.,_].*")
@@ -203,6 +205,8 @@ def problems_of(error: ValidationError, parent: KeyPath = ()) -> list[DocumentPr
 
 def _advice(error_type: str, value: Any, location: KeyPath) -> str:
     """Advice how to write the value correctly, as a sentence; empty if unknown."""
+    if isinstance(value, str) and value.startswith(FILL_IN):
+        return ""
     if error_type == "list_type" and isinstance(value, int | float | str):
         return f". Put it in brackets: [{value if isinstance(value, str) else excerpt(value)}, ...]"
     if error_type == "list_type" and value is None:

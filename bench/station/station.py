@@ -16,7 +16,13 @@ from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.clock import Clock, VirtualClock, WallClock
-from gyrobench.bench.foundations.documents import Document, DocumentProblem, parse_document, validate
+from gyrobench.bench.foundations.documents import (
+    FILL_IN,
+    Document,
+    DocumentProblem,
+    parse_document,
+    validate,
+)
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.yaml_nodes import KeyPath
 from gyrobench.bench.navigation.error_model import Site
@@ -42,10 +48,6 @@ _DIRECTIONS: dict[Direction, tuple[float, float, float]] = {
     "south": (0.0, -1.0, 0.0),
     "down": (0.0, 0.0, -1.0),
 }
-
-
-#: Start of a text that is a placeholder.
-FILL_IN = "fill_in"
 
 
 class Station:
