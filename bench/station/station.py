@@ -16,13 +16,7 @@ from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.clock import Clock, VirtualClock, WallClock
-from gyrobench.bench.foundations.documents import (
-    FILL_IN,
-    Document,
-    DocumentProblem,
-    parse_document,
-    validate,
-)
+from gyrobench.bench.foundations.documents import FILL_IN, Document, DocumentProblem, parse_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.yaml_nodes import KeyPath
 from gyrobench.bench.navigation.error_model import Site
