@@ -97,6 +97,9 @@ SOURCES: Mapping[str, ErrorSource] = MappingProxyType(
             1.0,
             note="0.01 deg/h for each g; only if the rotations are too few to show them",
         ),
+        "quadratic": ErrorSource(
+            "quadratic terms of the accelerometers", "", 1.0, note="20 ug/g^2; estimated from the data"
+        ),
         "gravity": ErrorSource("gravity", "m/s^2", 1.0, note="declared, or an anomaly of 30 mGal"),
         "temperature_change": ErrorSource(
             "change of temperature within the plateau",

@@ -52,7 +52,7 @@ from gyrobench.bench.calibration.problem import (
     Estimates,
 )
 from gyrobench.bench.calibration.section import IncrementSection
-from gyrobench.bench.calibration.strapdown import ASYMMETRIES, G_SENSITIVITIES, Trajectory
+from gyrobench.bench.calibration.strapdown import ASYMMETRIES, G_SENSITIVITIES, QUADRATIC, Trajectory
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.earth import EARTH_RATE
@@ -74,6 +74,9 @@ _VARIANCE_STEP = 1e-3
 _SENSITIVITY_PER_SI = OPTIONAL_PARAMETERS[G_SENSITIVITIES.start - COUNT].per_si
 _USUAL_SENSITIVITY, _NO_SENSITIVITY = 0.01 / _SENSITIVITY_PER_SI, 1e-9 / _SENSITIVITY_PER_SI
 _MIN_SENSITIVE_GROWTH = 1.6
+_QUADRATICS = range(QUADRATIC.start, QUADRATIC.stop)
+#: A quadratic term of an accelerometer is noted from this number of standard uncertainties on.
+_SIGNIFICANT_SIGMAS = 4.0
 #: Coning between samples counts from this number of standard deviations of its mean on.
 _MIN_CONING_SIGMAS = 5.0
 _NOISE = ("angle_random_walk", "velocity_random_walk", "white_angle", "white_velocity")
@@ -148,14 +151,18 @@ def calibrate(
     widening, misfit = _widening(problem, estimates, is_observed)
     covariance = estimates.covariance * widening**2
     covariance[GYRO_SCALES, GYRO_SCALES] += offset**2
-    coefficients = tuple((*COEFFICIENTS, *OPTIONAL_PARAMETERS)[each] for each in options.columns)
-    count = len(coefficients)
-    site_covariances = {**estimates.information.site_parts(site, options), **hidden.covariances}
+    # Terms that are allowed for without being asked for are not listed.
+    listed = [k for k, each in enumerate(options.columns) if options.quadratic or each not in _QUADRATICS]
+    coefficients = tuple((*COEFFICIENTS, *OPTIONAL_PARAMETERS)[options.columns[k]] for k in listed)
+    both_listed = np.ix_(listed, listed)
+    parts = {**estimates.information.site_parts(site, options), **hidden.covariances}
+    site_covariances = {name: part[both_listed] for name, part in parts.items()}
+    quadratic = _quadratic_note(estimates.values, covariance, options)
     coning = _coning_finding(recordings, np.where(is_observed[:3], np.sqrt(np.diag(covariance)[:3]), np.inf))
     return Calibration(
-        values=estimates.values[:count] + hidden.shift,
-        covariance=covariance[:count, :count] + sum(site_covariances.values()),
-        is_observed=is_observed[:count],
+        values=estimates.values[listed] + (hidden.shift[listed] if hidden.covariances else 0.0),
+        covariance=covariance[both_listed] + sum(site_covariances.values()),
+        is_observed=is_observed[listed],
         coefficients=coefficients,
         noise=noise,
         recordings=tuple(recordings),
@@ -169,7 +176,7 @@ def calibrate(
         site_covariances=site_covariances,
         findings=tuple(filter(None, (contradiction, misfit, coning))),
         options=options,
-        notes=tuple(filter(None, (note, hidden.note))),
+        notes=tuple(filter(None, (note, hidden.note, quadratic))),
     )
 
 
@@ -177,14 +184,14 @@ def calibrate(
 class _HiddenSensitivity:
     """Effect of gyro biases that follow the specific force, if the rotations are too few to show them."""
 
-    shift: FloatArray | float  #: Of the estimates if such biases are allowed for.
+    shift: FloatArray  #: Of the estimates if such biases are allowed for; empty if they are not.
     covariances: Mapping[str, FloatArray]  #: Covariance that they add, by source.
     note: str
 
     @classmethod
     def none(cls) -> _HiddenSensitivity:
         """No effect."""
-        return cls(0.0, {}, "")
+        return cls(np.zeros(0), {}, "")
 
     @classmethod
     def of(cls, problem: CalibrationProblem, estimates: Estimates) -> _HiddenSensitivity:
@@ -266,6 +273,25 @@ def _widening(problem: CalibrationProblem, estimates: Estimates, is_observed: Bo
     )
 
 
+def _quadratic_note(values: FloatArray, covariance: FloatArray, options: CalibrationOptions) -> str:
+    """Note of significant quadratic terms of the accelerometers that were not asked for; else empty."""
+    if options.quadratic is not None:
+        return ""
+    term_texts = []
+    for number, column in enumerate(options.columns):
+        if column in _QUADRATICS:
+            each = OPTIONAL_PARAMETERS[column - COUNT]
+            value, sigma = np.array([values[number], np.sqrt(covariance[number, number])]) * each.per_si
+            if abs(value) > _SIGNIFICANT_SIGMAS * sigma:
+                term_texts.append(f"{each.axis} {value:+.3g} ± {sigma:.1g}")
+    if not term_texts:
+        return ""
+    return (
+        f"the accelerometers have quadratic terms, in ug/g2: {', '.join(term_texts)}. The coefficients allow "
+        "for them; the accelerometer biases are those without specific force"
+    )
+
+
 def _coning_finding(recordings: Sequence[IncrementRecording], sigmas: FloatArray) -> str:
     """Finding if coning between the samples passes for a gyro bias; ``sigmas`` (3,): of the biases, rad/s.
 
@@ -316,8 +342,7 @@ def covariances_by_source(calibration: Calibration, site: Site) -> Mapping[str, 
     parts = {name: covariance(information(name)) for name in _NOISE}
     if options.whole_turns is not None:
         parts["table_return"] = covariance(information(whole_turns=options.whole_turns * larger))
-    is_drift = np.arange(len(unchanged.sizes)) >= len(unchanged.sizes) - unchanged.drifts
-    for name, is_scaled in (("assumed_size", ~is_drift), ("bias_drift", is_drift)):
+    for name, is_scaled in {"assumed_size": ~unchanged.is_prior, **unchanged.priors}.items():
         if is_scaled.any():
             sizes = np.where(is_scaled, larger, 1.0) * unchanged.sizes
             parts[name] = covariance(replace(unchanged, sizes=sizes))

@@ -20,15 +20,24 @@ from gyrobench.bench.calibration.strapdown import (
     G_SENSITIVITIES,
     LATITUDE,
     LEVER_ARMS,
+    PARAMETER_COUNT,
     QUADRATIC,
     Trajectory,
     white_rows,
 )
-from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, BoolArray, FloatArray
+from gyrobench.bench.foundations.arrays import (
+    DPH_TO_RADPS,
+    STANDARD_GRAVITY,
+    UG_TO_MPS2,
+    BoolArray,
+    FloatArray,
+)
 from gyrobench.bench.navigation.error_model import Site
 
 #: Large drift of a gyro's bias, rad/s^2.
 BIAS_DRIFT = 0.1 * DPH_TO_RADPS / 3600.0
+#: Usual size of an accelerometer's quadratic term, s^2/m: 20 ug/g^2.
+USUAL_QUADRATIC = 20.0 * UG_TO_MPS2 / STANDARD_GRAVITY**2
 #: Large attitude error at the start, rad.
 ATTITUDE_ERROR = 0.5
 #: Large error of the latitude, rad.
@@ -56,7 +65,9 @@ class CalibrationOptions:
 
     lever_arms: bool = False  #: Positions of the y and z accelerometers relative to the x accelerometer.
     delay: bool = False  #: Delay of the accelerometers relative to the gyros.
-    quadratic: bool = False  #: Quadratic terms of the accelerometers.
+    #: Quadratic terms of the accelerometers. None: of the usual size, as a prior, so that they pass for no
+    #: biases.
+    quadratic: bool | None = False
     #: Sensitivities of the gyro biases to specific force; None: only if they explain what noise does not.
     g_sensitivity: bool | None = False
     #: Indices of the gyros whose scale factor asymmetry is estimated. None: those with whole turns in both
@@ -88,7 +99,7 @@ class CalibrationOptions:
     def columns(self) -> list[int]:
         """Columns of the parameters common to all recordings; the x accelerometer is the origin."""
         arms = range(LEVER_ARMS.start + 3, LEVER_ARMS.stop) if self.lever_arms else ()
-        squares = range(QUADRATIC.start, QUADRATIC.stop) if self.quadratic else ()
+        squares = range(QUADRATIC.start, QUADRATIC.stop) if self.quadratic is not False else ()
         by_force = range(G_SENSITIVITIES.start, G_SENSITIVITIES.stop) if self.g_sensitivity else ()
         by_sign = [ASYMMETRIES.start + axis for axis in self.asymmetries or ()]
         return [*range(COUNT), *arms, *([DELAY] if self.delay else []), *squares, *by_force, *by_sign]
@@ -128,7 +139,13 @@ class Information:
     #: but corrections of the attitudes.
     blocks: list[FloatArray]
     sizes: FloatArray  #: Shape (21 + k,). Large values of the parameters, SI.
-    drifts: int  #: Number of drifts of biases, which are the last parameters.
+    #: Parameters whose sizes are standard uncertainties of priors, as masks (21 + k,) by source.
+    priors: Mapping[str, BoolArray]
+
+    @property
+    def is_prior(self) -> BoolArray:
+        """Mask (21 + k,) of the parameters with a prior."""
+        return np.asarray(np.any(list(self.priors.values()), axis=0))
 
     @classmethod
     def of(
@@ -161,10 +178,16 @@ class Information:
         sizes = np.array([each.size for each in (*COEFFICIENTS, *OPTIONAL_PARAMETERS)])
         if not all(each.epochs.has_vertical for each in sections):
             sizes[np.flatnonzero(IS_FORCE_SCALE)] = FORCE_SCALE
+        if options.quadratic is None:
+            sizes[QUADRATIC] = USUAL_QUADRATIC
         count = 3 * len(sections)
         drifts = count if options.bias_drift else 0
         own_sizes = [ATTITUDE_ERROR] * count + [options.bias_drift] * drifts
-        return cls(blocks, np.array([*sizes[used], *own_sizes]), drifts)
+        columns = np.array([*used, *[PARAMETER_COUNT] * count, *[DRIFT.start] * drifts])
+        priors = {"bias_drift": np.equal(columns, DRIFT.start)}
+        if options.quadratic is None:
+            priors["quadratic"] = np.isin(columns, range(QUADRATIC.start, QUADRATIC.stop))
+        return cls(blocks, np.array([*sizes[used], *own_sizes]), priors)
 
     @cached_property
     def root(self) -> FloatArray:
@@ -182,9 +205,8 @@ class Information:
         origin_values = np.zeros(len(self.sizes)) if origin is None else origin
         rows, residual = self.root[:, :-2], self.root[:, -1] - self.root[:, :-2] @ origin_values
         values, covariance = solve(rows, residual, np.diag(self.sizes))
-        # The sizes of drifts are true priors, and are not enlarged.
-        is_size = np.arange(len(self.sizes)) < len(self.sizes) - self.drifts
-        _, wide_covariance = solve(rows, residual, np.diag(np.where(is_size, 10.0, 1.0) * self.sizes))
+        enlarged = np.where(self.is_prior, 1.0, 10.0) * self.sizes
+        _, wide_covariance = solve(rows, residual, np.diag(enlarged))
         growth = np.sqrt(np.diag(wide_covariance) / np.diag(covariance))
         return origin_values + values, covariance, np.asarray(growth < _MAX_GROWTH)
 
@@ -199,9 +221,8 @@ class Information:
         is a curved valley, which a step along its tangent leaves. ``min_singular_value``: smallest change of
         the residuals, in standard deviations, for one size along a direction.
         """
-        is_drift = np.arange(len(self.sizes)) >= len(self.sizes) - self.drifts
         _, singular, directions = np.linalg.svd(
-            np.vstack([self.root[:, :-2] * self.sizes, np.diag(is_drift)])
+            np.vstack([self.root[:, :-2] * self.sizes, np.diag(self.is_prior)])
         )
         observable = directions[: len(singular)][singular > min_singular_value]
         return np.asarray(self.sizes * (observable.T @ (observable @ (step / self.sizes))))

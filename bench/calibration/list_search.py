@@ -19,7 +19,12 @@ from typing import Literal
 import numpy as np
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT
-from gyrobench.bench.calibration.information import ATTITUDE_ERROR, FORCE_SCALE, IS_FORCE_SCALE
+from gyrobench.bench.calibration.information import (
+    ATTITUDE_ERROR,
+    FORCE_SCALE,
+    IS_FORCE_SCALE,
+    USUAL_QUADRATIC,
+)
 from gyrobench.bench.calibration.rotation_list import (
     STEP_S,
     ExpectedUncertainties,
@@ -30,7 +35,7 @@ from gyrobench.bench.calibration.rotation_list import (
     ideal_increments,
     motion,
 )
-from gyrobench.bench.calibration.strapdown import ATTITUDE, epoch_steps
+from gyrobench.bench.calibration.strapdown import ATTITUDE, QUADRATIC, epoch_steps
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.kernels import compiled
@@ -47,8 +52,8 @@ _EPOCH_S = 5.0
 _MARGINS = (1.0, 0.97, 0.9)
 _UNITS = {"deg/h": "dph", "ppm": "ppm", "arcsec": "arcsec", "ug": "ug"}
 #: Columns of the parameters of a list, and their sizes.
-_COLUMNS = [*range(COUNT), *range(ATTITUDE.start, ATTITUDE.stop)]
-_SIZES = np.array([*(each.size for each in COEFFICIENTS), *[ATTITUDE_ERROR] * 3])
+_COLUMNS = [*range(COUNT), *range(QUADRATIC.start, QUADRATIC.stop), *range(ATTITUDE.start, ATTITUDE.stop)]
+_SIZES = np.array([*(each.size for each in COEFFICIENTS), *[USUAL_QUADRATIC] * 3, *[ATTITUDE_ERROR] * 3])
 
 
 def parse_targets(text: str) -> FloatArray:
@@ -133,7 +138,7 @@ def _missed_texts(missed: BoolArray, sigmas: FloatArray) -> list[str]:
 class _Movement:
     """A rotation and the rest after it, from given angles, in epochs."""
 
-    #: transition, covariance, drive: Shapes (n, 6, 6), (n, 6, 6), (n, 6, 24).
+    #: transition, covariance, drive: Shapes (n, 6, 6), (n, 6, 6), (n, 6, 27).
     transition: FloatArray
     covariance: FloatArray
     drive: FloatArray
@@ -147,7 +152,7 @@ class _PartialList:
 
     rotations: tuple[TableRotation, ...]
     angles: Angles
-    #: state, covariance, information: Shapes (9, 24), (9, 9), (24, 24). For each parameter, the part of psi,
+    #: state, covariance, information: Shapes (9, 27), (9, 9), (27, 27). For each parameter, the part of psi,
     #: u and the psi before a spin that the filter does not estimate; its covariance; information of the rows.
     state: FloatArray
     covariance: FloatArray
@@ -247,7 +252,7 @@ class _Search:
 
     def _empty_list(self) -> _PartialList:
         state, covariance = np.zeros((9, len(_COLUMNS))), np.zeros((9, 9))
-        state[:3, COUNT:] = np.eye(3) * self._sizes[COUNT:]
+        state[:3, -3:] = ATTITUDE_ERROR * np.eye(3)
         covariance[3:6, 3:6] = self._white * np.eye(3)
         begun = _PartialList((), self._start, state, covariance, np.zeros((len(_COLUMNS),) * 2))
         return self._apply_movement(begun, self._movement(self._start, None), (), self._start)

@@ -171,6 +171,7 @@ def expected_uncertainties(rotations: RotationList, setup: RotationSetup) -> Exp
         whole_turns=whole_turns,
         gravity_sigma=gravity_sigma,
         latitude_sigma=latitude_sigma,
+        quadratic=None,
         asymmetries=gyros_spun_both_ways((axis, path[axis]) for axis, path in zip(axes, paths, strict=True)),
     )
     common = np.zeros(PARAMETER_COUNT)

@@ -34,7 +34,11 @@ def calibrate(
     ] = False,
     delay: Annotated[bool, typer.Option(help="Also estimate the delay of the accelerometers.")] = False,
     quadratic: Annotated[
-        bool, typer.Option(help="Also estimate the quadratic terms of the accelerometers.")
+        bool,
+        typer.Option(
+            help="List the quadratic terms of the accelerometers too, of any size; default: terms of 20 "
+            "ug/g2 are allowed for."
+        ),
     ] = False,
     g_sensitivity: Annotated[
         bool, typer.Option(help="Also estimate the g-sensitivity of the gyro biases.")
@@ -95,7 +99,7 @@ def calibrate(
         options,
         lever_arms=lever_arms,
         delay=delay,
-        quadratic=quadratic,
+        quadratic=quadratic or None,
         g_sensitivity=g_sensitivity,
         asymmetries=(0, 1, 2) if asymmetry else None,
         bias_drift=BIAS_DRIFT if drift else 0.0,

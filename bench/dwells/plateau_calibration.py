@@ -240,7 +240,7 @@ def _calibrate_plateau(
     cycle, set_c = 0, None
     if solution is not None:
         dwell_estimate = joint_coefficients(solution, setup.prior)
-        if rotations is not None and rotations.notes and _has_mean_force(solution):
+        if rotations is not None and rotations.has_g_sensitivity and _has_mean_force(solution):
             dwell_estimate = _without_biases(dwell_estimate)
         estimates.append(dwell_estimate)
         cycle, set_c = solution.dwells[0].cycle, solution.dwells[0].chamber_set_c

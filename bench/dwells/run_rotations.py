@@ -62,6 +62,14 @@ class PlateauRotations:
         """Results of the rotations in addition to the coefficients."""
         return () if self.calibration is None else self.calibration.notes
 
+    @property
+    def has_g_sensitivity(self) -> bool:
+        """Whether gyro biases that follow the specific force are estimated or part of the uncertainties."""
+        if self.calibration is None:
+            return False
+        is_hidden = "g_sensitivity" in self.calibration.site_covariances
+        return is_hidden or bool(self.calibration.options.g_sensitivity)
+
 
 class RunRotations:
     """Measures dwells with rotations one by one in the order of time.
@@ -198,6 +206,7 @@ def _options(setup: MeasurementSetup) -> CalibrationOptions:
         walks=walks,
         gravity_sigma=gravity_sigma,
         g_sensitivity=None,
+        quadratic=None,
         latitude_sigma=setup.prior.latitude,
         bias_drift=BIAS_DRIFT,
         tries_explanations=False,

@@ -230,6 +230,27 @@ def test_a_tumble_gives_the_quadratic_terms_of_the_accelerometers():
     assert calibrate(logs, SITE).fit.p_value < 1e-3
 
 
+@pytest.mark.parametrize("count", [18, 9])
+def test_quadratic_terms_of_usual_size_pass_for_no_accelerometer_bias(count):
+    """Too few rotations leave a part of them open, as an uncertainty of the biases."""
+    square = np.array([5.0, -4.0, 3.0]) * 9.80665e-6 / 9.80665**2
+    angle, velocity = rotated_unit(rotations=EIGHTEEN[:count], dwell_s=149.0, sample_hz=10.0).increments()
+    log = recorded((angle, velocity + 10.0 * square * velocity**2), 3, 10.0)
+    found = calibrate([log], SITE, CalibrationOptions(quadratic=None))
+    assert found.is_observed.all()
+    assert np.abs((found.values - TRUTH) / found.sigmas).max() < 4.0
+    assert found.findings == ()
+    without = calibrate([log], SITE)
+    assert (np.abs(without.values - TRUTH) / without.sigmas)[12:15].max() > 8.0
+    if count == 18:
+        (note,) = found.notes
+        assert note.startswith("the accelerometers have quadratic terms, in ug/g2: x +")
+    total = sum(covariances_by_source(found, SITE).values())
+    np.testing.assert_allclose(np.diag(total), np.diag(found.covariance), rtol=1e-3)
+    nothing = calibrate([recorded((angle, velocity), 3, 10.0)], SITE, CalibrationOptions(quadratic=None))
+    assert (nothing.findings, nothing.notes) == ((), ())
+
+
 def test_up_and_down_alone_do_not_show_quadratic_terms():
     logs = [
         recorded(rotated_unit(rotations=(), start=Rotation.from_euler("x", turn)).increments(), 3)

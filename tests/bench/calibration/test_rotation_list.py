@@ -85,7 +85,9 @@ def test_the_expected_uncertainties_are_what_a_calibration_of_simulated_incremen
     unit = Unit(FORTH, dwell_s=60.0, sample_hz=20.0, gravity=SITE.gravity)
     increments = noise.added(*unit.increments(), 0.05, np.random.default_rng(9))
     walks = noise.angle_random_walk, noise.velocity_random_walk
-    options = CalibrationOptions(walks=walks, gravity_sigma=site_sigmas[0], latitude_sigma=site_sigmas[1])
+    options = CalibrationOptions(
+        walks=walks, gravity_sigma=site_sigmas[0], latitude_sigma=site_sigmas[1], quadratic=None
+    )
     measured = calibrate([IncrementRecording(0.05, *increments)], SITE, options)
     expected = sigmas(rotations, site_sigmas=site_sigmas)
     np.testing.assert_allclose(measured.sigmas * SHOWN, list(expected.values()), rtol=0.1)

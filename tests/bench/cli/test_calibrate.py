@@ -148,7 +148,7 @@ def test_scale_factors_that_all_sensors_share_are_named(tmp_path, wrong, common_
 
 
 def test_what_an_asymmetry_would_do_that_is_not_estimated_is_stated(tmp_path):
-    write_log(tmp_path, unit())
+    write_log(tmp_path, unit(rotations=((("outer", 90.0), ("outer", -90.0)) * 3 + EIGHTEEN[:9])))
     command = ("calibrate", "log.csv", "--map", "map.yaml")
     text, estimated = (
         " ".join(gyrobench(*command, *options, cwd=tmp_path).stdout.split())

@@ -400,8 +400,10 @@ def test_an_ins_without_specific_force_leaves_the_accelerometers_scale_factors_o
     assert open_ones == [("accelerometer_scale_factor", axis) for axis in "xyz"]
     assert "Not observable (–): accel. scale factor x, y, z." in coefficients_section(rows).paragraphs
     assert_consistent(rows, len(COEFFICIENTS) - 3)
-    bias = next(row for row in rows if row.coefficient == "accelerometer_bias" and row.axis == "z")
-    assert bias.sigma_with_force < 0.7 * bias.sigma
+    # Vertical accelerometers have quadratic terms beside their biases: the force adds scale factors alone.
+    with_force = {f"{row.coefficient}_{row.axis}": row.sigma_with_force / row.sigma for row in rows}
+    assert 0.9 < with_force["accelerometer_bias_z"] < 1.0
+    assert all(row.sigma_with_force < 40.0 for row in rows if row.coefficient == "accelerometer_scale_factor")
 
 
 def test_a_plateau_of_the_full_calibration_takes_less_than_five_hours():
