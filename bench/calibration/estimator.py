@@ -45,14 +45,10 @@ from gyrobench.bench.calibration.information import (
     gyros_spun_both_ways,
     integrate_sections,
 )
-from gyrobench.bench.calibration.problem import (
-    GYRO_SCALES,
-    UNEXPLAINED_P_VALUE,
-    CalibrationProblem,
-    Estimates,
-)
+from gyrobench.bench.calibration.problem import UNEXPLAINED_P_VALUE, CalibrationProblem, Estimates
 from gyrobench.bench.calibration.section import IncrementSection
 from gyrobench.bench.calibration.strapdown import ASYMMETRIES, G_SENSITIVITIES, QUADRATIC, Trajectory
+from gyrobench.bench.calibration.whole_turns import GYRO_SCALES, check_turns
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.earth import EARTH_RATE
@@ -147,7 +143,7 @@ def calibrate(
     spun_axes = sorted({turn.axis for turns in rotations for turn in turns if turn.is_spin})
     offset, contradiction = np.zeros(3), ""
     if options.whole_turns is not None and spun_axes:
-        problem, estimates, offset, contradiction = problem.check_turns(estimates, spun_axes)
+        problem, estimates, offset, contradiction = check_turns(problem, estimates, spun_axes)
     widening, misfit = _widening(problem, estimates, is_observed)
     covariance = estimates.covariance * widening**2
     covariance[GYRO_SCALES, GYRO_SCALES] += offset**2

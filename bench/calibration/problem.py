@@ -6,7 +6,7 @@ alternative is the same problem with one assumption changed.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,20 +17,18 @@ from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, OPTION
 from gyrobench.bench.calibration.increment_recording import SensorNoise
 from gyrobench.bench.calibration.information import (
     BIAS_DRIFT,
-    IS_GYRO_SCALE,
     MIN_SINGULAR_VALUE,
     CalibrationOptions,
     Information,
     integrate_sections,
 )
-from gyrobench.bench.calibration.section import IncrementSection, SpinError
-from gyrobench.bench.calibration.strapdown import ASYMMETRIES, G_SENSITIVITIES, PARAMETER_COUNT, Trajectory
+from gyrobench.bench.calibration.section import IncrementSection
+from gyrobench.bench.calibration.strapdown import G_SENSITIVITIES, PARAMETER_COUNT, Trajectory
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, STANDARD_GRAVITY, BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import capitalised
 from gyrobench.bench.navigation.attitude import rotation_matrices
 from gyrobench.bench.navigation.error_model import Site
-from gyrobench.bench.navigation.positions import AXES
 
 #: Iterations of the linearisation, and conditions of convergence: largest change of chi-square, and of each
 #: observed parameter in standard uncertainties.
@@ -58,10 +56,6 @@ _MAX_G_SENSITIVITY = 0.5 * DPH_TO_RADPS / STANDARD_GRAVITY
 #: A sensitivity is reported, and may be a rate Up, if it exceeds these numbers of standard uncertainties.
 _REPORTED_SIGMAS, _SIGNIFICANT_SIGMAS = 3.0, 4.0
 _SENSITIVITIES = OPTIONAL_PARAMETERS[G_SENSITIVITIES.start - COUNT : G_SENSITIVITIES.stop - COUNT]
-#: Smallest eigenvalue of a correlation matrix, above rounding.
-_MIN_EIGENVALUE = 1e-9
-#: Prior of a parameter that is held fixed, relative to its usual size.
-_FIXED_SIZE = 1e-6
 #: Options that may explain a misfit, with descriptions that name the option of ``gyrobench calibrate``.
 _EXPLANATIONS: tuple[tuple[dict[str, Any], str], ...] = (
     ({"quadratic": True}, "quadratic terms of the accelerometers (--quadratic)"),
@@ -71,8 +65,6 @@ _EXPLANATIONS: tuple[tuple[dict[str, Any], str], ...] = (
     ({"asymmetries": (0, 1, 2)}, "asymmetries of the gyros' scale factors (--asymmetry)"),
     ({"bias_drift": BIAS_DRIFT}, "a drift of the gyro biases (--drift)"),
 )
-#: Indices of the gyro scale factors among the coefficients.
-GYRO_SCALES = np.flatnonzero(IS_GYRO_SCALE)
 #: Epochs at rest over which residuals are summed for the goodness-of-fit test.
 _FIT_EPOCHS = 60
 
@@ -93,17 +85,6 @@ class Estimates:
     fit: Chi2Test
     information: Information
     trajectories: list[Trajectory]
-
-
-@dataclass(frozen=True, eq=False)
-class _TurnScatter:
-    """Residuals of the spins of one gyro about its scale factor."""
-
-    axis: int
-    path: FloatArray  #: Shape (n,). Angles travelled, rad, with their signs.
-    residuals_rad: FloatArray  #: Shape (n,).
-    variance: FloatArray  #: Shape (n,). Of each residual, due to noise and the table's return, rad^2.
-    dof: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,102 +210,6 @@ class CalibrationProblem:
         return bool(
             (up > _SIGNIFICANT_SIGMAS * np.sqrt(mean @ covariance @ mean) and up > residual)
             or abs(correction) > _SIGNIFICANT_SIGMAS * np.hypot(sigma, self.options.latitude_sigma)
-        )
-
-    def check_turns(
-        self, estimates: Estimates, spun_axes: Sequence[int]
-    ) -> tuple[CalibrationProblem, Estimates, FloatArray, str]:
-        """Problem and solution with the uncertainty of whole turns as estimated from their residuals.
-
-        Also returns the differences (3,) between the scale factors of whole turns and the others, zero if
-        they agree, and a finding about them. The residuals at rest do not reveal a scale factor that depends
-        on the rate. But it makes turns at several rates scatter, and turns at one rate contradict the
-        rotations, as does a table that does not return to its start. ``spun_axes``: axes of the gyros that
-        were spun.
-        """
-        offset, text = self._contradiction(estimates, spun_axes)
-        is_explained = estimates.fit.p_value >= UNEXPLAINED_P_VALUE
-        if not text and is_explained and self._scatter_p_value(estimates) >= UNEXPLAINED_P_VALUE:
-            return self, estimates, offset, ""
-        without_turns = replace(self, options=replace(self.options, whole_turns=None)).solve()
-        spins = self._spin_errors(without_turns)
-        if not spins or not (text or without_turns.fit.p_value >= UNEXPLAINED_P_VALUE):
-            return self, estimates, offset, ""
-        residuals = np.concatenate(
-            [each.residuals_rad + each.path * offset[each.axis] for each in self._turn_scatters(spins)]
-        )
-        turns = float(np.hypot(self.options.whole_turns or 0.0, np.sqrt(np.mean(np.square(residuals)))))
-        widened = replace(self, options=replace(self.options, whole_turns=turns))
-        return widened, widened.solve(), offset, text
-
-    def _spin_errors(self, estimates: Estimates) -> list[SpinError]:
-        pairs = zip(self.sections, estimates.starts, strict=True)
-        return [
-            spin for each, start in pairs for spin in each.spin_errors(start, estimates.common, self.site)
-        ]
-
-    def _turn_scatters(self, spins: Sequence[SpinError]) -> Iterator[_TurnScatter]:
-        """Residuals of the spins of each gyro about a scale factor and an asymmetry."""
-        for axis in sorted({spin.axis for spin in spins}):
-            error, path, duration_s = np.array(
-                [(each.error, each.path, each.duration_s) for each in spins if each.axis == axis]
-            ).T
-            design = path[:, np.newaxis]
-            if axis in (self.options.asymmetries or ()):
-                design = np.column_stack([path, np.abs(path)])
-            variance = (
-                (self.options.whole_turns or 0.0) ** 2
-                + 2.0 * self.noise.white_angle[axis] ** 2
-                + self.noise.angle_random_walk[axis] ** 2 * duration_s
-            )
-            residuals = error - design @ np.linalg.lstsq(design, error)[0]
-            yield _TurnScatter(axis, path, residuals, variance, max(0, len(path) - design.shape[1]))
-
-    def _scatter_p_value(self, estimates: Estimates) -> float:
-        """P-value of the scatter of whole turns, given noise and the table's return."""
-        scatters = list(self._turn_scatters(self._spin_errors(estimates)))
-        chi2 = sum(float(np.sum(each.residuals_rad**2 / each.variance)) for each in scatters)
-        dof = sum(each.dof for each in scatters)
-        return chi2_p_value(dof, chi2) if dof else 1.0
-
-    def _contradiction(self, estimates: Estimates, spun_axes: Sequence[int]) -> tuple[FloatArray, str]:
-        """Scale factors (3,) of whole turns minus the others, zero if noise explains it; and a finding.
-
-        The covariance of the difference is that of a part of the data minus that of all (Hausman 1978). The
-        asymmetries are fixed at their estimates from all data: if they were free without the turns, they
-        would hide the difference.
-        """
-        offset, options = np.zeros(3), replace(self.options, whole_turns=None)
-        fixed = self.sections, estimates.trajectories, estimates.common
-        others_information = Information.of(*fixed, self.noise, self.site, options)
-        sizes = others_information.sizes.copy()
-        sizes[[index for index, each in enumerate(options.columns) if each >= ASYMMETRIES.start]] *= (
-            _FIXED_SIZE
-        )
-        origin = np.zeros(len(estimates.values))
-        origin[: len(options.columns)] = estimates.common[options.columns]
-        values, others_covariance, is_observed = replace(others_information, sizes=sizes).solve(origin)
-        _, all_covariance, _ = replace(estimates.information, sizes=sizes).solve(origin)
-        axes = [axis for axis in spun_axes if is_observed[GYRO_SCALES[axis]]]
-        indices = [GYRO_SCALES[axis] for axis in axes]
-        if not indices:
-            return offset, ""
-        difference = estimates.values[indices] - values[indices]
-        covariance = (others_covariance - all_covariance)[np.ix_(indices, indices)]
-        scales = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-        squares, directions = np.linalg.eigh(covariance / np.outer(scales, scales))
-        terms = (directions.T @ (difference / scales)) ** 2 / np.maximum(squares, _MIN_EIGENVALUE)
-        p_value = chi2_p_value(len(indices), float(terms.sum()))
-        if p_value >= UNEXPLAINED_P_VALUE:
-            return offset, ""
-        # The estimate from all data is a weighted mean of both.
-        share = 1.0 - np.diag(all_covariance)[indices] / np.diag(others_covariance)[indices]
-        offset[axes] = difference / np.maximum(share, _MIN_EIGENVALUE)
-        differences_text = ", ".join(f"{AXES[axis]} {1e6 * offset[axis]:+.2g} ppm" for axis in axes)
-        return offset, (
-            f"whole turns contradict the rotations (p = {p_value:.1g}): scale factors of whole turns less "
-            f"those of rotations are {differences_text}. Their uncertainties include it. Check that the "
-            "table returns to where it was, and whether the scale factors depend on the rate"
         )
 
     def explanation(self, estimates: Estimates) -> str:

@@ -306,6 +306,27 @@ def test_whole_turns_that_contradict_the_rotations_are_named_and_make_scale_fact
     assert np.sqrt(parts["misfit"][z, z]) > 0.9 * found.sigmas[z]
 
 
+def test_whole_turns_at_several_rates_that_contradict_one_another_are_named():
+    """A scale factor that grows with the rate: by 1 ppm from rest to 10 deg/s."""
+    turns = [("inner", sign * 360.0, rate) for rate in (5.0, 10.0, 20.0) for sign in (1.0, -1.0)]
+    unit = rotated_unit(rotations=(*EIGHTEEN[:9], *turns))
+    angle, velocity = unit.increments()
+    is_turning = np.abs(angle[:, 2:]) > 1e-4
+    growing = angle * (1.0 + 1e-6 * is_turning * np.abs(angle[:, 2:]) / (np.deg2rad(10.0) / 20.0))
+    options = replace(ONE_ARCSEC, whole_turns=0.1 * np.pi / 648000.0)
+    found, agreeing = (
+        calibrate([recorded(each, 5)], SITE, options) for each in ((growing, velocity), (angle, velocity))
+    )
+    assert agreeing.findings == ()
+    (finding,) = found.findings
+    assert finding.startswith("whole turns contradict one another (p = ")
+    assert re.search(
+        r"the z gyro deviates from its mean by -\S+ ppm at 5 deg/s, .* \+\S+ ppm at 20 deg/s", finding
+    )
+    z = INDEX["gyro_scale_factor_z"]
+    assert found.sigmas[z] > 0.4e-6 > 2.0 * agreeing.sigmas[z]
+
+
 def test_an_asymmetry_of_the_scale_factor_passes_for_no_bias():
     turns = (("inner", 360.0), ("inner", -360.0)) * 6
     unit = rotated_unit(rotations=(*EIGHTEEN[:9], *turns), dwell_s=40.0, sample_hz=20.0)
