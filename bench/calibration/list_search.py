@@ -100,24 +100,31 @@ def shortest_list(
             "accelerometer scale factors are not observable without increments (ins.signals.increments). "
             "Leave their targets out"
         )
-    missed_texts: list[str] = []
-    for margin in _MARGINS:
-        search = _Search(pattern, margin * targets, setup)
-        rotations, missed_texts = search.run()
-        if missed_texts:
-            break
-        shortest = pattern.model_copy(
-            update={
-                "rotation_list": f"{pattern.rotation_list}_shortest",
-                "description": "Proposed by gyrobench plan --observability --reach.",
-                "rotations": rotations,
-            }
-        )
-        expected = expected_uncertainties(shortest, setup)
+    proposals: list[tuple[RotationList, ExpectedUncertainties]] = []
+
+    def missed_by(rotations: list[TableRotation]) -> list[str]:
+        """Targets that a list misses, as texts; a list that reaches all becomes a proposal."""
+        changes = {
+            "rotation_list": f"{pattern.rotation_list}_shortest",
+            "description": "Proposed by gyrobench plan --observability --reach.",
+            "rotations": rotations,
+        }
+        candidate = pattern.model_copy(update=changes)
+        expected = expected_uncertainties(candidate, setup)
         missed = np.isfinite(targets) & ~((expected.sigmas <= targets) & expected.is_observed)
         if not missed.any():
-            return shortest, expected
-        missed_texts = _missed_texts(missed, expected.sigmas)
+            proposals.append((candidate, expected))
+        return _missed_texts(missed, expected.sigmas)
+
+    if _Search(pattern, targets, setup).has_possible_pattern:
+        missed_by(pattern.rotations)
+    missed_texts: list[str] = []
+    for margin in _MARGINS:
+        rotations, missed_texts = _Search(pattern, margin * targets, setup).run()
+        if missed_texts or not (missed_texts := missed_by(rotations)):
+            break
+    if proposals:
+        return min(proposals, key=lambda each: each[0].duration_s)
     raise DocumentError(
         f"no list of up to {_MAX_ROTATIONS} rotations on this table reaches the targets: "
         f"{', '.join(missed_texts)}. Give larger uncertainties or a longer dwell_s, or --whole-turns-arcsec "
@@ -170,6 +177,11 @@ class _Search:
         self._cache: dict[tuple[float, float, str, float], _Movement] = {}
         self._limits = {"outer": setup.table.outer_limits_deg, "inner": setup.table.inner_limits_deg}
         self._start = setup.table.angles(POSITIONS[pattern.start].C_nb())
+
+    @property
+    def has_possible_pattern(self) -> bool:
+        """Whether the table can perform the rotations of the pattern."""
+        return self._partial_list(self._pattern.rotations) is not None
 
     def run(self) -> tuple[list[TableRotation], list[str]]:
         """Rotations that reach the targets; otherwise texts with the targets that the best list misses."""

@@ -33,11 +33,12 @@ def test_a_list_that_reaches_what_a_shipped_one_does_is_not_longer(name, kinds):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("has_vertical", "most"), [(True, 6), (False, 8)])
-def test_an_arcsec_and_a_ppm_need_six_rotations_or_eight_from_level_velocities(has_vertical, most):
+@pytest.mark.parametrize("has_vertical", [True, False])
+def test_an_arcsec_and_a_ppm_need_eight_rotations(has_vertical):
+    """Six or less leave what quadratic terms of the accelerometers do to misalignments."""
     targets = parse_targets("gyro_misalignment_arcsec=1, gyro_scale_factor_ppm=1")
     found, expected = proposed(targets, has_vertical=has_vertical)
-    assert len(found.rotations) <= most
+    assert len(found.rotations) <= 8
     assert (expected.sigmas * SHOWN)[3:12].max() <= 1.0
 
 
