@@ -91,9 +91,6 @@ class CalibrationOptions:
     #: time between samples: for rates a longer time gives larger angles, for velocity increments smaller
     #: forces.
     scales_by_time: tuple[float, float] = (0.0, 0.0)
-    #: Whether lever arms, delay, quadratic terms, g-sensitivities and drift are tried as explanations of a
-    #: misfit, one by one, each of which takes as long as the estimate.
-    tries_explanations: bool = True
 
     @property
     def columns(self) -> list[int]:

@@ -58,12 +58,15 @@ _REPORTED_SIGMAS, _SIGNIFICANT_SIGMAS = 3.0, 4.0
 _SENSITIVITIES = OPTIONAL_PARAMETERS[G_SENSITIVITIES.start - COUNT : G_SENSITIVITIES.stop - COUNT]
 #: Options that may explain a misfit, with descriptions that name the option of ``gyrobench calibrate``.
 _EXPLANATIONS: tuple[tuple[dict[str, Any], str], ...] = (
-    ({"quadratic": True}, "quadratic terms of the accelerometers (--quadratic)"),
-    ({"lever_arms": True}, "places of the accelerometers (--lever-arms)"),
-    ({"delay": True}, "a delay of the accelerometers (--delay)"),
-    ({"g_sensitivity": True}, "gyro biases that follow the specific force (--g-sensitivity)"),
-    ({"asymmetries": (0, 1, 2)}, "asymmetries of the gyros' scale factors (--asymmetry)"),
-    ({"bias_drift": BIAS_DRIFT}, "a drift of the gyro biases (--drift)"),
+    ({"quadratic": True}, "quadratic terms of the accelerometers (gyrobench calibrate --quadratic)"),
+    ({"lever_arms": True}, "places of the accelerometers (gyrobench calibrate --lever-arms)"),
+    ({"delay": True}, "a delay of the accelerometers (gyrobench calibrate --delay)"),
+    (
+        {"g_sensitivity": True},
+        "gyro biases that follow the specific force (gyrobench calibrate --g-sensitivity)",
+    ),
+    ({"asymmetries": (0, 1, 2)}, "asymmetries of the gyros' scale factors (gyrobench calibrate --asymmetry)"),
+    ({"bias_drift": BIAS_DRIFT}, "a drift of the gyro biases (gyrobench calibrate --drift)"),
 )
 #: Epochs at rest over which residuals are summed for the goodness-of-fit test.
 _FIT_EPOCHS = 60
@@ -222,17 +225,16 @@ class CalibrationProblem:
         alternatives = [
             (problem, description, _solution(problem))
             for chosen, description in _EXPLANATIONS
-            if self.options.tries_explanations and not all(getattr(self.options, name) for name in chosen)
+            if not all(getattr(self.options, name) for name in chosen)
             for problem in [replace(self, options=replace(self.options, **chosen))]
         ]
-        if self.options.tries_explanations:
-            interval_s = self.sections[0].interval_s
-            for problem, other in retimed:
-                other_s = problem.sections[0].interval_s
-                description = (
-                    f"samples {other_s:.6g} s apart and not {interval_s:.6g} s ('time' in the import map)"
-                )
-                alternatives.insert(0, (problem, description, other))
+        interval_s = self.sections[0].interval_s
+        for problem, other in retimed:
+            other_s = problem.sections[0].interval_s
+            description = (
+                f"samples {other_s:.6g} s apart and not {interval_s:.6g} s ('time' in the import map)"
+            )
+            alternatives.insert(0, (problem, description, other))
         if (converged := self._at_converged_latitude(estimates)) is not None:
             latitude, at_latitude = converged
             description = f"a latitude of {np.rad2deg(latitude.site.latitude):.3f} deg"
@@ -253,12 +255,8 @@ class CalibrationProblem:
                 f"{description} would reduce it: {chi2_text}; noise alone gives {fit.dof}. Something else is "
                 "wrong too"
             )
-        hint = ""
-        if self.options.tries_explanations:
-            hint = (
-                "; gyrobench calibrate has --lever-arms, --delay, --quadratic, --g-sensitivity, --asymmetry"
-            )
-        elif not all(section.epochs.has_vertical for section in self.sections):
+        hint = "; gyrobench calibrate has --lever-arms, --delay, --quadratic, --g-sensitivity, --asymmetry"
+        if not all(section.epochs.has_vertical for section in self.sections):
             hint = ", and whether the INS aligned again or corrected its output in between"
         return (
             "Check latitude, gravity, signs and times, and whether the unit drifts, changes its temperature, "
@@ -331,11 +329,8 @@ class CalibrationProblem:
         """Problems with sample intervals that would remove the mean scale factor error of a triad, solved.
 
         A wrong interval changes all scale factors equally: those of the accelerometers if the log has
-        increments, those of the gyros if it has rates. Empty if neither a mistake nor an explanation is
-        sought.
+        increments, those of the gyros if it has rates.
         """
-        if not (self.options.tries_explanations or _may_be_mistake(estimates)):
-            return []
         problems = []
         for sensor, are_rates in (("accelerometer", False), ("gyro", True)):
             is_scale = [each.name == f"{sensor}_scale_factor" for each in COEFFICIENTS]

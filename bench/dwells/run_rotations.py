@@ -209,7 +209,6 @@ def _options(setup: MeasurementSetup) -> CalibrationOptions:
         quadratic=None,
         latitude_sigma=setup.prior.latitude,
         bias_drift=BIAS_DRIFT,
-        tries_explanations=False,
     )
 
 

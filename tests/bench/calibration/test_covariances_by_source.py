@@ -38,13 +38,12 @@ def found_in(increments, noise, seed, options=OPTIONS):
 
 def test_parts_of_the_place_are_the_shifts_that_wrong_gravity_and_latitude_cause(increments, known_noise):
     wrong_latitude, wrong_gravity = 1e-4, 1e-3
-    options = replace(OPTIONS, tries_explanations=False)  # of the misfit that they cause
-    uncertain = replace(options, latitude_sigma=wrong_latitude, gravity_sigma=wrong_gravity)
+    uncertain = replace(OPTIONS, latitude_sigma=wrong_latitude, gravity_sigma=wrong_gravity)
     recording = IncrementRecording(0.05, *NOISE.added(*increments, 0.05, np.random.default_rng(2)))
     found = calibrate([recording], SITE, uncertain)
     parts = covariances_by_source(found, SITE)
     elsewhere = Site(SITE.latitude + wrong_latitude)
-    exact = replace(options, gravity_sigma=0.0)
+    exact = replace(OPTIONS, gravity_sigma=0.0)
     for name, site, gravity in (
         ("latitude", elsewhere, SITE.gravity),
         ("gravity", SITE, SITE.gravity + wrong_gravity),

@@ -370,7 +370,7 @@ def test_a_misfit_is_stated_with_what_would_explain_it():
     bent = velocity + 2e-5 / 9.8 * velocity * np.abs(velocity) / 0.05
     (finding,) = calibrate([recorded((angle, velocity + 2e-6 * velocity**2 / 0.05), 4)], SITE).findings
     assert "noise does not explain the velocity at rest" in finding
-    assert "Quadratic terms of the accelerometers (--quadratic) would explain it: chi2 falls from" in finding
+    assert "(gyrobench calibrate --quadratic) would explain it: chi2 falls from" in finding
     with pytest.raises(MeasurementError, match="at most 10 times is accepted"):
         calibrate([recorded((angle, bent * 1.0 + 4e-5 * velocity**2 / 0.05), 4)], SITE)
 
@@ -380,7 +380,9 @@ def test_what_would_explain_a_misfit_is_tried_with_whole_turns_as_uncertain_as_t
     bent = replace(log, velocity=log.velocity + 2e-6 * log.velocity**2 / log.interval_s)
     turns, misfit = calibrate([bent], SITE, ONE_ARCSEC).findings
     assert turns.startswith("whole turns contradict the rotations")
-    assert "Quadratic terms of the accelerometers (--quadratic) would explain it" in misfit
+    assert (
+        "Quadratic terms of the accelerometers (gyrobench calibrate --quadratic) would explain it" in misfit
+    )
 
 
 @pytest.mark.parametrize("off_deg", [0.1, pytest.param(-0.1, marks=LONG)])
@@ -470,7 +472,10 @@ def test_gyro_biases_that_follow_the_specific_force_are_found_where_noise_explai
     assert float(named_dph_per_g) == pytest.approx(truth_dph_per_g, abs=0.003)
     assert np.abs((found.values[:21] - TRUTH) / found.sigmas[:21]).max() < 4.0
     without = calibrate([recorded(following_force(), 1)], SITE, replace(options, g_sensitivity=False))
-    assert "gyro biases that follow the specific force (--g-sensitivity)" in without.findings[0].lower()
+    assert (
+        "gyro biases that follow the specific force (gyrobench calibrate --g-sensitivity)"
+        in without.findings[0].lower()
+    )
     assert np.median(without.sigmas / found.sigmas[:21]) > 1.3
     nothing = calibrate([recorded(eighteen(), 1)], SITE, options)
     assert (len(nothing.values), nothing.findings, nothing.notes) == (21, (), ())
@@ -517,9 +522,7 @@ def test_a_wrong_latitude_passes_for_no_bias_that_follows_the_specific_force(lat
 @pytest.mark.long
 def test_noise_above_the_declared_one_passes_for_no_bias_that_follows_the_specific_force():
     walks = Noise.angle_random_walk, Noise.velocity_random_walk
-    options = CalibrationOptions(
-        g_sensitivity=None, gravity=SITE.gravity, walks=walks, tries_explanations=False
-    )
+    options = CalibrationOptions(g_sensitivity=None, gravity=SITE.gravity, walks=walks)
     noisy = Noise(angle_random_walk=1.6 * Noise.angle_random_walk)
     increments = rotated_unit(sample_hz=10.0, dwell_s=149.0).increments()
     logs = [recorded(increments, seed, 10.0, noisy) for seed in range(40)]
@@ -535,7 +538,7 @@ def test_a_wrong_latitude_is_hidden_by_no_true_sensitivity(off_deg):
     unit = rotated_unit(latitude_deg=0.0, dwell_s=149.0, sample_hz=10.0, **still)
     angle, velocity = unit.increments()
     log = recorded((angle + velocity @ SENSITIVITY.T, velocity), 1, 10.0)
-    options = CalibrationOptions(g_sensitivity=None, gravity=SITE.gravity, tries_explanations=False)
+    options = CalibrationOptions(g_sensitivity=None, gravity=SITE.gravity)
     found = calibrate([log], Site(np.deg2rad(off_deg)), options)
     assert (found.notes, len(found.findings)) == ((), 1)
 

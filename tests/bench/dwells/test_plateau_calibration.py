@@ -230,7 +230,11 @@ def _filtered(values, interval_s, time_constant_s=0.1):
 @pytest.mark.parametrize(
     ("sent", "table", "text"),
     [
-        (lambda each: {"velocity": _late(each.velocity, 1)}, None, "times the noise"),
+        (
+            lambda each: {"velocity": _late(each.velocity, 1)},
+            None,
+            "A delay of the accelerometers (gyrobench calibrate --delay)",
+        ),
         (
             lambda each: {k: _filtered(getattr(each, k), each.interval_s) for k in ("angle", "velocity")},
             None,
