@@ -2,7 +2,7 @@
 
 The address is any pyserial URL: a device (``/dev/ttyUSB0``), ``socket://host:port``,
 ``rfc2217://host:port``, ``emulator://table?...`` or ``replay://FILE``, a recording. pyserial finds the
-handlers of the last two in the packages listed below; this module does not import the emulators.
+handlers of the last three in the packages listed below; this module does not import the emulators.
 """
 
 from __future__ import annotations
@@ -29,9 +29,11 @@ _HOST_AND_PORT = re.compile(r"[\w.-]+:\d+")
 #: Most bytes of discarded input that are recorded.
 _MAX_DISCARDED_BYTES = 65536
 
-for _handlers in ("gyrobench.drivers.emulators", "gyrobench.drivers.recording"):
-    if _handlers not in serial.protocol_handler_packages:
-        serial.protocol_handler_packages.append(_handlers)
+serial.protocol_handler_packages[:0] = [
+    handlers
+    for handlers in ("gyrobench.drivers", "gyrobench.drivers.emulators", "gyrobench.drivers.recording")
+    if handlers not in serial.protocol_handler_packages
+]
 
 
 @dataclass(frozen=True)
