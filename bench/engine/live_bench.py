@@ -12,7 +12,7 @@ import numpy as np
 
 from gyrobench.bench.engine.bench_state import BenchState, Readings
 from gyrobench.bench.engine.interlocks.checks import CHAMBER_OUT_OF_CONTROL
-from gyrobench.bench.engine.interlocks.watch import InterlockWatch, Trip
+from gyrobench.bench.engine.interlocks.watch import SILENT_INSTRUMENT, InterlockWatch, Trip
 from gyrobench.bench.engine.live_unit import BUS_SILENCE_S, LiveUnit, telemetry_row
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import ConnectionFailedError, FaultError, InstrumentError, ReplyError
@@ -184,11 +184,28 @@ class LiveBench:
                 self.read_instruments()
 
     def trips(self) -> list[Trip]:
-        """Return the interlocks that are tripped."""
+        """Return the interlocks that are tripped.
+
+        If readings are overdue, because this process was stopped or an exchange blocked it, an instrument
+        that answered its last poll counts as silent only if it does not answer another one.
+        """
+        trips = self._present_trips()
+        is_overdue = self.clock.now() > self._next_reading_s + self.station.file.tick_s
+        if trips and is_overdue and all(self._answered_last_poll(trip) for trip in trips):
+            self.read_instruments()
+            trips = self._present_trips()
+        return trips
+
+    def _present_trips(self) -> list[Trip]:
         trips = self._watch.trips(self.clock.now(), self.state.expected)
         for unit in self.units:
             trips += [] if unit.is_set_aside else unit.trips()
         return trips
+
+    def _answered_last_poll(self, silence: Trip) -> bool:
+        """Whether a trip is the silence of an instrument whose last exchange did not fail."""
+        kind = SILENT_INSTRUMENT.get(silence.name)
+        return kind is not None and not any(name.startswith(kind) for name in self._failing)
 
     def untripped_for_s(self, trips: Iterable[Trip]) -> float:
         """Time for which none of these interlocks has been tripped, s; zero while one is."""

@@ -230,8 +230,11 @@ class LiveUnit:
         return True
 
     def _notice_silent_bus(self, readings: Readings) -> None:
-        """Report an INS that has fallen silent as a failed exchange, so that its bus is reopened."""
-        if self.is_silent:
+        """Report an INS that has fallen silent as a failed exchange, so that its bus is reopened.
+
+        Its silence until the poll counts: what has been read since may have taken long.
+        """
+        if self.state.expected.ins_on and readings.ins.age_s > BUS_SILENCE_S:
             other_frames = f"; {frames}" if (frames := self.ins.describe_foreign_frames()) else ""
             silence = f"has sent nothing for {readings.ins.age_s:.0f} s{other_frames}"
             self._bench.handle_failure(NoReplyError(self.name, silence))

@@ -35,7 +35,9 @@ _CHECKS: Mapping[str, type[TableChecks | ChamberChecks | InsChecks]] = {
     CHAMBER: ChamberChecks,
     INSTRUMENT: InsChecks,
 }
-_SILENCE = {RATE_TABLE: "table_silence", CHAMBER: "chamber_silence", INSTRUMENT: "ins_silence"}
+#: Instrument whose silence an interlock watches; the names of several INS begin with that of one.
+SILENT_INSTRUMENT = {"table_silence": RATE_TABLE, "chamber_silence": CHAMBER, "ins_silence": INSTRUMENT}
+_SILENCE = {instrument: name for name, instrument in SILENT_INSTRUMENT.items()}
 _FAULT = {RATE_TABLE: "table_fault", CHAMBER: "chamber_alarm", INSTRUMENT: "ins_fault"}
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.foundations.clock import VirtualClock
-from gyrobench.bench.foundations.errors import ReplyError
+from gyrobench.bench.foundations.errors import NoReplyError, ReplyError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.can_log import CanLog, read_can_log
 from gyrobench.bench.station.instruments import Emulation, Instruments
@@ -129,6 +129,37 @@ def test_a_bus_that_was_away_when_the_bench_was_read_is_no_restart_of_the_ins():
         while bench.silent or bench.readings.ins.age_s > 1.0:
             bench.tick()
         assert not unit.state.has_restarted
+
+
+def test_time_in_which_nothing_was_asked_is_no_silence(monkeypatch):
+    """As where the process is stopped, the computer suspended, or another instrument blocks."""
+    with live_bench() as (bench, reported):
+        bench.units[0].state.powered()
+        chamber, blocks_s = bench.instruments.chamber, [100.0]
+        read = chamber.read
+
+        def blocking():
+            bench.clock.sleep(blocks_s.pop() if blocks_s else 0.0)
+            return read()
+
+        monkeypatch.setattr(chamber, "read", blocking)
+        bench.read_instruments()
+        assert bench.clock.now() - bench.readings.table_s == pytest.approx(100.0, abs=1.0)
+        assert bench.trips() == []
+        bench.clock.sleep(100.0)
+        assert bench.trips() == []
+        assert reported == []
+
+
+def test_an_instrument_that_did_not_answer_after_such_a_time_is_silent(monkeypatch):
+    with live_bench() as (bench, _):
+
+        def silent():
+            raise NoReplyError("rate table", "no reply")
+
+        monkeypatch.setattr(bench.instruments.table, "read", silent)
+        bench.clock.sleep(100.0)
+        assert [trip.name for trip in bench.trips()] == ["table_silence"]
 
 
 def test_a_faulty_sensor_of_the_chamber_is_an_alarm_and_its_last_temperature_grows_old():
