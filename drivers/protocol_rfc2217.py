@@ -15,8 +15,9 @@ from serial.serialutil import PortNotOpenError, Timeout
 class Serial(serial.rfc2217.Serial):
     """A port whose time-outs concern this computer alone; a write ends after 5 s, the socket's time-out."""
 
-    timeout: float | None = None
+    timeout: float = 0.0
     write_timeout: float | None = None
+    _read_buffer: queue.Queue[bytes | None]
 
     def read(self, size: int = 1, /) -> bytes:
         """Read up to ``size`` bytes until the time-out; raises SerialException if the server is gone."""

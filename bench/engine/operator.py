@@ -49,14 +49,14 @@ COMMAND_MEANINGS: Mapping[RunCommand, str] = MappingProxyType(
 )
 
 #: Signals and their commands, the preferred signal first. Ctrl-Z pauses: a stopped process would leave the
-#: bench without control.
+#: bench without control. SIGCONT is none: whatever stopped the process sends it too, as cpulimit does.
 _COMMAND_SIGNALS: Mapping[signal.Signals, RunCommand] = MappingProxyType(
     {
         signal.SIGTERM: RunCommand.ABORT,
         signal.SIGINT: RunCommand.ABORT,
         signal.SIGHUP: RunCommand.ABORT,
         signal.SIGTSTP: RunCommand.PAUSE,
-        signal.SIGCONT: RunCommand.CONTINUE,
+        signal.SIGRTMAX: RunCommand.CONTINUE,
         signal.SIGUSR1: RunCommand.HOLD,
         signal.SIGUSR2: RunCommand.SKIP,
         signal.SIGRTMIN: RunCommand.FINISH,

@@ -106,7 +106,7 @@ class PatientOperator(ConsentingOperator):
             return super().answer()
         self._ticks -= 1
         if self._ticks == 0:
-            os.kill(os.getpid(), signal.SIGCONT)
+            os.kill(os.getpid(), signal.SIGRTMAX)
             self._ticks = -1
         return None
 
@@ -220,7 +220,7 @@ def _host_run(folder: Path, kind: str, rule: str, count: int, random: Random) ->
             run.repair = deed.repair
         run.watcher = watcher(run, deed, count, random)
         try:
-            return run.go(PatientOperator() if kind == "SIGTSTP, SIGCONT" else None)
+            return run.go(PatientOperator() if kind == "SIGTSTP, SIGRTMAX" else None)
         finally:
             run.before_resume()
 
@@ -302,7 +302,7 @@ _DEEDS: Mapping[str, Callable[[LiveBench, int], None]] = {
     "SIGTERM": _signal(signal.SIGTERM),
     "SIGHUP": _signal(signal.SIGHUP),
     "SIGINT": _signal(signal.SIGINT),
-    "SIGTSTP, SIGCONT": _signal(signal.SIGTSTP),
+    "SIGTSTP, SIGRTMAX": _signal(signal.SIGTSTP),
     "exception in a step": _raise,
 }
 

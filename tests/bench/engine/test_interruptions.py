@@ -2,6 +2,7 @@
 
 import os
 import signal
+import subprocess
 from types import SimpleNamespace
 
 import numpy as np
@@ -234,6 +235,20 @@ def test_a_pause_discards_the_dwell_and_repeats_it(tmp_path):
     assert row.run.endswith("-1")  # the INS stayed on
 
 
+def test_a_process_that_was_stopped_does_not_continue_a_hold_when_it_runs_again(tmp_path):
+    """SIGCONT also comes from a shell, cpulimit or systemd, and means only that the process runs again."""
+
+    def pause_and_stop(bench, clock):
+        os.kill(os.getpid(), signal.SIGTSTP)
+        stopped = f"kill -STOP {os.getpid()}; kill -CONT {os.getpid()}"
+        subprocess.run(["sh", "-c", stopped], check=True)
+
+    folder, outcome, _ = consent(tmp_path, "navigate", pause_and_stop)
+    assert outcome.ended == "finished", outcome.reason
+    assert [entry["order"] for entry in events(folder, "ordered")] == ["pause"]
+    assert [entry["by"] for entry in events(folder, "continued")] == ["the operator"]
+
+
 def test_a_process_that_did_not_run_for_a_while_is_noted(tmp_path):
     folder, outcome, _ = consent(tmp_path, "navigate", lambda bench, clock: clock.sleep(45.0))
     assert outcome.ended == "finished", outcome.reason
@@ -281,7 +296,7 @@ def test_a_skip_outside_of_a_dwell_changes_nothing(tmp_path, two):
 
 def test_a_run_states_which_commands_it_does_not_accept(tmp_path):
     def send(bench, clock):
-        for number in (signal.SIGCONT, signal.SIGTSTP, signal.SIGUSR2, signal.SIGUSR1, signal.SIGTSTP):
+        for number in (signal.SIGRTMAX, signal.SIGTSTP, signal.SIGUSR2, signal.SIGUSR1, signal.SIGTSTP):
             os.kill(os.getpid(), number)
 
     class Waiting(ConsentingOperator):
