@@ -176,8 +176,9 @@ class LiveBench:
         self.lateness.add(next_tick_s, now_s, tick_s)
         if self._failing:
             self._reopen()
-        if clock.now() >= self._next_reading_s - 1e-6:
+        if next_tick_s >= self._next_reading_s - 1e-6:
             self.read_instruments()
+            self._next_reading_s = next_tick_s + self.station.file.instruments_period_s
         elif self._failing:
             set_aside = {each.name for each in self.units if each.is_set_aside}
             if not set_aside.issuperset(self._failing):

@@ -1,6 +1,7 @@
 """The bench between ticks: frames that are lost, frames that stop."""
 
 from contextlib import contextmanager
+from itertools import cycle
 
 import numpy as np
 import pytest
@@ -180,6 +181,19 @@ def test_a_faulty_sensor_of_the_chamber_is_an_alarm_and_its_last_temperature_gro
         bench.read_instruments()
         assert bench.readings.chamber.alarms == ()
         assert bench.readings.chamber_s > before.chamber_s
+
+
+def test_ticks_that_are_late_by_different_times_do_not_change_the_period_of_readings(monkeypatch):
+    """As in real time, where a tick that is less late than the one before is no reason to skip a reading."""
+    with live_bench() as (bench, _):
+        sleep_until, late_s, readings_s = bench.clock.sleep_until, cycle((0.02, 0.01)), []
+        monkeypatch.setattr(bench.clock, "sleep_until", lambda time_s: sleep_until(time_s + next(late_s)))
+        end_s = bench.clock.now() + 100.0
+        while bench.clock.now() < end_s:
+            bench.tick()
+            if bench.readings.polled_s not in readings_s:
+                readings_s.append(bench.readings.polled_s)
+        assert np.diff(readings_s[1:]) == pytest.approx(bench.station.file.instruments_period_s, abs=0.1)
 
 
 def test_a_lost_port_is_reopened_soon_at_first_then_every_five_seconds(monkeypatch):
