@@ -36,7 +36,7 @@ from gyrobench.drivers.frames import (
     FrameBlock,
     concatenate,
 )
-from gyrobench.drivers.ins.read_ahead_bus import ReadAheadBus
+from gyrobench.drivers.ins.read_ahead_bus import ReadAheadBus, await_reader
 from gyrobench.drivers.serial_line import port_advice, system_reason
 
 _READ_PERIOD_S = 0.005
@@ -209,7 +209,7 @@ class _TextBus(can.BusABC):
         self._chunks: deque[tuple[bytes, float]] = deque()
         self._queued_bytes = self._reported_lost = 0
         self._lock = threading.Lock()
-        self._arrived, self._stopping = threading.Event(), threading.Event()
+        self._arrived, self._stopping, self._has_read = (threading.Event() for _ in range(3))
         self._failure: Exception | None = None  # permanent, ended the thread
         self._error: ReplyError | None = None
         self._buffered = concatenate([])
@@ -225,6 +225,7 @@ class _TextBus(can.BusABC):
             while not self._stopping.wait(self._period_s):
                 data = self._read_available()
                 if not data:
+                    self._has_read.set()
                     continue
                 data = rest + data
                 lines_end = 1 + max(data.rfind(end) for end in self._format.ends)
@@ -233,6 +234,7 @@ class _TextBus(can.BusABC):
                     data, lines_end, rest = data + self._format.ends[:1], len(data) + 1, b""
                 if lines_end:
                     self._put(data[:lines_end])
+                self._has_read.set()
         except Exception as error:  # noqa: BLE001 - raised by recv_block
             self._failure = error
         self._arrived.set()
@@ -256,6 +258,8 @@ class _TextBus(can.BusABC):
         if self._error is not None:
             error, self._error = self._error, None
             raise error
+        if not self._chunks and not len(self._buffered) and self._failure is None:
+            await_reader(self._has_read)
         failure = self._failure
         with self._lock:
             chunks, self._chunks, self._queued_bytes = self._chunks, deque(), 0

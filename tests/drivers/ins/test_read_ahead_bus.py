@@ -40,6 +40,14 @@ def test_frames_that_the_adapter_can_not_hold_until_the_next_poll_are_kept(near,
     assert found.tolist() == [number % 2048 for number in range(SENT)]
 
 
+def test_a_poll_misses_nothing_that_the_thread_has_not_read_yet(near, far):
+    """As after a stop of this process, which stops the thread too."""
+    recv_block = block_receiver(near)
+    for number in range(20):
+        far.send(can.Message(arbitration_id=number, is_extended_id=False))
+        assert recv_block().arbitration_id.tolist() == [number]
+
+
 def test_frames_before_an_error_are_returned_first_and_the_bus_is_read_on(near, far, monkeypatch):
     recv, failed = near._bus.recv, threading.Event()
 

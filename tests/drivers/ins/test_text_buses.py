@@ -89,6 +89,7 @@ class Socketcand:
     def _greet(self):
         self.hang_up()
         self._connection, _ = self._server.accept()
+        self._connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._connection.sendall(b"< hi >")
         for _ in range(2):
             self._connection.recv(100)
@@ -165,6 +166,15 @@ def test_a_block_and_single_frames_are_those_of_python_cans_class(adapter):
         )
         assert_same(block, expected, stamped=adapter.text is SOCKETCAND)
         close_bus(bus)
+
+
+def test_a_poll_misses_nothing_that_the_thread_has_not_read_yet(adapter):
+    """As after a stop of this process, which stops the thread too."""
+    bus = adapter.open()
+    for _ in range(20):
+        adapter.send(adapter.text)
+        assert len(block_receiver(bus)()) >= 5
+    close_bus(bus)
 
 
 def test_lines_that_come_in_pieces_are_whole_frames_in_order(adapter):
