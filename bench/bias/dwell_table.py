@@ -33,9 +33,11 @@ _TRIPLES = {
 }
 _FIT = ("fit_ratio", "fit_p_value")
 #: Readers of values with further checks; all others are read as plain numbers.
-_READERS = {"gyro_c": CsvTable.temperature} | dict.fromkeys(
-    ("sigma_dph", "paper_sigma_dph", "accelerometer_sigma_ug"), CsvTable.uncertainty
-)
+_READERS = {
+    "gyro_c": CsvTable.temperature,
+    **dict.fromkeys(("sigma_dph", "paper_sigma_dph", "accelerometer_sigma_ug"), CsvTable.uncertainty),
+    **dict.fromkeys(("common_sigma_dph", "accelerometer_common_sigma_ug"), CsvTable.part_of_uncertainty),
+}
 
 
 def columns_of(names: Iterable[str]) -> tuple[str, ...]:

@@ -12,8 +12,9 @@ from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.dwells.earlier_calibration import read_calibration
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.documents import Document
-from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
 from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.foundations.text import excerpt
 from gyrobench.bench.procedure.checks import find_problems
 from gyrobench.bench.procedure.plan import Plan, expand
 from gyrobench.bench.procedure.procedure_file import Procedure, load_procedure
@@ -93,14 +94,16 @@ class Job:
 def emulation_of(folder: RunFolder, options: Mapping[str, Any] | None = None) -> Emulation:
     """World, seed and faults of the emulated instruments of a run; defaults for options that it lacks.
 
-    ``options``: options of the run, by default from its provenance.
+    ``options``: options of the run, by default from its provenance. Raises RunFolderError if that is damaged.
     """
     options = run_options(folder) if options is None else options
-    return Emulation(
-        str(options.get("world", Emulation.world)),
-        int(options.get("seed", Emulation.seed)),
-        str(options.get("faults", "")),
-    )
+    seed = options.get("seed", Emulation.seed)
+    if type(seed) is not int:
+        raise RunFolderError(
+            f"{folder.provenance}: damaged: the seed of the emulated instruments must be a whole number; "
+            f"found {excerpt(seed)}. Restore the file from a copy"
+        )
+    return Emulation(str(options.get("world", Emulation.world)), seed, str(options.get("faults", "")))
 
 
 def prepare_job(

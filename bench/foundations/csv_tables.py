@@ -168,6 +168,13 @@ class CsvTable:
             self.problem(index, column, f"an uncertainty must be above zero; found {value:g}")
         return value
 
+    def part_of_uncertainty(self, index: int, column: str, may_be_empty: bool = False) -> float:
+        """Read a part of a standard uncertainty, which may be zero."""
+        value = self.number(index, column, may_be_empty)
+        if value < 0.0:
+            self.problem(index, column, f"a part of an uncertainty can't be negative; found {value:g}")
+        return value
+
     def temperature(self, index: int, column: str, may_be_empty: bool) -> float:
         """Read the temperature of a gyro, degC."""
         value_c = self.number(index, column, may_be_empty)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS
 from gyrobench.bench.foundations.documents import parse_document, validate
@@ -244,6 +245,13 @@ def test_the_warm_up_dies_away_with_its_time_constant():
     for since_s in (0.0, 1800.0, 5400.0):
         added_dph = WARM_UP.added_dph(conditions(since_power_on_s=since_s))
         np.testing.assert_allclose(added_dph, SIZE * np.exp(-since_s / 1800.0))
+
+
+def test_a_time_constant_has_a_size_with_which_the_bias_can_be_computed():
+    shortest = WARM_UP.model_copy(update={"time_constant_s": 0.001})
+    assert not shortest.added_dph(conditions(since_power_on_s=1e7)).any()
+    with pytest.raises(ValidationError, match=r"greater than or equal to 0\.001"):
+        WarmUp(kind="warm_up", bias_dph=SIZE.tolist(), time_constant_s=1e-310)
 
 
 def test_a_unit_that_is_off_does_not_warm_up():
