@@ -183,11 +183,12 @@ class WarmUp(_Effect):
 
     kind: Literal["warm_up"] = Field(description="name of the effect")
     bias_dph: BodyVector = Field(description="bias at power-on of each gyro, deg/h")
-    time_constant_s: float = Field(ge=0.001, description="time in which it falls to 37 %, s")
+    time_constant_s: Positive = Field(description="time in which it falls to 37 %, s")
 
     @override
     def added_dph(self, now: Conditions) -> FloatArray:
-        return np.array(self.bias_dph) * np.exp(-now.since_power_on_s / self.time_constant_s)
+        with np.errstate(over="ignore"):  # it may be over at once
+            return np.array(self.bias_dph) * np.exp(-now.since_power_on_s / self.time_constant_s)
 
 
 class TimeDrift(_Effect):
