@@ -8,6 +8,9 @@ request. After a failed exchange, therefore, nothing is sent until the line has 
 time-out, and the next reply is accepted only if no other follows it, as replies come in the order of the
 requests. Two cases can't be detected: a late reply after which the right one is lost, and a second copy of a
 reply that arrives after the next request.
+
+Many two-wire adapters echo what is sent (local echo). The first read detects that; each later exchange
+expects the echo. Without the detection, the echo of a write would pass for its reply.
 """
 
 from __future__ import annotations
@@ -67,7 +70,7 @@ class UnknownRegisterError(RefusedError):
 
 
 class ModbusRtu:
-    """Reads and writes registers of the device at one address of a line. ``address``: 1 to 247."""
+    """Reads and writes registers of the device at one address of a line, 1 to 247; a read comes first."""
 
     def __init__(self, line: SerialLine, address: int, reply_timeout_s: float) -> None:
         self._line = line
@@ -75,6 +78,7 @@ class ModbusRtu:
         self._reply_timeout_s = reply_timeout_s
         self._next_request_s = line.clock.now()
         self._out_of_sync = False
+        self._has_echo = False
 
     def read(self, register: int, count: int = 1) -> tuple[int, ...]:
         """Read successive registers as signed 16-bit numbers.
@@ -106,7 +110,7 @@ class ModbusRtu:
         self._next_request_s = clock.now() + self._reply_timeout_s
         self._line.discard_input()
         self._line.write(append_crc(request))
-        reply = self._receive(size)
+        reply = self._receive(request, size)
         if crc16(reply) != 0:
             raise self._unexpected(request, reply, "the CRC is wrong; check cable, baud rate and parity")
         if not reply.startswith(start) and reply[:2] != bytes((self._address, request[1] | _EXCEPTION_BIT)):
@@ -117,13 +121,26 @@ class ModbusRtu:
         self._next_request_s = clock.now() + pause_s
         return reply
 
-    def _receive(self, size: int) -> bytes:
+    def _receive(self, request: bytes, size: int) -> bytes:
+        """Receive the reply to a request, of ``size`` bytes, or an exception; skips the adapter's echo."""
         deadline = Deadline(self._line.clock, self._reply_timeout_s)
+        sent = append_crc(request)
+        if self._has_echo and (echo := self._read(len(sent), deadline)) != sent:
+            raise self._unexpected(request, echo, "the adapter echoed other bytes; check for another master")
+        reply = self._read(_EXCEPTION_FRAME_BYTES, deadline)
+        if request[1] == _READ and sent.startswith(reply) and not self._has_echo:
+            reply += self._read(min(size, len(sent)) - len(reply), deadline)
+            if sent.startswith(reply):
+                self._has_echo = True
+                self._read(len(sent) - len(reply), deadline)
+                reply = self._read(_EXCEPTION_FRAME_BYTES, deadline)
+        if reply[1] & _EXCEPTION_BIT:
+            return reply
+        return reply + self._read(size - len(reply), deadline)
+
+    def _read(self, count: int, deadline: Deadline) -> bytes:
         settings = f"this baud rate and Modbus address {self._address}"
-        reply = self._line.read(_EXCEPTION_FRAME_BYTES, deadline, settings)
-        if not reply[1] & _EXCEPTION_BIT:
-            reply += self._line.read(size - _EXCEPTION_FRAME_BYTES, deadline, settings)
-        return reply
+        return self._line.read(count, deadline, settings) if count else b""
 
     def _another_reply_follows(self) -> bool:
         """Whether further bytes arrive within :data:`NEXT_REPLY_S`."""

@@ -49,7 +49,7 @@ def test_a_wrong_bit_is_noticed(content, bit):
 
 
 class LatePort:
-    """A port with a device whose register n holds n; each reply comes when a script says.
+    """A port with a device whose register n holds n + ``offset``; each reply comes when a script says.
 
     The script has an entry for each request: when copies of the reply come, in seconds after it, and
     whether each is damaged.
@@ -59,11 +59,15 @@ class LatePort:
         self.clock = clock
         self.script = []
         self.timeout = 0.0
+        self.adapter_echoes = False
+        self.offset = 0
         self._due = []
 
     def write(self, request):
+        if self.adapter_echoes:
+            self._due += [(self.clock.now(), byte) for byte in request]
         register, count = int.from_bytes(request[2:4]), int.from_bytes(request[4:6])
-        values = b"".join((register + i).to_bytes(2) for i in range(count))
+        values = b"".join((register + i + self.offset).to_bytes(2) for i in range(count))
         reply = append_crc(bytes((1, 3, len(values))) + values)
         for delay_s, is_damaged in self.script.pop(0):
             arrives_s = self.clock.now() + delay_s
@@ -146,3 +150,44 @@ def test_a_good_reply_costs_no_wait_for_silence(port, modbus):
     port.script = [[(0.01, 0)], [(0.01, 0)]]
     assert modbus.read(7) + modbus.read(8) == (7, 8)
     assert port.clock.now() == pytest.approx(0.02 + PAUSE_AFTER_READ_S)
+
+
+@pytest.mark.parametrize(("register", "count"), [(7, 1), (0x0203, 1), (0x0605, 3), (0x0400, 2)])
+def test_the_echo_of_a_two_wire_adapter_is_no_reply(port, modbus, register, count):
+    """Whatever the register: the byte count of its reply may equal the first byte of its number."""
+    port.adapter_echoes = True
+    for _ in range(3):
+        port.script = [[(0.01, 0)]]
+        assert modbus.read(register, count) == tuple(range(register, register + count))
+
+
+def test_a_reply_that_begins_as_its_request_is_no_echo(port, modbus):
+    port.offset = 0x0300 - 0x0203
+    port.script = [[(0.01, 0)], [(0.01, 0)]]
+    for _ in range(2):  # both begin with 01 03 02 03 00
+        assert modbus.read(0x0203) == (0x0300,)
+
+
+def test_the_echo_of_a_write_does_not_pass_for_the_reply_of_a_device_that_is_off(port, modbus):
+    port.adapter_echoes = True
+    port.script = [[(0.01, 0)], []]
+    modbus.read(7)
+    with pytest.raises(NoReplyError, match="0 of 5 bytes"):
+        modbus.write(7, 1)
+
+
+def test_a_device_that_is_off_is_no_wrong_checksum_behind_an_adapter_that_echoes(port, modbus):
+    port.adapter_echoes = True
+    port.script = [[], [(0.01, 0)]]
+    with pytest.raises(NoReplyError, match="0 of 5 bytes"):
+        modbus.read(7)
+    assert modbus.read(8) == (8,)
+
+
+def test_an_echo_that_differs_from_the_request_is_refused(port, modbus):
+    port.adapter_echoes = True
+    port.script = [[(0.01, 0)], [(0.01, 0)]]
+    modbus.read(7, 2)
+    port.adapter_echoes = False
+    with pytest.raises(ReplyError, match="the adapter echoed other bytes"):
+        modbus.read(7, 2)
