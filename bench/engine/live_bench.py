@@ -36,6 +36,9 @@ _LOSS_PERIOD_S = 10.0
 #: first again after some time without attempts. An adapter is often back within seconds, before the silence
 #: of its instrument trips.
 _FIRST_REOPEN_PAUSE_S, _MAX_REOPEN_PAUSE_S, _REOPEN_RESET_S = 0.5, 5.0, 30.0
+#: Attempts to reach an instrument that take longer are followed by a pause; a reopened port that answers
+#: takes 1 s, in which it has to be silent.
+_BRIEF_S = 2.5
 #: Period at which a safe action that failed is repeated.
 _REPEAT_PERIOD_S = 5.0
 #: The chamber's air counts as at its set point within this difference.
@@ -116,6 +119,7 @@ class LiveBench:
         self._watch = InterlockWatch(station, clock, {INSTRUMENT, *instruments.absent})
         self._failing: list[str] = []
         self._next_reopen_s, self._reopen_pause_s = -math.inf, _FIRST_REOPEN_PAUSE_S
+        self._next_try_s: dict[str, float] = {}  # of table and chamber while they do not answer
         self._next_loss_s = 0.0
         self._next_reading_s = 0.0
         #: Safe actions that failed and have not succeeded since, by what they do.
@@ -278,16 +282,36 @@ class LiveBench:
 
     def _reopen(self) -> None:
         """Reopen an instrument that does not answer, as an unplugged adapter requires."""
-        late_s = self.clock.now() - self._next_reopen_s
-        if late_s < 0.0:
+        begin_s, instrument = self.clock.now(), self._failing[0]
+        late_s = begin_s - self._next_reopen_s
+        if late_s < 0.0 or not self._may_try(instrument):
             return
         is_first = late_s > _REOPEN_RESET_S
         pause_s = _FIRST_REOPEN_PAUSE_S if is_first else min(2.0 * self._reopen_pause_s, _MAX_REOPEN_PAUSE_S)
-        self._next_reopen_s, self._reopen_pause_s = self.clock.now() + pause_s, pause_s
-        instrument = self._failing[0]
+        self._next_reopen_s, self._reopen_pause_s = begin_s + pause_s, pause_s
         self._failing.append(self._failing.pop(0))  # one at a time: it may take long
         with contextlib.suppress(ConnectionFailedError):  # reported already
             self.instruments.reopen(instrument)
+        self._pause_tries(instrument, begin_s)
+
+    def _may_try(self, instrument: str) -> bool:
+        """Whether an instrument that does not answer may block the ticks again."""
+        return instrument not in self._failing or self.clock.now() >= self._next_try_s.get(instrument, 0.0)
+
+    def _pause_tries(self, instrument: str, begin_s: float) -> None:
+        """Leave an instrument alone for as long as an attempt took: it blocks at most half of the time."""
+        took_s = self.clock.now() - begin_s
+        self._next_try_s[instrument] = begin_s + (2.0 * took_s if took_s > _BRIEF_S else took_s)
+
+    def _try_query(self, instrument: str, ask: Callable[[], _T]) -> _T | None:
+        """Query table or chamber, which takes long if it does not answer."""
+        if not self._may_try(instrument):
+            return None
+        begin_s = self.clock.now()
+        answer = self.query(instrument, ask)
+        if answer is None:
+            self._pause_tries(instrument, begin_s)
+        return answer
 
     def read_instruments(self) -> None:
         """Read table, chamber and INS, and record the readings in the telemetry."""
@@ -324,7 +348,7 @@ class LiveBench:
         Lines of text have no checksum: a damaged byte looks like a fault or another value, and the trip that
         it causes may need the operator.
         """
-        answer = self.query(instrument, ask)
+        answer = self._try_query(instrument, ask)
         if answer is None or answer[0] in (self.readings.table, self.readings.chamber):
             return answer  # a reading received twice is not damaged
         is_implausible = self._watch.is_implausible(answer[0], self.state.expected)
@@ -332,7 +356,7 @@ class LiveBench:
 
     def read_table(self) -> None:
         """Read only the table, between the regular readings."""
-        reading = self.query(RATE_TABLE, lambda: self.instruments.table.read())
+        reading = self._try_query(RATE_TABLE, lambda: self.instruments.table.read())
         if reading is not None:
             self.readings = replace(self.readings, table=reading, table_s=self.clock.now())
 

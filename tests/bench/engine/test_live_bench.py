@@ -1,5 +1,6 @@
 """The bench between ticks: frames that are lost, frames that stop."""
 
+import math
 from contextlib import contextmanager
 from itertools import cycle
 
@@ -18,11 +19,11 @@ from gyrobench.drivers.frames import concatenate
 
 
 @contextmanager
-def live_bench(can_log=None):
-    """A started bench whose INS sends, and what was reported of it."""
+def live_bench(can_log=None, faults=""):
+    """A started bench whose INS sends, and what was reported of it. ``faults``: path of their file."""
     clock, reported = VirtualClock(), []
     station = Station(find_document("stations", "quick"))
-    with Instruments(station, clock, Emulation("quick", 0)) as instruments:
+    with Instruments(station, clock, Emulation("quick", 0, str(faults))) as instruments:
         logs = [(can_log, None)] if can_log else []
         bench = LiveBench(station, instruments, clock, logs, lambda *each: reported.append(each))
         instruments.power_unit(True)
@@ -223,3 +224,23 @@ def test_a_lost_port_is_reopened_soon_at_first_then_every_five_seconds(monkeypat
         while bench.silent or bench.clock.now() < attempts_s[-1] + 60.0:
             bench.tick()
         assert gaps_of_a_loss().tolist() == first.tolist()
+
+
+def test_a_table_that_does_not_answer_blocks_the_ticks_about_half_of_the_time(tmp_path):
+    """Each of its time-outs takes seconds, in which no interlock of the chamber or the INS is evaluated."""
+    (tmp_path / "faults.yaml").write_text(
+        "faults:\n  - {fault: lost_request, target: table, at_s: 100, for_s: 300}\n"
+    )
+    with live_bench(faults=tmp_path / "faults.yaml") as (bench, _):
+        bench.instruments.identify("rate table")
+        clock, tick_s, late_s = bench.clock, bench.station.file.tick_s, []
+        while clock.now() < 400.0:
+            due_s = tick_s * (math.floor(clock.now() / tick_s + 1e-9) + 1)
+            bench.tick()
+            late_s.append(clock.now() - due_s)
+        assert bench.silent == ("rate table",)
+        assert sum(late_s) < 0.6 * 300.0
+        assert max(late_s) < 8.0
+        while bench.silent:
+            bench.tick()
+        assert clock.now() < 420.0
