@@ -115,6 +115,9 @@ def decode_increments(block: FrameBlock, signal_map: SignalMap, codec: DbcCodec)
     signals = {path: each for path, each in bound.items() if path.startswith("increments.")}
     readout = Readout(reader, signal_map, signals)
     rows = reader.rows(max((b.message for b in signals.values()), key=codec.arbitration_id))
+    if mapped.counter is not None:
+        counts = readout.value("increments.counter", rows)
+        rows = _without_repeats(reader, rows, np.diff(counts) == 0.0)
     angle, velocity = (
         readout.axes(f"increments.{increment}", rows)
         if getattr(mapped, increment) is not None
@@ -250,7 +253,10 @@ class _Groups:
 
 
 def _group_frames(reader: BlockReader, readout: Readout) -> tuple[_Groups, int]:
-    """Collect the complete groups, and count the incomplete ones between the first and the last."""
+    """Collect the complete groups, and count the incomplete ones between the first and the last.
+
+    A frame that arrives twice, as through two gateways, is no second epoch.
+    """
     names = _messages_in_order(reader, readout)
     required = np.array([name in readout.map.messages_of_epoch() for name in names])
     stamps_s = reader.block.timestamp_s
@@ -258,6 +264,8 @@ def _group_frames(reader: BlockReader, readout: Readout) -> tuple[_Groups, int]:
     for index, name in enumerate(names):
         message_index[reader.rows(name)] = index
     rows = np.flatnonzero(message_index >= 0)
+    if len(names) > 1:  # of a single message, equal frames may be two epochs with the same output
+        rows = _without_repeats(reader, rows, np.diff(message_index[rows]) == 0)
     order = message_index[rows]
     # A new epoch begins where the order restarts, or a pause separates the frames.
     restarts = np.diff(order) <= 0
@@ -276,6 +284,13 @@ def _group_frames(reader: BlockReader, readout: Readout) -> tuple[_Groups, int]:
         time_rows=complete_rows[:, has_time].max(axis=1, initial=-1),
     )
     return groups, int(np.sum(~complete[1:-1]))
+
+
+def _without_repeats(reader: BlockReader, rows: IntArray, is_same: BoolArray) -> IntArray:
+    """Drop the rows that follow an equal frame; ``is_same``, shape (n - 1,): which of them may be repeats."""
+    later, data = 1 + np.flatnonzero(is_same), reader.block.data
+    is_repeated = np.all(data[rows[later]] == data[rows[later - 1]], axis=1)
+    return np.delete(rows, later[is_repeated])
 
 
 def _is_delayed(readout: Readout, rows: IntArray, restarts: BoolArray, has_count: BoolArray) -> BoolArray:

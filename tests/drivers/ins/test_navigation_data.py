@@ -5,9 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.station.station import Station
 from gyrobench.drivers.frames import FrameBlock, concatenate
 from gyrobench.drivers.ins.attitude import EulerSequence, attitude_matrices
-from gyrobench.drivers.ins.navigation_data import EpochCounts, decode_navigation
+from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
+from gyrobench.drivers.ins.navigation_data import EpochCounts, decode_increments, decode_navigation
 from gyrobench.drivers.ins.readout import Alignment, InsMode
 
 HEADING_ID, VELOCITY_ID, TIME_ID, STATUS_ID = 0x007, 0x004, 0x001, 0x010
@@ -137,6 +140,38 @@ def test_frames_that_come_twice_in_an_epoch_count_where_they_differ(
     data[velocities + np.arange(10), 0] += changed
     found = decode_navigation(doubled.with_fields(data=data), signal_map, codec)
     assert found.counts.contradicted == contradicted
+
+
+@pytest.mark.parametrize("repeated", [slice(None), slice(3, None, 7)])
+def test_frames_that_arrive_twice_lose_no_epoch(recording, signal_map, codec, repeated):
+    """As through two gateways to the same bus."""
+    block = recording(0, 50)
+    copies = np.ones(len(block), np.int64)
+    copies[repeated] = 2
+    found = decode_navigation(block.take(np.repeat(np.arange(len(block)), copies)), signal_map, codec)
+    once = decode_navigation(block, signal_map, codec)
+    assert found.counts == EpochCounts()
+    assert found.ins_time_s.tolist() == once.ins_time_s.tolist()
+    assert found.velocity_enu_mps.tolist() == once.velocity_enu_mps.tolist()
+
+
+def test_increments_that_arrive_twice_count_once():
+    station = Station(find_document("stations", "emulated"))
+    codec = DbcCodec(load_dbc(station.dbc_path))
+    samples, copies = 40, 2
+    counts = (np.arange(samples, dtype="<u8") % 16 << 60) + 1000
+    block = FrameBlock.from_columns(
+        np.repeat(0.01 * np.arange(samples), 2),
+        np.tile([8, 9], samples),
+        np.full(2 * samples, 8),
+        np.repeat(counts, 2).view(np.uint8).reshape(-1, 8),
+    )
+    signals = station.file.ins.signals
+    once = decode_increments(block, signals, codec)
+    twice = decode_increments(block.take(np.repeat(np.arange(len(block)), copies)), signals, codec)
+    assert twice.angle.tolist() == once.angle.tolist()
+    assert twice.is_consecutive[1:].all()
+    assert twice.sent.tolist() == once.sent.tolist()
 
 
 def test_a_repeated_epoch_is_dropped_and_counted(recording, signal_map, codec):
