@@ -430,7 +430,9 @@ def _open_ins_bus(station: Station, clock: Clock, emulation: Emulation, bench: S
             options["identifier_offset"] = section.identifier_offset
         if bench is not None and bench.power_events and len(bench.units) > 1:
             options["power_event"] = station.file.unit.power_event
-    return open_bus(section.interface, section.channel, clock, section.bitrate, **options)
+    return open_bus(
+        section.interface, section.channel, clock, section.bitrate, instrument=station.instrument, **options
+    )
 
 
 def _opening_time_s(clock: Clock) -> float:

@@ -419,12 +419,19 @@ _MAX_FRAMES = 100_000
 
 
 def open_bus(
-    interface: str, channel: str | int | None, clock: Clock, bitrate: int | None = None, **options: Any
+    interface: str,
+    channel: str | int | None,
+    clock: Clock,
+    bitrate: int | None = None,
+    *,
+    instrument: str = INSTRUMENT,
+    **options: Any,
 ) -> can.BusABC:
     """Open a CAN bus by its python-can interface name, without python-can's configuration files.
 
-    In real time a thread reads the frames. Raises ConnectionFailedError if the interface or channel does not
-    exist or can't be opened. Raises DocumentError if the world behind an emulated bus is wrong.
+    In real time a thread reads the frames. ``instrument`` is the name of the INS in errors. Raises
+    ConnectionFailedError if the interface or channel does not exist or can't be opened. Raises
+    DocumentError if the world behind an emulated bus is wrong.
     """
     if bitrate is not None:
         options["bitrate"] = bitrate
@@ -439,7 +446,7 @@ def open_bus(
         if isinstance(error.__cause__, DocumentError):  # the world behind an emulated bus is wrong
             raise error.__cause__ from None
         raise ConnectionFailedError(
-            INSTRUMENT,
+            instrument,
             f"can't open the CAN interface '{interface}', channel {channel}: {system_reason(error)}. "
             + port_advice(
                 str(channel), "Check the station file's interface, channel and options, and the adapter."

@@ -92,6 +92,8 @@ class CanIns:
         """
         try:
             block = self._receive()
+        except ReplyError as error:  # the bus does not know the name of the INS
+            raise ReplyError(self.name, error.message) from error
         except (ValueError, LookupError) as error:
             raise ReplyError(self.name, f"{self._bus}: received bytes are no CAN frame: {error}") from error
         except (can.CanError, OSError) as error:

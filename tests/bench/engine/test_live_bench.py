@@ -1,7 +1,7 @@
 """The bench between ticks: frames that are lost, frames that stop."""
 
 import math
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from itertools import cycle
 
 import numpy as np
@@ -16,6 +16,7 @@ from gyrobench.bench.station.instruments import Emulation, Instruments
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
 from gyrobench.drivers.frames import concatenate
+from tests.drivers.ins.test_text_buses import Slcan
 
 
 @contextmanager
@@ -244,3 +245,20 @@ def test_a_table_that_does_not_answer_blocks_the_ticks_about_half_of_the_time(tm
         while bench.silent:
             bench.tick()
         assert clock.now() < 420.0
+
+
+def test_a_bus_of_one_of_several_units_that_gives_invalid_bytes_is_reopened():
+    clock, station = VirtualClock(), Station(find_document("stations", "four_units"))
+    with (
+        Instruments(station, clock, Emulation("four_units", 0)) as instruments,
+        closing(Slcan("pty")) as adapter,
+    ):
+        bench = LiveBench(station, instruments, clock, [], lambda *_: None)
+        bench.start()
+        instruments.units["INS 1102"].replace_bus(adapter.open())
+        adapter.send(b"t00zgarbage\r")
+        while not bench.silent:
+            bench.poll_units()
+        assert bench.silent == ("INS 1102",)
+        while bench.silent:
+            bench.tick()

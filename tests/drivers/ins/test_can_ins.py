@@ -522,8 +522,8 @@ def test_a_command_that_cannot_be_sent_is_a_failed_connection(signal_map, codec,
     [("no_such_interface", "x", {}), ("slcan", "/dev/no-such-port", {}), ("slcan", None, {})],
 )
 def test_a_bus_that_cannot_be_opened_is_a_failed_connection(interface, channel, options, clock):
-    with pytest.raises(ConnectionFailedError, match=f"INS: can't open the CAN interface '{interface}'"):
-        open_bus(interface, channel, clock, bitrate=500_000, **options)
+    with pytest.raises(ConnectionFailedError, match=f"INS 7: can't open the CAN interface '{interface}'"):
+        open_bus(interface, channel, clock, bitrate=500_000, instrument="INS 7", **options)
 
 
 def test_for_a_pseudo_terminal_that_is_gone_the_message_names_what_serves_it(clock):
