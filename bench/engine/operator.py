@@ -49,7 +49,7 @@ COMMAND_MEANINGS: Mapping[RunCommand, str] = MappingProxyType(
 )
 
 #: Signals and their commands, the preferred signal first. Ctrl-Z pauses: a stopped process would leave the
-#: bench without control. SIGCONT is none: whatever stopped the process sends it too, as cpulimit does.
+#: bench without control. SIGCONT is none: programs that stop a process, as cpulimit, send it too.
 _COMMAND_SIGNALS: Mapping[signal.Signals, RunCommand] = MappingProxyType(
     {
         signal.SIGTERM: RunCommand.ABORT,

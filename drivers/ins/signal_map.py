@@ -429,6 +429,8 @@ def _bind(signal_map: SignalMap, codec: DbcCodec) -> tuple[dict[str, BoundSignal
 
 #: Roles that may share a signal with others: one status signal may hold several states.
 _SHAREABLE_ROLES = ("mode", "alignment", "identity")
+#: Largest number of bits of an integer that float64 represents exactly.
+_MAX_EXACT_BITS = 52
 
 
 def _doubly_mapped(signal_map: SignalMap) -> list[DocumentProblem]:
@@ -484,19 +486,15 @@ def _bind_one(quantity: MappedQuantity, codec: DbcCodec) -> BoundSignal:
     )  # fmt: skip
 
 
-#: Largest number of bits of an integer that float64 represents exactly.
-_MAX_EXACT_BITS = 52
-
-
 def _gain_and_offset(quantity: MappedQuantity, signal: Signal) -> tuple[float, float]:
     allowed = UNITS.get(quantity.dimension)
     if allowed is None:
         return 1.0, 0.0
     unit = quantity.source.unit if quantity.source.unit is not None else (signal.unit or "")
-    spelling = usual_spelling(unit.strip())
-    if spelling not in allowed:
+    conversion = allowed.get(usual_spelling(unit.strip()))
+    if conversion is None:
         raise DocumentError(
             f"the signal {quantity.source.signal} has the unit '{unit}', not a unit of {quantity.dimension} "
             f"({', '.join(allowed)}). Give the unit with the keys 'unit' and 'scale' beside 'signal'."
         )
-    return allowed[spelling]
+    return conversion
