@@ -56,17 +56,14 @@ _MAX_G_SENSITIVITY = 0.5 * DPH_TO_RADPS / STANDARD_GRAVITY
 #: A sensitivity is reported, and may be a rate Up, if it exceeds these numbers of standard uncertainties.
 _REPORTED_SIGMAS, _SIGNIFICANT_SIGMAS = 3.0, 4.0
 _SENSITIVITIES = OPTIONAL_PARAMETERS[G_SENSITIVITIES.start - COUNT : G_SENSITIVITIES.stop - COUNT]
-#: Options that may explain a misfit, with descriptions that name the option of ``gyrobench calibrate``.
-_EXPLANATIONS: tuple[tuple[dict[str, Any], str], ...] = (
-    ({"quadratic": True}, "quadratic terms of the accelerometers (gyrobench calibrate --quadratic)"),
-    ({"lever_arms": True}, "places of the accelerometers (gyrobench calibrate --lever-arms)"),
-    ({"delay": True}, "a delay of the accelerometers (gyrobench calibrate --delay)"),
-    (
-        {"g_sensitivity": True},
-        "gyro biases that follow the specific force (gyrobench calibrate --g-sensitivity)",
-    ),
-    ({"asymmetries": (0, 1, 2)}, "asymmetries of the gyros' scale factors (gyrobench calibrate --asymmetry)"),
-    ({"bias_drift": BIAS_DRIFT}, "a drift of the gyro biases (gyrobench calibrate --drift)"),
+#: Options that may explain a misfit, with descriptions and the options of ``gyrobench calibrate``.
+_EXPLANATIONS: tuple[tuple[dict[str, Any], str, str], ...] = (
+    ({"quadratic": True}, "quadratic terms of the accelerometers", "--quadratic"),
+    ({"lever_arms": True}, "places of the accelerometers", "--lever-arms"),
+    ({"delay": True}, "a delay of the accelerometers", "--delay"),
+    ({"g_sensitivity": True}, "gyro biases that follow the specific force", "--g-sensitivity"),
+    ({"asymmetries": (0, 1, 2)}, "asymmetries of the gyros' scale factors", "--asymmetry"),
+    ({"bias_drift": BIAS_DRIFT}, "a drift of the gyro biases", "--drift"),
 )
 #: Epochs at rest over which residuals are summed for the goodness-of-fit test.
 _FIT_EPOCHS = 60
@@ -223,8 +220,8 @@ class CalibrationProblem:
         retimed = self._solutions_at_other_intervals(estimates)
         self.check_alternatives(estimates, retimed)
         alternatives = [
-            (problem, description, _solution(problem))
-            for chosen, description in _EXPLANATIONS
+            (problem, f"{description} (gyrobench calibrate {option})", _solution(problem))
+            for chosen, description, option in _EXPLANATIONS
             if not all(getattr(self.options, name) for name in chosen)
             for problem in [replace(self, options=replace(self.options, **chosen))]
         ]
@@ -232,7 +229,8 @@ class CalibrationProblem:
         for problem, other in retimed:
             other_s = problem.sections[0].interval_s
             description = (
-                f"samples {other_s:.6g} s apart and not {interval_s:.6g} s ('time' in the import map)"
+                f"samples {other_s:.6g} s apart and not {interval_s:.6g} s ('time' in the import map; of a "
+                "run, ins.signals.increments.period_s)"
             )
             alternatives.insert(0, (problem, description, other))
         if (converged := self._at_converged_latitude(estimates)) is not None:
@@ -315,7 +313,7 @@ class CalibrationProblem:
             (
                 other,
                 f"if samples are {problem.sections[0].interval_s:.4g} s apart and not {interval_s:.4g} s. "
-                "Correct 'time' in the import map",
+                "Correct 'time' in the import map; of a run, ins.signals.increments.period_s",
             )
             for problem, other in retimed
         ]
