@@ -106,15 +106,17 @@ class IncrementSection:
         angle, velocity = errors.corrected(self.angle, self.velocity, interval_s)
         if common is None:
             return angle, velocity
-        if common[LEVER_ARMS].any() or common[DELAY] or common[QUADRATIC].any():
-            rate = angle / interval_s
+        rate = angle / interval_s
+        if common[LEVER_ARMS].any():
             angular_acceleration = np.gradient(rate, axis=0)
             for sensor, arm in enumerate(common[LEVER_ARMS].reshape(3, 3)):
                 size_effect = (
                     np.cross(angular_acceleration, arm) + np.cross(rate, np.cross(rate, arm)) * interval_s
                 )
                 velocity[:, sensor] -= size_effect[:, sensor]
+        if common[DELAY]:
             velocity += common[DELAY] * np.cross(velocity, rate)
+        if common[QUADRATIC].any():
             velocity -= common[QUADRATIC] * velocity**2 / interval_s
         if common[G_SENSITIVITIES].any():
             angle -= velocity @ common[G_SENSITIVITIES].reshape(3, 3).T
