@@ -59,6 +59,8 @@ _ANGLES, _ANGLE_STEP = 73, 1e-5
 _LATITUDE_EPOCHS = 60
 #: The opposite latitude is correct if it reduces chi2 by at least this much, and the noise explains the rest.
 _MIN_CHI2_GAIN, _MAX_CHI2_PER_DATUM = 30.0, 1.5
+#: A bias that steps is tried instead of another latitude from this gain on; smaller ones are noise.
+_MIN_STEP_GAIN = 1.0
 #: With a smaller p-value, a latitude does not explain a dwell, or the INS damps its velocity.
 _MAX_P_VALUE = 1e-3
 #: Other latitudes that are tried, rad. One is nearer if it reduces chi2 by this much in as many dwells as
@@ -357,9 +359,10 @@ def _is_step(
 ) -> bool:
     """Whether a bias that steps explains the dwell better than the second site, with this gain.
 
-    ``max_p_value``: that the second site may leave for the fit or the windows. False without a turn.
+    ``max_p_value``: that the second site may leave for the fit or the windows. False without a turn,
+    and for the gain of noise.
     """
-    if gain <= 0.0:
+    if gain < _MIN_STEP_GAIN:
         return False
     try:
         here, other = (
