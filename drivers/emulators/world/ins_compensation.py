@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import zlib
 from array import array
-from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,31 +19,34 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.kernels import compiled
 
 
-class Slot(IntEnum):
+class _Slot(NamedTuple):
     """Index of a coefficient in a gyro's row; the polynomial and vectors take several columns."""
 
-    POLYNOMIAL = 0
-    LOW_C = 6
-    HIGH_C = 7
-    RATE = 8
-    RATE_LIMIT = 9
-    GRADIENT = 10
-    DIFFERENCE_LOW = 11
-    DIFFERENCE_HIGH = 12
-    SATURATING = 13
-    GROWING = 16
-    ONSET_C = 19
-    ONSET_WIDTH = 20
-    GRAVITY = 21
-    WARM_UP = 24
-    WARM_UP_TIME = 25
-    HYSTERESIS = 26
-    HALF_WIDTH = 27
-    GYRO_MATRIX = 28
-    FORCE_BIAS = 52
-    FORCE_MATRIX = 60
-    LIMITS = 84
+    POLYNOMIAL: int = 0
+    LOW_C: int = 6
+    HIGH_C: int = 7
+    RATE: int = 8
+    RATE_LIMIT: int = 9
+    GRADIENT: int = 10
+    DIFFERENCE_LOW: int = 11
+    DIFFERENCE_HIGH: int = 12
+    SATURATING: int = 13
+    GROWING: int = 16
+    ONSET_C: int = 19
+    ONSET_WIDTH: int = 20
+    GRAVITY: int = 21
+    WARM_UP: int = 24
+    WARM_UP_TIME: int = 25
+    HYSTERESIS: int = 26
+    HALF_WIDTH: int = 27
+    GYRO_MATRIX: int = 28
+    FORCE_BIAS: int = 52
+    FORCE_MATRIX: int = 60
+    LIMITS: int = 84
 
+
+#: A tuple and not an IntEnum, which only the latest numba takes as an index.
+SLOT = _Slot()
 
 #: Number of columns of the table, and of those for the gyro's bias.
 COEFFICIENT_COUNT, _BIAS_COUNT = 98, 28
@@ -63,8 +66,8 @@ _FILTER_S = 120.0
 def empty_table() -> FloatArray:
     """Return a table, shape (3, 98), that subtracts nothing."""
     table = np.zeros((3, COEFFICIENT_COUNT))
-    table[:, Slot.LOW_C] = -100.0
-    table[:, Slot.HIGH_C] = 150.0
+    table[:, SLOT.LOW_C] = -100.0
+    table[:, SLOT.HIGH_C] = 150.0
     return table
 
 
@@ -74,7 +77,7 @@ def table_checksum(table: FloatArray) -> int:
     The table has three parts: the biases, the other coefficients, and their separate limits. Parts at the end
     that are all zero are left out.
     """
-    for end in (_BIAS_COUNT, Slot.LIMITS):
+    for end in (_BIAS_COUNT, SLOT.LIMITS):
         if not table[:, end:].any():
             table = table[:, :end]
             break
@@ -115,7 +118,7 @@ class TemperatureHistory:
 class InsCompensation:
     """A compensation table in use; ``bias_dph``, shape (3,), is subtracted from the gyros at present.
 
-    ``table``, shape (3, 98), has one row for each axis, laid out by :class:`Slot`. The play is computed from
+    ``table``, shape (3, 98), has one row for each axis, laid out by :data:`SLOT`. The play is computed from
     the readings since power-on, ``history``.
     """
 
@@ -125,7 +128,7 @@ class InsCompensation:
         self._other_coefficients: FloatArray | None = None
         record_c = history.record_c
         first_c = record_c[0] if len(record_c) else history.optics_c
-        self._play_c = np.clip(first_c, table[:, Slot.LOW_C], table[:, Slot.HIGH_C])
+        self._play_c = np.clip(first_c, table[:, SLOT.LOW_C], table[:, SLOT.HIGH_C])
         for optics_c in record_c:
             _update_play(self._play_c, optics_c, self._table)
         self.update(history, up_body)
@@ -141,14 +144,14 @@ class InsCompensation:
             float(history.seconds), self._play_c,
         )  # fmt: skip
         if self._table[:, _BIAS_COUNT:].any():
-            numbers = self._table[:, _BIAS_COUNT : Slot.LIMITS].reshape(3, -1, _CORRECTION_SIZE)
+            numbers = self._table[:, _BIAS_COUNT : SLOT.LIMITS].reshape(3, -1, _CORRECTION_SIZE)
             self._other_coefficients = (numbers * self._factors(history, up_body)).sum(axis=2)
 
     def _factors(self, history: TemperatureHistory, up_body: FloatArray) -> FloatArray:
         """Factors of the eight numbers of each coefficient, shape (3, 7, 8)."""
-        low_c, high_c, limit = self._table[:, [Slot.LOW_C, Slot.HIGH_C, Slot.RATE_LIMIT]].T
+        low_c, high_c, limit = self._table[:, [SLOT.LOW_C, SLOT.HIGH_C, SLOT.RATE_LIMIT]].T
         at_c = np.clip(history.optics_c, low_c, high_c)[:, np.newaxis]
-        limits_c = self._table[:, Slot.LIMITS :].reshape(3, -1, 2)
+        limits_c = self._table[:, SLOT.LIMITS :].reshape(3, -1, 2)
         at_c = np.where(limits_c.any(axis=2), np.clip(at_c, limits_c[..., 0], limits_c[..., 1]), at_c)
         factors = np.empty((*at_c.shape, _CORRECTION_SIZE))
         factors[..., :_DEGREES] = at_c[..., np.newaxis] ** np.arange(_DEGREES)
@@ -193,7 +196,7 @@ def _clip(value: float, low: float, high: float) -> float:
 def _update_play(play_c: FloatArray, optics_c: FloatArray, table: FloatArray) -> None:
     for i in range(3):
         row = table[i]
-        at_c, slack_c = (_clip(optics_c[i], row[Slot.LOW_C], row[Slot.HIGH_C]), abs(row[Slot.HALF_WIDTH]))
+        at_c, slack_c = (_clip(optics_c[i], row[SLOT.LOW_C], row[SLOT.HIGH_C]), abs(row[SLOT.HALF_WIDTH]))
         play_c[i] = _clip(play_c[i], at_c - slack_c, at_c + slack_c)
 
 
@@ -205,30 +208,30 @@ def _bias_dph(
     bias = np.zeros(3)
     for i in range(3):
         row = table[i]
-        at_c = _clip(optics_c[i], row[Slot.LOW_C], row[Slot.HIGH_C])
-        rate = _clip(rate_c_per_h[i], -abs(row[Slot.RATE_LIMIT]), abs(row[Slot.RATE_LIMIT]))
+        at_c = _clip(optics_c[i], row[SLOT.LOW_C], row[SLOT.HIGH_C])
+        rate = _clip(rate_c_per_h[i], -abs(row[SLOT.RATE_LIMIT]), abs(row[SLOT.RATE_LIMIT]))
         difference_k = _clip(
-            electronics_c[i] - optics_c[i], row[Slot.DIFFERENCE_LOW], row[Slot.DIFFERENCE_HIGH]
+            electronics_c[i] - optics_c[i], row[SLOT.DIFFERENCE_LOW], row[SLOT.DIFFERENCE_HIGH]
         )
         below_onset = _clip(
-            (row[Slot.ONSET_C] - at_c) / max(row[Slot.ONSET_WIDTH], _MIN_WIDTH_C), -500.0, 500.0
+            (row[SLOT.ONSET_C] - at_c) / max(row[SLOT.ONSET_WIDTH], _MIN_WIDTH_C), -500.0, 500.0
         )
         saturation, growth = 1.0 / (1.0 + math.exp(-below_onset)), math.log1p(math.exp(below_onset))
         attitude = gravity = polynomial = 0.0
         for axis in range(3):
-            attitude += row[Slot.SATURATING + axis] * saturation * up_body[axis]
-            attitude += row[Slot.GROWING + axis] * growth * up_body[axis]
-            gravity += row[Slot.GRAVITY + axis] * up_body[axis]
+            attitude += row[SLOT.SATURATING + axis] * saturation * up_body[axis]
+            attitude += row[SLOT.GROWING + axis] * growth * up_body[axis]
+            gravity += row[SLOT.GRAVITY + axis] * up_body[axis]
         for degree in range(_MAX_DEGREE, -1, -1):
-            polynomial = polynomial * at_c + row[Slot.POLYNOMIAL + degree]
-        warm_up = row[Slot.WARM_UP] * math.exp(-on_s / max(row[Slot.WARM_UP_TIME], _MIN_TIME_S))
+            polynomial = polynomial * at_c + row[SLOT.POLYNOMIAL + degree]
+        warm_up = row[SLOT.WARM_UP] * math.exp(-on_s / max(row[SLOT.WARM_UP_TIME], _MIN_TIME_S))
         total = (
             polynomial
-            + row[Slot.RATE] * rate
-            + (row[Slot.GRADIENT] + attitude) * difference_k
+            + row[SLOT.RATE] * rate
+            + (row[SLOT.GRADIENT] + attitude) * difference_k
             + gravity
             + warm_up
-            + row[Slot.HYSTERESIS] * (play_c[i] - at_c)
+            + row[SLOT.HYSTERESIS] * (play_c[i] - at_c)
         )
         bias[i] = _clip(total, -_MAX_BIAS_DPH, _MAX_BIAS_DPH)
     return bias

@@ -8,8 +8,8 @@ import pytest
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.verification.measured_change import measured_change, subtracted_dph
 from gyrobench.drivers.emulators.world.ins_compensation import (
+    SLOT,
     InsCompensation,
-    Slot,
     TemperatureHistory,
     empty_table,
 )
@@ -154,21 +154,21 @@ def test_what_is_subtracted_is_what_the_emulated_ins_subtracts():
         warm_up_s=np.full(3, 1800.0),
     )
     slots = {
-        Slot.LOW_C: compensation.low_c,
-        Slot.HIGH_C: compensation.high_c,
-        Slot.GRADIENT: compensation.gradient_dph_per_k,
-        Slot.DIFFERENCE_LOW: compensation.difference_low_k,
-        Slot.DIFFERENCE_HIGH: compensation.difference_high_k,
-        Slot.ONSET_C: compensation.onset_c,
-        Slot.ONSET_WIDTH: compensation.onset_width_c,
-        Slot.WARM_UP: compensation.warm_up_dph,
-        Slot.WARM_UP_TIME: compensation.warm_up_s,
+        SLOT.LOW_C: compensation.low_c,
+        SLOT.HIGH_C: compensation.high_c,
+        SLOT.GRADIENT: compensation.gradient_dph_per_k,
+        SLOT.DIFFERENCE_LOW: compensation.difference_low_k,
+        SLOT.DIFFERENCE_HIGH: compensation.difference_high_k,
+        SLOT.ONSET_C: compensation.onset_c,
+        SLOT.ONSET_WIDTH: compensation.onset_width_c,
+        SLOT.WARM_UP: compensation.warm_up_dph,
+        SLOT.WARM_UP_TIME: compensation.warm_up_s,
     }
     table = empty_table()
-    table[:, Slot.POLYNOMIAL : Slot.POLYNOMIAL + 4] = compensation.polynomial_dph
-    table[:, Slot.SATURATING : Slot.SATURATING + 3] = compensation.saturating_dph_per_k
-    table[:, Slot.GROWING : Slot.GROWING + 3] = compensation.growing_dph_per_k
-    table[:, Slot.GRAVITY : Slot.GRAVITY + 3] = compensation.gravity_dph_per_g
+    table[:, SLOT.POLYNOMIAL : SLOT.POLYNOMIAL + 4] = compensation.polynomial_dph
+    table[:, SLOT.SATURATING : SLOT.SATURATING + 3] = compensation.saturating_dph_per_k
+    table[:, SLOT.GROWING : SLOT.GROWING + 3] = compensation.growing_dph_per_k
+    table[:, SLOT.GRAVITY : SLOT.GRAVITY + 3] = compensation.gravity_dph_per_g
     for slot, values in slots.items():
         table[:, slot] = values
     boards_c = random.uniform(0.0, 15.0, (14, 3))

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 import gyrobench.drivers.ins
 from gyrobench.drivers.emulators.can_ins import CanInsEmulator
 from gyrobench.drivers.emulators.world.inertial_unit import AlignmentQuality, Epochs, Mode
-from gyrobench.drivers.emulators.world.ins_compensation import COEFFICIENT_COUNT, Slot, empty_table
+from gyrobench.drivers.emulators.world.ins_compensation import COEFFICIENT_COUNT, SLOT, empty_table
 
 DBC = cantools.database.load_file(Path(gyrobench.drivers.ins.__file__).with_name("gyrobench_ins.dbc"))
 QUICK = {"boot_s": 1.0, "levelling_s": 1.0, "coarse_alignment_s": 2.0, "fine_alignment_s": 4.0}
@@ -312,9 +312,9 @@ def test_the_checksum_covers_other_coefficients_once_one_is_loaded(bus):
     load(bus, 1, [0.5, 0, 0, 0, 0, 0], -20.0, 50.0)
     bus.send("COMPENSATION_COEFFICIENT", AXIS=0, INDEX=28, VALUE=12.5)
     bus.run(1.0)
-    without_limits = zlib.crc32(bus.unit.loaded_table[:, : Slot.LIMITS].astype("<f4").tobytes())
+    without_limits = zlib.crc32(bus.unit.loaded_table[:, : SLOT.LIMITS].astype("<f4").tobytes())
     assert bus.newest("COMPENSATION_STATUS")["LOADED"] == without_limits
-    bus.send("COMPENSATION_COEFFICIENT", AXIS=0, INDEX=Slot.LIMITS + 1, VALUE=40.0)
+    bus.send("COMPENSATION_COEFFICIENT", AXIS=0, INDEX=SLOT.LIMITS + 1, VALUE=40.0)
     bus.run(1.0)
     whole = zlib.crc32(bus.unit.loaded_table.astype("<f4").tobytes())
     assert bus.newest("COMPENSATION_STATUS")["LOADED"] == whole

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS
 from gyrobench.drivers.emulators.world.inertial_unit import AlignmentQuality, InertialUnit, Mode
-from gyrobench.drivers.emulators.world.ins_compensation import Slot, empty_table
+from gyrobench.drivers.emulators.world.ins_compensation import SLOT, empty_table
 from gyrobench.drivers.emulators.world.sensor_errors import MICRO_G
 from gyrobench.drivers.emulators.world.strapdown import EARTH_RATE, matrix_of, normal_gravity
 from gyrobench.drivers.emulators.world.world_file import InsBehaviour
@@ -247,7 +247,7 @@ def test_what_is_loaded_waits_until_it_is_applied():
 
 def along_up(line):
     """What a compensation that follows Up with a vector of 1, 2 and 3 deg/h/g subtracts."""
-    line.unit.loaded_table[:, Slot.GRAVITY : Slot.GRAVITY + 3] = np.diag([1.0, 2.0, 3.0])
+    line.unit.loaded_table[:, SLOT.GRAVITY : SLOT.GRAVITY + 3] = np.diag([1.0, 2.0, 3.0])
     line.unit.apply_compensation()
     line.unit.sense_temperatures(np.full((1, 3), 20.0), np.full((1, 3), 30.0))
     return line.unit.compensation.bias_dph

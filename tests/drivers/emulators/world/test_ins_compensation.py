@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from gyrobench.drivers.emulators.world.ins_compensation import (
     COEFFICIENT_COUNT,
+    SLOT,
     InsCompensation,
-    Slot,
     TemperatureHistory,
     empty_table,
     table_checksum,
@@ -22,7 +22,7 @@ def numbers_of(axis=1, **values):
     """A table with numbers of one gyro: ``rate=2.0`` or ``growing=[1.0, 0.0, 0.0]``."""
     numbers = empty_table()
     for name, value in values.items():
-        first = Slot[name.upper()]
+        first = getattr(SLOT, name.upper())
         numbers[axis, first : first + np.size(value)] = value
     return numbers
 

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS
 from gyrobench.drivers.emulators.can_ins import CanInsEmulator
 from gyrobench.drivers.emulators.world.inertial_unit import AlignmentQuality, Mode
-from gyrobench.drivers.emulators.world.ins_compensation import Slot
+from gyrobench.drivers.emulators.world.ins_compensation import SLOT
 from gyrobench.drivers.emulators.world.strapdown import matrix_of
 from gyrobench.drivers.emulators.world.world import INNER, OUTER, World
 
@@ -215,7 +215,7 @@ def test_an_applied_compensation_is_subtracted_from_the_gyros(make_world):
     aligned(world, 0.0)
     world.unit.navigate()
     assert heading_drift_dph(world, 20.0, 100.0) == pytest.approx(0.5, rel=0.01)
-    world.unit.loaded_table[2, Slot.POLYNOMIAL] = 0.5
+    world.unit.loaded_table[2, SLOT.POLYNOMIAL] = 0.5
     world.unit.apply_compensation()
     assert abs(heading_drift_dph(world, 120.0, 100.0)) < 0.01
     assert world.unit.mode is Mode.NAVIGATE
