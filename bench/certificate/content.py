@@ -56,6 +56,9 @@ _LOADABLE = (
     "Model of the bias by gyrobench close: polynomial over the temperature T of the gyro in °C, and effects "
     "by the formulas of compensation.yaml."
 )
+#: Digits of a bias model's numbers beyond those of U: they are correlated; rounded to U they would give
+#: another bias.
+MODEL_DIGITS = 2
 #: Names and units of the numbers in a bias model beside the polynomial.
 _LABELS = {
     "rate_dph_per_c_per_h": ("temperature rate", "deg/K"),

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 from gyrobench.bench import __version__
 from gyrobench.bench.bias.budget import COVERAGE, NORMAL_K
-from gyrobench.bench.certificate.content import BiasResult, Certificate, ModelNumber
+from gyrobench.bench.certificate.content import MODEL_DIGITS, BiasResult, Certificate, ModelNumber
 from gyrobench.bench.foundations.arrays import STANDARD_GRAVITY
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.packages import require
-from gyrobench.bench.foundations.text import plain_name
+from gyrobench.bench.foundations.text import plain_name, with_expanded
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.runs.provenance import SIMULATED
 from gyrobench.bench.runs.tables.coefficient_table import FRAME_TEXT, plateau_findings, plateau_notes
@@ -263,8 +263,9 @@ def _common_elements(certificate: Certificate) -> list[etree._Element | None]:
         ),
     )
     location, conditions = certificate.station.location, certificate.conditions
+    chamber_c = [round(each, 1) for each in certificate.chamber_c]
     influences = [
-        _condition("Air in the chamber, lowest and highest", "degC", *certificate.chamber_c),
+        _condition("Air in the chamber, lowest and highest", "degC", *chamber_c),
         _condition("Latitude", "deg", location.latitude_deg),
         _condition("Height above the ellipsoid", "m", location.height_m),
         _dcc("influenceCondition", _text("name", "Room"), _dcc("data", _text("text", conditions["room"]))),
@@ -321,7 +322,8 @@ def _results(certificate: Certificate) -> list[etree._Element]:
     results = [_measurement("Gyro biases by position and temperature", bias_results)] if bias_results else []
     if certificate.model:
         quantities = [
-            _named_quantity(f"{gyro_label(each.axis)}, {each.name}", each) for each in certificate.model
+            _named_quantity(f"{gyro_label(each.axis)}, {each.name}", each, MODEL_DIGITS)
+            for each in certificate.model
         ]
         numbers = _list_result("Numbers of the model", quantities, certificate.model_note)
         results.append(_measurement("Bias model", [numbers]))
@@ -348,19 +350,20 @@ def _measurement(name: str, results: Sequence[etree._Element]) -> etree._Element
 def _bias_result(gyro: str, position: str, results: Sequence[BiasResult]) -> etree._Element:
     temperatures = _si(
         "realListXMLList",
-        _si("valueXMLList", _number_list(each.temperature_c for each in results)),
+        _si("valueXMLList", " ".join(f"{each.temperature_c:z.2f}" for each in results)),
         _si("unitXMLList", _UNITS["degC"][0]),
     )
+    texts = [with_expanded(each.bias_dph, each.expanded_dph).split(" ± ") for each in results]
     expanded = _si(
         "expandedMUXMLList",
-        _si("valueExpandedMUXMLList", _number_list(each.expanded_dph for each in results)),
+        _si("valueExpandedMUXMLList", " ".join(expanded_text for _, expanded_text in texts)),
         _si("coverageFactorXMLList", " ".join(f"{each.k:.4f}" for each in results)),
         _si("coverageProbabilityXMLList", f"{COVERAGE:g}"),
         _si("distributionXMLList", " ".join(_distribution(each.k) for each in results)),
     )
     biases = _si(
         "realListXMLList",
-        _si("valueXMLList", _number_list(each.bias_dph for each in results)),
+        _si("valueXMLList", " ".join(bias_text for bias_text, _ in texts)),
         _si("unitXMLList", _UNITS["deg/h"][0]),
         _si("measurementUncertaintyUnivariateXMLList", expanded),
     )
@@ -372,9 +375,21 @@ def _bias_result(gyro: str, position: str, results: Sequence[BiasResult]) -> etr
     return _dcc("result", _text("name", name), _dcc("data", _dcc("list", *quantities)))
 
 
-def _named_quantity(name: str, number: ModelNumber) -> etree._Element:
-    value = _real_quantity(number.value, number.unit, number.expanded, number.k)
-    return _dcc("quantity", _text("name", name), value)
+def _named_quantity(name: str, number: ModelNumber, more_digits: int = 0) -> etree._Element:
+    dsi, factor = _UNITS[number.unit]
+    value, expanded = with_expanded(factor * number.value, factor * number.expanded, more_digits).split(" ± ")
+    uncertainty = _si(
+        "measurementUncertaintyUnivariate",
+        _si(
+            "expandedMU",
+            _si("valueExpandedMU", expanded),
+            _si("coverageFactor", f"{number.k:.4f}"),
+            _si("coverageProbability", f"{COVERAGE:g}"),
+            _si("distribution", _distribution(number.k)),
+        ),
+    )
+    real = _si("real", _si("value", value), _si("unit", dsi), uncertainty)
+    return _dcc("quantity", _text("name", name), real)
 
 
 def _list_result(name: str, quantities: Sequence[etree._Element], note: str = "") -> etree._Element:
@@ -386,30 +401,14 @@ def _list_result(name: str, quantities: Sequence[etree._Element], note: str = ""
     )
 
 
-def _real_quantity(value: float, unit: str, expanded: float | None = None, k: float = 2.0) -> etree._Element:
+def _real_quantity(value: float, unit: str) -> etree._Element:
     dsi, factor = _UNITS[unit]
-    uncertainty = None
-    if expanded is not None:
-        uncertainty = _si(
-            "measurementUncertaintyUnivariate",
-            _si(
-                "expandedMU",
-                _si("valueExpandedMU", f"{factor * expanded:.9g}"),
-                _si("coverageFactor", f"{k:.4f}"),
-                _si("coverageProbability", f"{COVERAGE:g}"),
-                _si("distribution", _distribution(k)),
-            ),
-        )
-    return _si("real", _si("value", f"{factor * value:.9g}"), _si("unit", dsi), uncertainty)
+    return _si("real", _si("value", f"{factor * value:.9g}"), _si("unit", dsi))
 
 
 def _distribution(k: float) -> str:
     """Distribution of a result: normal, or Student's with finite degrees of freedom."""
     return "normal" if math.isclose(k, NORMAL_K, rel_tol=1e-6) else "t"
-
-
-def _number_list(values: Iterable[float]) -> str:
-    return " ".join(f"{value:.9g}" for value in values)
 
 
 def _collapse_spaces(text: str) -> str:

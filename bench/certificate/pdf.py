@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from gyrobench.bench.certificate.content import BiasResult, Certificate, ModelNumber
+from gyrobench.bench.certificate.content import MODEL_DIGITS, BiasResult, Certificate, ModelNumber
 from gyrobench.bench.foundations.text import bin_label, with_expanded
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.figures.style import draw_watermark
@@ -31,8 +31,6 @@ _VARIANT = "pdf/a-3a"
 _PLATEAUS_PER_TABLE = 5
 #: Numbers below this power of ten are written with it.
 _MIN_POWER = -4
-#: Digits of the numbers of a model beyond those of U.
-_MORE_DIGITS = 2
 _CAPTIONS = {
     "position_differences": (
         "Differences between positions",
@@ -190,13 +188,10 @@ def _coefficients_section(certificate: Certificate) -> Section | None:
 
 
 def _number_text(value: float, expanded: float) -> str:
-    """Value ± U of a number of a model; small numbers with a common power of ten.
-
-    Numbers of a model are correlated: rounded to U, they would give another bias.
-    """
+    """Value ± U of a number of a model; small numbers with a common power of ten."""
     power = min(math.floor(math.log10(max(abs(value), expanded))), 0)
     power = 0 if power > _MIN_POWER else power
-    text = with_expanded(value / 10.0**power, expanded / 10.0**power, _MORE_DIGITS)
+    text = with_expanded(value / 10.0**power, expanded / 10.0**power, MODEL_DIGITS)
     return f"({text})e{power}" if power else text
 
 

@@ -23,6 +23,7 @@ from gyrobench.bench.certificate.signatures import load_signing_key, sign_dcc, s
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
 from gyrobench.bench.foundations.operator_name import OPERATOR_VARIABLE
+from gyrobench.bench.foundations.text import with_expanded
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.seal import seal_run, verify_seals
 from gyrobench.bench.runs.tables.budget_table import (
@@ -186,11 +187,20 @@ def test_the_dcc_has_the_numbers_of_the_bins_and_d_si_units(measured_run):
     assert texts(document, ".//dcc:calibrationLaboratory//dcc:city") == ["Sampletown"]
     assert texts(document, ".//dcc:respPerson//dcc:content") == ["B. Jones"]
     lists = texts(document, ".//si:valueXMLList")
-    assert [float(text) for text in lists[1::2]] == pytest.approx([each.bias_dph for each in made.results])
-    assert set(texts(document, ".//si:unitXMLList")) == {r"\degreecelsius", r"\degree\hour\tothe{-1}"}
     expanded = texts(document, ".//si:valueExpandedMUXMLList")
-    assert [float(text) for text in expanded] == pytest.approx([each.expanded_dph for each in made.results])
+    written = [f"{bias} ± {u}" for bias, u in zip(lists[1::2], expanded, strict=True)]
+    assert written == [with_expanded(each.bias_dph, each.expanded_dph) for each in made.results]
+    assert set(texts(document, ".//si:unitXMLList")) == {r"\degreecelsius", r"\degree\hour\tothe{-1}"}
     assert b"SIMULATED" not in document
+
+
+def test_the_dcc_rounds_to_two_digits_of_u_in_its_own_unit(measured_run):
+    made = certificate_of(measured_run, SIGNED_BY)
+    bias = ModelNumber("accelerometer bias", "x", 151.2345678, 12.345678, 1.96, "ug")
+    made = replace(made, coefficients=[bias], model=[replace(bias, name="onset", unit="degC")])
+    document = certificate_dcc(made)
+    assert texts(document, ".//si:real/si:value")[-2:] == ["151.23", "0.00148"]
+    assert texts(document, ".//si:valueExpandedMU") == ["12", "0.00012"]
 
 
 def test_an_emulated_certificate_says_so_in_document_figures_and_file_names(simulated):
