@@ -38,6 +38,7 @@ from gyrobench.bench.foundations.errors import (
     MissingRunError,
     UnusablePathError,
 )
+from gyrobench.bench.foundations.files import require_utf8
 
 #: Commands by task; a command without a group is listed last.
 GROUPS: dict[str, tuple[str, ...]] = {
@@ -238,15 +239,6 @@ def _end_quickly() -> None:
         gc.freeze()
 
 
-def _is_utf8(text: str) -> bool:
-    """Whether a text has no bytes that could not be decoded."""
-    try:
-        text.encode()
-    except UnicodeEncodeError:
-        return False
-    return True
-
-
 def main() -> None:
     """Run the command line; known errors become a message and an exit code."""
     gc.set_threshold(*_GC_THRESHOLD)
@@ -257,11 +249,9 @@ def main() -> None:
         Path.cwd()
     except FileNotFoundError:
         fail(GyrobenchError("the current folder was deleted. Change to another one"), EXIT_WRONG_INPUT)
-    for argument in sys.argv[1:]:
-        if not _is_utf8(argument):  # JSON, pages, messages and the index would fail in the middle of a run
-            problem = f"{argument!a}: not valid UTF-8 in this locale. Rename the file or folder"
-            fail(GyrobenchError(problem), EXIT_WRONG_INPUT)
     try:
+        for argument in sys.argv[1:]:  # JSON, pages, messages and the index would fail in the middle of a run
+            require_utf8(argument)
         app()
     except (DocumentError, MissingRunError, UnusablePathError, MissingPackageError) as error:
         fail(error, EXIT_WRONG_INPUT)

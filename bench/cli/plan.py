@@ -13,6 +13,8 @@ from gyrobench.bench.cli.output import JsonOption, console, print_result
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from gyrobench.bench.closure.outcome import Closure
     from gyrobench.bench.closure.planned_campaign import UnitProperties
     from gyrobench.bench.engine.job import Job
@@ -79,7 +81,7 @@ def plan(
 
     With --json: {"procedure", "station", "duration_s", "dwells", "figure", "unsettled_soaks",
     "unreachable_limits", "steps": [{"number", "step", "what", "start_s", "duration_s", "dwell", "cycle"}]},
-    times from the start of the plan.
+    times from the start of the plan, "figure" null where it could not be written.
 
     With --observability, for a list of rotations: the expected uncertainty of each coefficient of the
     sensors' error model, with those of gravity and latitude of the station; with --json {"rotation_list",
@@ -113,7 +115,6 @@ def plan(
 def _show_steps(job: Job, figure: Path | None, as_json: bool) -> None:
     from gyrobench.bench.closure.planned_campaign import unreachable_limits
     from gyrobench.bench.procedure.timeline import is_cycle_unnumbered, timeline_rows, unsettled_soaks
-    from gyrobench.bench.report.figures.style import save_figure
     from gyrobench.bench.report.figures.temperatures import plan_figure
     from gyrobench.bench.report.terminal.tables import timeline_table
 
@@ -121,13 +122,13 @@ def _show_steps(job: Job, figure: Path | None, as_json: bool) -> None:
     is_noise_known = job.station.file.ins.noise != "estimated"
     limits = unreachable_limits(plan, declared_properties(job.station)) if is_noise_known else []
     path = figure or Path(f"plan_{plan.procedure.procedure}.png")
-    save_figure(plan_figure(plan), path)
+    problem = _problem_of_saving(plan_figure(plan), path)
     record = {
         "procedure": plan.procedure.procedure,
         "station": job.station.file.station,
         "duration_s": plan.duration_s,
         "dwells": plan.dwell_count,
-        "figure": path,
+        "figure": None if problem else path,
         "unsettled_soaks": soaks,
         "unreachable_limits": limits,
         "steps": [
@@ -150,8 +151,22 @@ def _show_steps(job: Job, figure: Path | None, as_json: bool) -> None:
     lines += [f"  {each}" for each in limits]
     if is_cycle_unnumbered(plan):
         lines.append(_NO_CYCLE)
-    lines.append(f"Figure   {path}")
+    if figure is None or problem is None:
+        lines.append(f"No figure: {problem}" if problem else f"Figure   {path}")
     print_result(record, as_json, timeline_table(timeline_rows(plan), plan.duration_s), *lines)
+    if problem and figure:
+        raise problem
+
+
+def _problem_of_saving(figure: Figure, path: Path) -> RunFolderError | None:
+    """Save a figure; returns the error if that fails, so that the results are printed."""
+    from gyrobench.bench.report.figures.style import save_figure
+
+    try:
+        save_figure(figure, path)
+    except RunFolderError as error:
+        return error
+    return None
 
 
 def _show_observability(
@@ -219,7 +234,6 @@ def _print_separability(job: Job, target_dph: float, closure: Closure | None) ->
     from gyrobench.bench.closure.separability import searched_dwells, separability
     from gyrobench.bench.closure.tie_forecast import measured_properties, tie_forecasts
     from gyrobench.bench.report.figures.separability import separability_figure
-    from gyrobench.bench.report.figures.style import save_figure
     from gyrobench.bench.report.terminal.separability import closure_forecast, separability_summary
 
     unit, name = declared_properties(job.station), job.plan.procedure.procedure
@@ -240,8 +254,8 @@ def _print_separability(job: Job, target_dph: float, closure: Closure | None) ->
         advice = advise_ties(unchanged, closure, ties)
         console().print(closure_forecast(closure, unit, result.expected_dph, ties, advice))
     path = Path(f"separability_{name}.png")
-    save_figure(separability_figure(result, target_dph, name), path)
-    typer.echo(f"Figure   {path}")
+    problem = _problem_of_saving(separability_figure(result, target_dph, name), path)
+    typer.echo(f"No figure: {problem}" if problem else f"Figure   {path}")
 
 
 def declared_properties(station: Station) -> UnitProperties:

@@ -213,6 +213,15 @@ def sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
+def require_utf8(name: str) -> None:
+    """Raise UnusablePathError if a name has bytes that could not be decoded."""
+    try:
+        name.encode()
+    except UnicodeEncodeError as error:
+        problem = f"{name!a}: not valid UTF-8 in this locale. Set LC_ALL=C.UTF-8, or rename it"
+        raise UnusablePathError(problem) from error
+
+
 def write_error(path: Path, error: OSError) -> RunFolderError:
     """Return the exception for a file that can't be written."""
     return _error_type(error)(f"{path}: can't be written: {_reason(error)}")

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from gyrobench.bench.foundations.clock import Deadline, WallClock
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError, RunFolderError
-from gyrobench.bench.foundations.files import make_folder
+from gyrobench.bench.foundations.files import make_folder, require_utf8
 from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.foundations.text import counted
 from gyrobench.bench.runs.index.selection import Selection
@@ -102,10 +102,13 @@ class RunIndex:
         """Bring the index up to date, or read all runs again.
 
         ``rebuild``: whether to read all runs again. ``progress``: called with the number of changed runs read
-        so far and in total. Raises RunFolderError if the runs can't be found or the index can't be written.
+        so far and in total. Raises RunFolderError if the runs can't be found or the index can't be written,
+        UnusablePathError if a name is not valid UTF-8.
         Raises DocumentError if the table of units is wrong.
         """
         runs = {run.path: run for run in self._store.runs()}
+        for name in (os.path.relpath(self.path), *runs):
+            require_utf8(name)
         units_tag = self._store.tag(UNITS)
         is_new = rebuild or not self._is_usable()
         indexed = {} if is_new else self._fingerprints()
@@ -229,7 +232,9 @@ class RunIndex:
         while True:
             try:
                 connection: duckdb.DuckDBPyConnection = self._duckdb.connect(
-                    str(self.path), read_only=read_only, config=dict(_READ_ONLY_CONFIG) if read_only else {}
+                    os.path.relpath(self.path),  # below a folder whose name may not be UTF-8
+                    read_only=read_only,
+                    config=dict(_READ_ONLY_CONFIG) if read_only else {},
                 )
                 return connection
             except self._duckdb.Error as error:

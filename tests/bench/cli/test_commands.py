@@ -183,6 +183,17 @@ def test_plan_prints_the_timeline_and_draws_the_profile_without_an_instrument(tm
     assert max(map(len, printed.splitlines())) <= 80
 
 
+def test_a_plan_whose_figure_can_not_be_written_is_printed(tmp_path):
+    (tmp_path / "plan_ten_minute_check.png").mkdir()
+    printed = output_of("plan", "ten_minute_check", cwd=tmp_path)
+    assert "Plan, times in h:mm" in printed
+    assert "No figure: plan_ten_minute_check.png: can't be written: it is not a plain file." in printed
+    answer = gyrobench("plan", "ten_minute_check", "--figure", "plan_ten_minute_check.png", cwd=tmp_path)
+    assert answer.returncode == EXIT_WRONG_INPUT
+    assert "Plan, times in h:mm" in answer.stdout
+    assert answer.stderr.startswith("gyrobench: plan_ten_minute_check.png: can't be written")
+
+
 def test_a_plan_states_acceptance_limits_that_its_dwells_can_not_reach(tmp_path):
     text = find_document("procedures", "six_position_fig7").read_text()
     (tmp_path / "strict.yaml").write_text(re.sub(r"(position_difference_dph:) \S+", r"\1 0.001", text))

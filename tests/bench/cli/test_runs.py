@@ -1,6 +1,9 @@
 """``gyrobench runs`` as an engineer types it."""
 
 import json
+import os
+import shutil
+from pathlib import Path
 
 import pytest
 
@@ -43,6 +46,14 @@ def test_a_run_in_progress_is_listed_as_that_until_its_process_ends(tmp_path, sa
     assert "in progress" in in_progress.stdout, in_progress.stderr
     cut_off = json.loads(gyrobench("runs", "--json", cwd=tmp_path).stdout)
     assert [run["ended"] for run in cut_off["runs"]] == ["not ended"]
+
+
+def test_a_name_that_the_locale_can_not_decode_matters_only_below_the_current_folder(place, tmp_path):
+    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/M\xfcller"))
+    shutil.copytree(place / "runs" / "other", folder / "runs" / "other")
+    assert "1 run of 1 unit." in output_of("runs", cwd=folder)
+    refusal = refusal_of("runs", tmp_path, cwd=tmp_path)
+    assert "'M\\udcfcller/runs/other': not valid UTF-8 in this locale. Set LC_ALL=C.UTF-8" in refusal
 
 
 def test_runs_are_selected_and_printed_as_json(place):
