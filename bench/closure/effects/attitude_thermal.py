@@ -115,7 +115,8 @@ EFFECT = Effect(
     label="attitude-dependent heat flow",
     statement=(
         "the bias follows a heat flow from the electronics to the optics that depends on the direction of "
-        "gravity"
+        "gravity below an onset temperature, increasingly with falling temperature (growing) or equally "
+        "(saturating)"
     ),
     experiment=(
         "turn the unit upside down about each axis at one cold and one hot temperature, after a soak: "
