@@ -106,6 +106,8 @@ def _power_on(step: PowerOn, context: StepContext) -> Ticks:
     bench.state.units_powered(switched_s)
     for unit in units.running:
         unit.live.state.powered()
+        if bench.station.file.unit.power == "always_on":
+            unit.note("the INS is always on: its time since power-on is not known and counts from this step")
     yield from _pause(bench, step.settle_s)
     for unit in units.running:
         if fault := latitude_fault(unit.live.status().latitude, bench.station.site):

@@ -356,3 +356,17 @@ def test_an_operator_who_did_not_switch_the_unit_off_is_asked_again(tmp_path, of
     assert (outcome.ended, operator.questions) == ("finished", 2)
     texts = [entry["text"] for entry in read_journal(folder.journal) if entry["event"] == "note"]
     assert texts == ["the INS was not switched off: it has sent frames all the time"]
+
+
+def test_the_time_since_power_on_of_an_ins_that_is_always_on_is_noted_as_unknown(tmp_path):
+    class Observer(RunObserver):
+        def begun(self, folder, bench, outcome):
+            world = str(find_document("worlds", "ideal"))
+            bench_at(BenchAddress(bench.clock.name, world, 0)).world.power_unit(True)
+
+    station = changed_station(tmp_path, {"power: chamber_event": "power: always_on"})
+    (tmp_path / "on.yaml").write_text("procedure: on\nsteps:\n  - power_on: {settle_s: 20}\n")
+    job = prepare_job(str(tmp_path / "on.yaml"), str(station), Emulation("ideal", 0))
+    folder, _ = run_job(job, tmp_path / "run", Observer(), ConsentingOperator())
+    texts = [entry["text"] for entry in read_journal(folder.journal) if entry["event"] == "note"]
+    assert texts == ["the INS is always on: its time since power-on is not known and counts from this step"]
