@@ -141,6 +141,16 @@ class DbcCodec:
         rows = block.rows_with_id(layout.arbitration_id)
         return rows[block.length[rows] >= layout.length]
 
+    def pages(self, block: FrameBlock) -> Words:
+        """Bits of each frame's payload that select its multiplexed signals, shape (n,); 0 without such."""
+        words = block.data.view(np.uint64)[:, 0]
+        pages = np.zeros(len(words), np.uint64)
+        for layout in self._layouts.values():
+            if layout.page_mask:
+                rows = block.rows_with_id(layout.arbitration_id)
+                pages[rows] = words[rows] & layout.page_mask
+        return pages
+
     def count_short(self, block: FrameBlock, message_name: str) -> int:
         """Count the frames of a message with fewer bytes than in the DBC."""
         layout = self._layout(message_name)
@@ -163,6 +173,10 @@ class DbcCodec:
     def values(self, payloads: Payloads, message_name: str, signal_name: str) -> FloatArray:
         """Decode one signal; see :meth:`decode`."""
         return self._layout(message_name).physical(signal_name, payloads)
+
+    def selected(self, payloads: Payloads, message_name: str, signal_name: str) -> BoolArray:
+        """Mask of the payloads that have a multiplexed signal, shape (n,)."""
+        return self._layout(message_name).selected(signal_name, payloads)
 
     def decoder(self, message_name: str, signal_name: str) -> Callable[[bytes], float]:
         """Return a function that decodes a signal of one payload; NaN if absent, or the payload is short."""
@@ -215,9 +229,22 @@ class _Layout:
         values = self.fields[name].physical(words)
         if self.fields[name].signal.multiplexer_ids is None:
             return values
-        return np.where(
-            self._is_selected(name, lambda selector: self.fields[selector].raw(words)), values, np.nan
-        )
+        return np.where(self.selected(name, words), values, np.nan)
+
+    def selected(self, name: str, words: Payloads) -> BoolArray:
+        """Mask of the payloads whose multiplexers select the signal."""
+        return self._is_selected(name, lambda selector: self.fields[selector].raw(words))
+
+    @cached_property
+    def page_mask(self) -> np.uint64:
+        """Bits of the multiplexers in the payload as a little-endian number; 0 without multiplexers."""
+        little, big = np.zeros(1, "<u8"), np.zeros(1, ">u8")
+        for field in self.fields.values():
+            if field.signal.is_multiplexer:
+                bits = (np.uint64(2**_WORD_BITS - 1) << field.right_shift) >> field.left_shift
+                words = big if field.big_endian else little
+                words |= bits
+        return np.uint64((little.view("<u8") | big.view("<u8"))[0])
 
     def is_selected_by(self, name: str, data: bytes) -> bool:
         """Whether the multiplexers in the payload select the signal."""

@@ -1,4 +1,4 @@
-"""Present state of the INS, from the newest frame of each message."""
+"""Present state of the INS, from the newest frame of each message, of a multiplexed one of each page."""
 
 from __future__ import annotations
 
@@ -23,11 +23,12 @@ STALE_S = 5.0
 #: Time stamp, identifier, length and data of a row of :data:`~gyrobench.drivers.frames.FRAME_DTYPE`.
 _ROW = struct.Struct("=dIB3x8s")
 _NOW = np.zeros(1, np.int64)
-_NEVER = -math.inf, b""
+#: Time stamp and data of the newest frame by :meth:`DbcCodec.pages`.
+Pages = Mapping[int, tuple[float, bytes]]
 
 
 class NewestFrames:
-    """The newest data frame of each identifier, with its age.
+    """The newest data frame of each identifier and page, with its age.
 
     The age of the last frame is measured on the clock of the run. The ages of the others follow from the
     time stamps of the CAN interface, whose origin is arbitrary.
@@ -35,19 +36,22 @@ class NewestFrames:
 
     def __init__(self, codec: DbcCodec) -> None:
         self._codec = codec
-        #: Time stamp and data by identifier; replaced, not changed, as snapshots refer to it.
-        self._newest: dict[int, tuple[float, bytes]] = {}
+        #: Time stamp and data by identifier and page; replaced, not changed, as snapshots refer to it.
+        self._newest: dict[int, Pages] = {}
         self._received_s, self._stamp_s = -math.inf, 0.0
 
     def take(self, frames: FrameBlock, now_s: float) -> None:
         """Store frames that have just arrived, in order; at least one."""
         self._received_s, self._stamp_s = now_s, frames.timestamp_s.item(-1)
-        rows = frames.take(_newest_rows(frames.arbitration_id)).rows
-        self._newest = self._newest | {
-            identifier: (time_s, data[:length])
+        pages = self._codec.pages(frames)
+        newest_rows = _newest_rows(frames.arbitration_id, pages)
+        rows, newest = frames.take(newest_rows).rows, dict(self._newest)
+        for page, (time_s, identifier, length, data) in zip(
             # Unpacked from bytes: numpy is slow at converting rows with array fields to objects.
-            for time_s, identifier, length, data in _ROW.iter_unpack(rows.tobytes())
-        }
+            pages[newest_rows].tolist(), _ROW.iter_unpack(rows.tobytes()), strict=True,
+        ):  # fmt: skip
+            newest[identifier] = {**newest.get(identifier, {}), page: (time_s, data[:length])}
+        self._newest = newest
 
     def forget(self, message_name: str) -> None:
         """Drop the frames of a message."""
@@ -64,13 +68,14 @@ class NewestFrames:
 
 
 @compiled
-def _newest_rows(identifiers: NDArray[np.uint32]) -> IntArray:
-    """Index of the last frame of each identifier."""
+def _newest_rows(identifiers: NDArray[np.uint32], pages: NDArray[np.uint64]) -> IntArray:
+    """Index of the last frame of each identifier and page."""
     last_rows = np.empty(identifiers.size, np.int64)
     count = 0
     for row in range(identifiers.size - 1, -1, -1):
         for index in range(count):
-            if identifiers[last_rows[index]] == identifiers[row]:
+            last = last_rows[index]
+            if identifiers[last] == identifiers[row] and pages[last] == pages[row]:
                 break
         else:
             last_rows[count] = row
@@ -81,14 +86,17 @@ def _newest_rows(identifiers: NDArray[np.uint32]) -> IntArray:
 class Snapshot:
     """Values of the newest frames at one moment, without frames stamped before ``oldest_s``."""
 
-    def __init__(self, newest: Mapping[int, tuple[float, bytes]], oldest_s: float) -> None:
+    def __init__(self, newest: Mapping[int, Pages], oldest_s: float) -> None:
         self._newest = newest
         self._oldest_s = oldest_s
 
     def value(self, bound: BoundSignal) -> float:
-        """Value of a signal; NaN if its frame is missing or stale."""
-        stamp_s, data = self._newest.get(bound.arbitration_id, _NEVER)
-        return math.nan if stamp_s < self._oldest_s else bound.decode_si(data)
+        """Value of a signal; NaN if its frame is missing or stale, or its value not valid."""
+        pages = self._newest.get(bound.arbitration_id, {})
+        for stamp_s, data in pages.values() if len(pages) == 1 else sorted(pages.values(), reverse=True):
+            if stamp_s >= self._oldest_s and not math.isnan(value := bound.decode_si(data)):
+                return value
+        return math.nan
 
     def last_values(self, bound: BoundSignal, rows: IntArray) -> FloatArray:  # noqa: ARG002 - there is only the present
         """Value of a signal, shape (1,)."""

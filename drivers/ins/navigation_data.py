@@ -146,11 +146,12 @@ def decode_increments(block: FrameBlock, signal_map: SignalMap, codec: DbcCodec)
 
 
 def _temperatures(reader: BlockReader, readout: Readout, epochs: _Epochs) -> Temperatures:
-    """Temperatures, with one row for each frame of the temperature message with the highest identifier."""
-    messages = {b.message for path, b in readout.signals.items() if path.startswith(_TEMPERATURES)}
+    """Temperatures, with one row for each frame of the temperature with the highest identifier and page."""
+    signals = [bound for path, bound in readout.signals.items() if path.startswith(_TEMPERATURES)]
     rows = np.zeros(0, np.int64)
-    if messages and len(epochs.rows):
-        rows = reader.rows(max(messages, key=reader.codec.arbitration_id))
+    if signals and len(epochs.rows):
+        last = max(signals, key=lambda bound: (bound.arbitration_id, bound.signal.multiplexer_ids or []))
+        rows = reader.rows_with(last)
     following = np.minimum(np.searchsorted(epochs.rows, rows), len(epochs.rows) - 1)
     return Temperatures(
         ins_time_s=epochs.ins_time_s[following],
@@ -165,7 +166,7 @@ def _spread(reader: BlockReader, readout: Readout, path: str, rows: IntArray) ->
     """Largest difference (m,) between successive readings of a sensor, from each row to the next."""
     spread = np.zeros(len(rows) + 1)
     if path in readout.signals:
-        sensor_rows = reader.rows(readout.signals[path].message)
+        sensor_rows = reader.rows_with(readout.signals[path])
         interval = np.searchsorted(rows, sensor_rows)
         is_same_interval = interval[1:] == interval[:-1]
         differences = np.abs(np.diff(readout.value(path, sensor_rows)))

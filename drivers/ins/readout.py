@@ -193,10 +193,20 @@ class BlockReader:
         """Row indices of the frames of a message in the block."""
         return self._message(message)[0]
 
+    def rows_with(self, bound: BoundSignal) -> IntArray:
+        """Row indices of the frames that have a signal."""
+        rows, payloads = self._message(bound.message)
+        if bound.signal.multiplexer_ids is None:
+            return rows
+        return rows[self.codec.selected(payloads, bound.message, bound.signal.name)]
+
     def last_values(self, bound: BoundSignal, rows: IntArray) -> FloatArray:
         """Last value received at each row of the block, shape (n,); NaN before the first."""
         frames, payloads = self._message(bound.message)
         values = bound.to_si(self.codec.values(payloads, bound.message, bound.signal.name))
+        if bound.signal.multiplexer_ids is not None:
+            has_signal = self.codec.selected(payloads, bound.message, bound.signal.name)
+            return np.append(values[has_signal], np.nan)[_newest_index(frames[has_signal], rows)]
         if rows is frames:
             return values
         cached_rows, newest = self._newest_by_message.get(bound.message, (None, None))
@@ -217,4 +227,9 @@ def _newest(frames: IntArray, rows: IntArray) -> IntArray | None:
     """Index of the newest frame at each row, -1 before the first; None if each row has a separate frame."""
     if len(frames) == len(rows) and (frames <= rows).all() and (rows[:-1] < frames[1:]).all():
         return None
+    return _newest_index(frames, rows)
+
+
+def _newest_index(frames: IntArray, rows: IntArray) -> IntArray:
+    """Index of the newest frame at each row, -1 before the first."""
     return np.searchsorted(frames, rows, side="right") - 1

@@ -401,9 +401,8 @@ def bind_signals(signal_map: SignalMap, codec: DbcCodec) -> dict[str, BoundSigna
 
 def check_signals(signal_map: SignalMap, codec: DbcCodec, location: KeyPath = ()) -> list[DocumentProblem]:
     """Find the problems that :func:`bind_signals` raises; ``location`` is that of the map in its file."""
-    return [
-        DocumentProblem((*location, *each.location), each.message) for each in _bind(signal_map, codec)[1]
-    ]
+    problems = _bind(signal_map, codec)[1]
+    return [DocumentProblem((*location, *each.location), each.message) for each in problems]
 
 
 def _bind(signal_map: SignalMap, codec: DbcCodec) -> tuple[dict[str, BoundSignal], list[DocumentProblem]]:
@@ -431,6 +430,11 @@ def _bind(signal_map: SignalMap, codec: DbcCodec) -> tuple[dict[str, BoundSignal
 _SHAREABLE_ROLES = ("mode", "alignment", "identity")
 #: Largest number of bits of an integer that float64 represents exactly.
 _MAX_EXACT_BITS = 52
+#: Quantities that every epoch or sample has, which a multiplexed signal lacks in most of its frames.
+_OF_EPOCH = (
+    "velocity_east", "velocity_north", "epoch_counter", "attitude.quaternion", "increments",
+    "attitude.euler.roll", "attitude.euler.pitch", "attitude.euler.yaw",
+)  # fmt: skip
 
 
 def _doubly_mapped(signal_map: SignalMap) -> list[DocumentProblem]:
@@ -454,13 +458,11 @@ def _doubly_mapped(signal_map: SignalMap) -> list[DocumentProblem]:
         earlier.append((low, high, role))
         is_measured = quantity.dimension is not Dimension.NUMBER or path.startswith("attitude.quaternion.")
         if first != role and is_measured:
-            problems.append(
-                DocumentProblem(
-                    quantity.location,
-                    f"the signal {quantity.source.signal} is already mapped to {first}. Each quantity has "
-                    "its separate signal: correct one of the two",
-                )
+            problem = (
+                f"the signal {quantity.source.signal} is already mapped to {first}. Each quantity has its "
+                "separate signal: correct one of the two"
             )
+            problems.append(DocumentProblem(quantity.location, problem))
     return problems
 
 
@@ -468,18 +470,16 @@ def _bind_one(quantity: MappedQuantity, codec: DbcCodec) -> BoundSignal:
     message, _, name = quantity.source.signal.partition(".")
     signal = codec.signal(message, name)
     gain, offset = _gain_and_offset(quantity, signal)
-    factor = quantity.source.sign * quantity.source.scale
-    bits = quantity.source.bits
+    factor, bits = quantity.source.sign * quantity.source.scale, quantity.source.bits
+    if signal.multiplexer_ids is not None and ".".join(map(str, quantity.location)).startswith(_OF_EPOCH):
+        raise DocumentError(f"the signal {quantity.source.signal} is multiplexed. Map one that is not")
     if bits is not None and not (bits[0] <= bits[1] < min(signal.length, _MAX_EXACT_BITS)):
-        raise DocumentError(
-            f"the signal {quantity.source.signal} has bits 0 to {signal.length - 1}; bits {bits[0]} to "
-            f"{bits[1]} are no part of them"
-        )
+        found = f"bits {bits[0]} to {bits[1]} are no part of them"
+        raise DocumentError(f"the signal {quantity.source.signal} has bits 0 to {signal.length - 1}; {found}")
     if bits is not None and signal.conversion.is_float:
         raise DocumentError(f"the signal {quantity.source.signal} is floating-point and has no bit fields")
     is_sensor = quantity.location[0] == "increments" and quantity.dimension is not Dimension.NUMBER
-    is_limited = is_sensor or quantity.dimension in (Dimension.SPEED, Dimension.TEMPERATURE)
-    saturates = bits is None and is_limited
+    saturates = bits is None and (is_sensor or quantity.dimension in (Dimension.SPEED, Dimension.TEMPERATURE))
     return BoundSignal(
         message, codec.arbitration_id(message), signal, codec.decoder(message, name),
         factor * gain, factor * offset, saturates, bits,

@@ -191,3 +191,23 @@ def codec_with(tmp_path, dbc_path):
         return DbcCodec(load_dbc(tmp_path / "changed.dbc"))
 
     return make
+
+
+@pytest.fixture
+def in_pages(codec_with, recording):
+    """A codec whose message of the gyros' temperatures has two pages, and a recording with both a second."""
+    lines = {f" SG_ {axis} : {bit}|16@1- (0.01,0)": axis for axis, bit in (("X", 0), ("Y", 16), ("Z", 32))}
+    text = DBC.read_text()
+    begin = text.index("BO_ 32 GYRO_OPTICS_TEMPERATURE")
+    end = text.index("BO_ 33")
+    message = text[begin:end].replace("TEMPERATURE_COUNTER :", "PAGE M :")
+    for line, axis in lines.items():
+        message = message.replace(line, line.replace(axis, f"{axis} m{1 + (axis == 'Z')}", 1))
+    codec = codec_with({text[begin:end]: message, "SG_ 32 TEMPERATURE_COUNTER": "SG_ 32 PAGE"})
+    whole = recording(0, 100)
+    name = "GYRO_OPTICS_TEMPERATURE"
+    is_replaced = whole.arbitration_id == codec.arbitration_id(name)
+    times_s = whole.timestamp_s[is_replaced]
+    first = make_frames(codec, name, times_s, {"PAGE": 1, "X": 20 + np.arange(10) * 0.1, "Y": 21})
+    second = make_frames(codec, name, times_s + 1e-5, {"PAGE": 2, "Z": 22})
+    return codec, concatenate([whole.take(~is_replaced), first, second]).in_order()

@@ -22,9 +22,10 @@ from gyrobench.drivers.ins.can_ins import CanIns
 from gyrobench.drivers.ins.command_map import CommandMap, TermIndices
 from gyrobench.drivers.ins.compensation import TERMS, Compensation
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
-from gyrobench.drivers.ins.ins_status import STALE_S, NewestFrames
+from gyrobench.drivers.ins.ins_status import STALE_S, InsStatus, NewestFrames
 from gyrobench.drivers.ins.navigation_data import decode_navigation
 from gyrobench.drivers.ins.readout import InsMode
+from gyrobench.drivers.ins.signal_map import bind_signals
 
 POLYNOMIAL = Compensation(
     np.array([[0.0, 0.0], [0.5, -0.25], [0.0, 0.0]]), np.full(3, -20.0), np.full(3, 70.0)
@@ -198,9 +199,19 @@ def test_the_newest_frame_of_a_message_counts_wherever_in_its_block_it_is(codec,
     newest.take(FrameBlock.from_columns(times_s, identifiers, 8, data), 0.0)
     newest.take(FrameBlock.from_columns([1000.0], [8], 8, np.zeros((1, 8))), 1.0)
     found = newest._newest
-    assert [found[each][0] for each in (5, 6, 8)] == [2.0, 1.0, 1000.0]
-    assert found.get(7, [None])[0] == (2.0 + others if others else None)
+    assert [found[each][0][0] for each in (5, 6, 8)] == [2.0, 1.0, 1000.0]
+    assert found.get(7, {0: [None]})[0][0] == (2.0 + others if others else None)
     assert 9 not in found
+
+
+def test_the_newest_frame_of_each_page_of_a_multiplexed_message_counts(in_pages, signal_map):
+    codec, block = in_pages
+    newest = NewestFrames(codec)
+    newest.take(block, 0.0)
+    status = InsStatus(newest.snapshot(0.0), 0.0, signal_map, bind_signals(signal_map, codec))
+    assert status.optics_c == pytest.approx([20.9, 21, 22])
+    late = InsStatus(newest.snapshot(STALE_S + 1.0), 0.0, signal_map, bind_signals(signal_map, codec))
+    assert np.isnan(late.optics_c).all()
 
 
 def test_nothing_is_known_before_the_first_frame_and_after_a_silence(

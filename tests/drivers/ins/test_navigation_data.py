@@ -43,6 +43,15 @@ def test_temperatures_have_the_time_of_the_epoch_they_were_sent_with(recording, 
     assert found.case_c == pytest.approx(18)
 
 
+def test_temperatures_on_several_pages_of_a_multiplexed_message_are_all_read(in_pages, signal_map):
+    codec, block = in_pages
+    found = decode_navigation(block, signal_map, codec).temperatures
+    assert found.ins_time_s == pytest.approx(100 + np.arange(10))
+    expected = np.stack([20 + np.arange(10) * 0.1, np.full(10, 21), np.full(10, 22)], axis=1)
+    assert found.optics_c == pytest.approx(expected)
+    assert found.spread_k[:, :3] == pytest.approx(np.zeros((10, 3)))
+
+
 def test_temperatures_that_are_not_mapped_are_nan(recording, make_signal_map, codec):
     signal_map = make_signal_map(
         {

@@ -181,6 +181,13 @@ def test_a_signal_in_two_roles_is_refused(codec, make_signal_map, old, new, firs
     assert f"already mapped to {first}" in problem.message
 
 
+def test_a_multiplexed_quantity_of_every_epoch_is_refused(codec_with, signal_map):
+    pages = {"ATTITUDE_VALID :": "ATTITUDE_VALID M :", "EPOCH_COUNTER :": "EPOCH_COUNTER m1 :"}
+    (problem,) = check_signals(signal_map, codec_with(pages))
+    assert problem.location == ("epoch_counter",)
+    assert problem.message == "the signal HEADING.EPOCH_COUNTER is multiplexed. Map one that is not"
+
+
 def test_one_temperature_sensor_stands_for_all_gyros(codec, make_signal_map):
     names = {f"GYRO_OPTICS_TEMPERATURE.{axis}": "GYRO_OPTICS_TEMPERATURE.X" for axis in "YZ"}
     assert check_signals(make_signal_map(names), codec) == []
