@@ -50,6 +50,8 @@ _BLOCK_S, _MIN_BLOCKS = 20.0, 8
 _TIME_CONSTANTS_S, _WALK_FACTORS = np.geomspace(20.0, 1500.0, 14), (0.7, 1.0, 1.4)
 #: Largest square of the random walk of the heading, relative to that of the tilt.
 _MAX_WALK_RATIO = 2.0
+#: Least range of the heading in a window, in steps of its output: less is its rounding.
+_MIN_STEPS = 2.0
 #: Simulations without an aid, and the least excess of the gain of the data over their largest one.
 _SIMULATIONS, _MIN_EXCESS = 32, 10.0
 #: Prior standard uncertainties of the bias of a vertical gyro and of its difference between windows, rad/s,
@@ -70,11 +72,11 @@ def held_heading_s(
     if not windows:
         return None
     by_noise = _time_constant_by_noise(windows, step_rad)
-    return by_noise or _time_constant_by_decay(dwells, site, accelerometer_mps2)
+    return by_noise or _time_constant_by_decay(dwells, step_rad, site, accelerometer_mps2)
 
 
 def _time_constant_by_decay(
-    dwells: Sequence[Sequence[RestMotion]], site: Site, accelerometer_mps2: float
+    dwells: Sequence[Sequence[RestMotion]], step_rad: float, site: Site, accelerometer_mps2: float
 ) -> float | None:
     """Time constant of an aid by the decay of the rate in each window, s; None if that shows none."""
     long_dwells = [[each for each in dwell if _blocks(each) >= _MIN_BLOCKS] for dwell in dwells]
@@ -88,7 +90,8 @@ def _time_constant_by_decay(
     tilts = [
         _seconds(each, angle) for dwell in long_dwells for each in dwell for angle in each.rotation_enu.T[:2]
     ]
-    if not 0.0 < walk < _MAX_WALK_RATIO * _noise(tilts)[0]:
+    motion = max(np.ptp(heading) for dwell in headings for heading in dwell)
+    if motion < _MIN_STEPS * step_rad or not 0.0 < walk < _MAX_WALK_RATIO * _noise(tilts)[0]:
         return None  # the heading is too coarse, or vibrates
     rates = (0.0, *1.0 / _TIME_CONSTANTS_S)
     choices = [(factor * walk, rate) for factor in _WALK_FACTORS for rate in rates]

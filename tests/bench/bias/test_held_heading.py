@@ -109,3 +109,14 @@ def test_windows_of_hours_cost_little_memory():
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 100e6
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_heading_within_its_rounding_is_not_held(seed):
+    random, step_rad = np.random.default_rng(seed), 8.6e-5
+    windows = []
+    for begin_s in 628.0 * np.arange(24):
+        switches = random.random((601, 3)) < 0.03 * (random.random(3) < 0.4)
+        rotation = step_rad * (np.cumsum(switches, axis=0) % 2)
+        windows.append(motion(rotation - rotation[0], begin_s=begin_s))
+    assert held_heading_s([windows[i : i + 2] for i in range(0, 24, 2)], step_rad, *NONE) is None
