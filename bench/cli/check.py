@@ -61,7 +61,7 @@ def check(
     from gyrobench.bench.monitor.terminal_view import observe_in_terminal
     from gyrobench.bench.report.terminal.tables import preflight_report
     from gyrobench.bench.runs.folder import create_run_folder
-    from gyrobench.bench.station.check_result import CheckVerdict
+    from gyrobench.bench.station.check_result import Check, CheckVerdict
     from gyrobench.bench.station.instruments import Emulation
 
     terminal, emulation = console(as_json, of_run=True), Emulation.of(station, world, seed, faults)
@@ -76,6 +76,9 @@ def check(
         with observe_in_terminal(terminal, job, False) as (progress, answers):
             _, outcome = run_job(job, folder.path, progress, answers)
         checks.extend(signal_map_checks(outcome, folder))
+    elif signs:
+        advice = "Correct what failed, then repeat."
+        checks.append(Check.skipped("INS", "signs and axes", "not measured: another check failed", advice))
     if as_json:
         records = [{**asdict(each), "verdict": each.verdict.lower()} for each in checks]
         print_json({"station": station, "fit": is_fit(), "checks": records})

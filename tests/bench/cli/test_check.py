@@ -29,9 +29,10 @@ def test_a_bench_that_is_fit_for_a_run_ends_with_zero(check, tmp_path):
 
 def test_a_fault_that_is_there_ends_with_one(check, tmp_path):
     (tmp_path / "faults.yaml").write_text("faults:\n  - {fault: chamber_alarm, at_s: 0}\n")
-    code, text = check("emulated", "--faults", tmp_path / "faults.yaml", "--out", tmp_path)
+    code, text = check("emulated", "--faults", tmp_path / "faults.yaml", "--signs", "--out", tmp_path)
     assert code == EXIT_NOT_FINISHED
     assert "not ready for a run" in text
+    assert "skipped signs and axes not measured: another check failed" in " ".join(text.split())
 
 
 def test_a_bench_of_which_nothing_answers_ends_with_three(check, tmp_path):
