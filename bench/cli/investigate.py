@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -14,6 +14,7 @@ from gyrobench.bench.cli.options import (
     EMULATED,
     STATION_HELP,
     WORLD_DEFAULT,
+    AcknowledgeOption,
     View,
     ViewOption,
     complete_procedure,
@@ -101,6 +102,7 @@ def investigate(
             min=1.0, help="Longest time that the command may take for a block, s; default: from the plan."
         ),
     ] = None,
+    acknowledge: AcknowledgeOption = None,
     view: ViewOption = "live",
     as_json: JsonOption = False,
 ) -> None:
@@ -135,6 +137,7 @@ def investigate(
         _report(consent.terminal, investigation, folder, sources, None, as_json)
         return
     start = _start(sources, runs, station, world, seed, out, adaptive=adaptive)
+    start = replace(start, job=replace(start.job, acknowledged=tuple(acknowledge or ())))
     if approve == "auto" and start.job.station.file.block_approval != "auto":
         raise DocumentError(
             f"{start.job.station.path}: does not allow blocks without approval. Set block_approval: auto, or "

@@ -10,6 +10,7 @@ import typer
 
 from gyrobench.bench.cli.options import (
     STATION_HELP,
+    AcknowledgeOption,
     RunArgument,
     View,
     ViewOption,
@@ -70,6 +71,7 @@ def verify(
         ),
     ] = False,
     out: Annotated[Path | None, typer.Option(help="Output folder; default: verify in the run.")] = None,
+    acknowledge: AcknowledgeOption = None,
     view: ViewOption = "live",
     as_json: JsonOption = False,
 ) -> None:
@@ -103,6 +105,7 @@ def verify(
         out or run.verify,
         [each.value for each in only or ()],
         coefficients=coefficients,
+        acknowledged=acknowledge or (),
     )
     missing = [name for name in verification.selected if not verification.is_finished(name)]
     job = verification.jobs[verification.selected[0]]

@@ -141,7 +141,10 @@ def verification_runs(
     """
     compared = (DECLARED, EFFECT) if model_with_effects(closure).effects else (NONE, DECLARED)
     emulation = replace(job.emulation, seed=job.emulation.seed + 1, faults="")
-    return VerificationRuns(campaign, closure, procedure, str(job.station.path), emulation, folder, compared)
+    station, acknowledged = str(job.station.path), job.acknowledged
+    return VerificationRuns(
+        campaign, closure, procedure, station, emulation, folder, compared, acknowledged=acknowledged
+    )
 
 
 def measure_verification(runs: VerificationRuns, observe: Observe) -> VerificationResult:
@@ -256,7 +259,11 @@ class StationBench:
         run, path = RunFolder(folder / "run"), folder / "procedure.yaml"
         write_whole(path, block_procedure(plan, self._pattern).text.encode())
         job = prepare_job(
-            str(path), str(self._station.path), self._job.emulation, compensation=self._job.compensation
+            str(path),
+            str(self._station.path),
+            self._job.emulation,
+            compensation=self._job.compensation,
+            acknowledged=self._job.acknowledged,
         )
         last_s, power_ons = self._end(plan.start_s)
         clock = self._clock_after(max(last_s, _last_s(run)))

@@ -77,9 +77,9 @@ class VerificationRuns:
     Each compensation has a separate run, in a folder with its name. A finished run is not repeated.
     ``closure`` is the outcome of the search in the campaign ``run``. All runs have the same world and seed.
     ``only`` limits the compensations to measure with; ``coefficients`` includes all coefficients that the
-    run measured. Raises DocumentError if procedure or station are wrong, the INS does not accept a
-    compensation, a selected compensation does not exist, or the campaign was measured with a compensation or
-    with the same seed.
+    run measured; ``acknowledged``: instruments that may be past due. Raises DocumentError if procedure or
+    station are wrong, the INS does not accept a compensation, a selected compensation does not exist, or the
+    campaign was measured with a compensation or with the same seed.
     """
 
     def __init__(
@@ -93,6 +93,7 @@ class VerificationRuns:
         only: Sequence[str] = (),
         *,
         coefficients: bool = False,
+        acknowledged: Sequence[str] = (),
     ) -> None:
         _check_uncompensated(run)
         self.folder = folder
@@ -122,7 +123,10 @@ class VerificationRuns:
         self.jobs: Mapping[str, Job] = MappingProxyType(
             {
                 name: replace(
-                    prepare_job(procedure, station, emulation, compensation=compensation), unit=unit
+                    prepare_job(
+                        procedure, station, emulation, compensation=compensation, acknowledged=acknowledged
+                    ),
+                    unit=unit,
                 )
                 for name, compensation in compensations.items()
                 if name in self.selected or (folder / name).exists()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 import shutil
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -165,6 +166,9 @@ def disk_check(station: Station, folder: Path, plan: Plan | None, frames_per_s: 
     telemetry_per_s = len(TELEMETRY_COLUMNS) * _BYTES_PER_VALUE / station.file.instruments_period_s
     per_h = 3600.0 * (frames_per_s * _BYTES_PER_FRAME + telemetry_per_s)
     existing = next(each for each in (folder.absolute(), *folder.absolute().parents) if each.exists())
+    if not os.access(existing, os.W_OK):
+        advice = "Choose another folder with --out."
+        return Check.of(subject, what, False, f"{existing} can't be written by this user", advice)
     free = shutil.disk_usage(existing).free
     found = f"{free / _GB:.1f} GB free at {existing}, a run writes {per_h / 1e6:.1f} MB/h"
     if plan is None:

@@ -261,3 +261,18 @@ def test_the_command_prints_what_it_does_and_what_is_left(campaign, verified):
     assert [line.split(",")[0] for line in table[1:]] == ["none"] * 2 + ["declared"] * 2 + ["effect"] * 2
     # The search was there already, and the same one is not written again.
     assert not (run.closure / "closure.html").exists()
+
+
+def test_an_instrument_past_due_is_used_if_that_is_acknowledged(campaign, tmp_path):
+    run, closure, procedure = campaign
+    station = yaml.safe_load(run.station.read_text())
+    instrument = {"serial_number": "1", "certificate": "2", "calibrated": "2020-01-01", "due": "2021-01-01"}
+    station["traceability"] = {"rate_table": {**instrument, "uncertainty": {"value": 1, "unit": "arcsec"}}}
+    due = tmp_path / "due.yaml"
+    due.write_text(yaml.safe_dump(station))
+    arguments = run, closure, procedure, str(due), new_emulation(run), tmp_path / "out"
+    for job in VerificationRuns(*arguments).jobs.values():
+        with pytest.raises(DocumentError, match="run with --acknowledge rate_table"):
+            job.check_calibrations()
+    for job in VerificationRuns(*arguments, acknowledged=["rate_table"]).jobs.values():
+        job.check_calibrations()

@@ -290,6 +290,13 @@ def test_a_run_that_does_not_fit_on_the_disk_fails(tmp_path):
     assert "45:27 h need" in check.found
 
 
+def test_a_folder_that_can_not_be_written_fails(tmp_path, monkeypatch):
+    monkeypatch.setattr("os.access", lambda path, mode: False)  # root may write to every folder
+    check = disk_check(Station(find_document("stations", "emulated")), tmp_path / "runs", None, 40.0)
+    assert check.verdict is CheckVerdict.FAIL
+    assert check.found == f"{tmp_path} can't be written by this user"
+
+
 def test_a_wrong_station_file_is_refused_before_anything_is_opened(tmp_path):
     (tmp_path / "station.yaml").write_text("station: x\n")
     with pytest.raises(DocumentError):
