@@ -197,6 +197,7 @@ def run(
     operator: Operator | None = None,
     observer: RunObserver | None = None,
     fail_on: FailOn | None = None,
+    acknowledged: Sequence[str] = (),
 ) -> Run:
     """Run a procedure, as ``gyrobench run`` does.
 
@@ -219,6 +220,8 @@ def run(
         Who watches the run.
     fail_on : {"rejected", "flagged"}, optional
         Raise if the unit is rejected; with "flagged" also if a dwell has flags or was skipped.
+    acknowledged : sequence of str
+        Instruments that are used although their calibration is past due, in the operator's name.
 
     Raises
     ------
@@ -238,7 +241,8 @@ def run(
 
     if seed < 0:
         raise DocumentError(f"seed must not be negative; found {seed}")
-    job = prepare_job(procedure, station, Emulation.of(station, world, seed, faults))
+    emulation = Emulation.of(station, world, seed, faults)
+    job = prepare_job(procedure, station, emulation, acknowledged=acknowledged)
     if operator is None:
         if not job.is_virtual:
             raise DocumentError(

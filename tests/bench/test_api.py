@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 import gyrobench
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
+from gyrobench.bench.foundations.shipped import find_document
 
 
 @pytest.fixture(scope="module")
@@ -173,3 +174,15 @@ def test_a_world_for_real_instruments_is_refused(tmp_path, given):
 def test_a_negative_seed_is_refused(tmp_path):
     with pytest.raises(DocumentError, match="seed must not be negative; found -1"):
         gyrobench.run("ten_minute_check", seed=-1, out=tmp_path / "never")
+
+
+def test_an_instrument_past_due_is_used_if_that_is_acknowledged(tmp_path):
+    calibration = "{serial_number: A, certificate: B, calibrated: 2020-01-01, due: 2021-01-01"
+    text = find_document("stations", "emulated").read_text()
+    text += f"traceability:\n  chamber_sensors: {calibration}, uncertainty: {{value: 0.1, unit: K}}}}\n"
+    station = tmp_path / "station.yaml"
+    station.write_text(text)
+    with pytest.raises(DocumentError, match="run with --acknowledge chamber_sensors"):
+        gyrobench.run("ten_minute_check", str(station), out=tmp_path)
+    with pytest.raises(RunFolderError, match="is not empty"):
+        gyrobench.run("ten_minute_check", str(station), out=tmp_path, acknowledged=["chamber_sensors"])
