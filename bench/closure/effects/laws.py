@@ -135,7 +135,10 @@ _ONE_WIDTH = "one width"
 #: Joints that slip at one stress, or many that slip at different ones: the loops of Rayleigh's law.
 THERMAL_HYSTERESIS = Effect(
     name="thermal_hysteresis",
-    statement="the bias depends on whether a temperature was reached from above or below, at any rate",
+    statement=(
+        "the bias depends on whether a temperature was reached from above or below, at any rate, as by the "
+        "play of one joint (one width) or of many different ones (many widths)"
+    ),
     experiment=(
         "reach one temperature from above and from below and soak for hours: a lag decays, hysteresis "
         "remains; small temperature loops show its width"

@@ -119,3 +119,10 @@ def test_columns_do_not_see_the_biases(equipped, effect, form):
     values = starts(form, equipped)[0]
     without = replace(equipped, bias_dph=np.full_like(equipped.bias_dph, np.nan))
     np.testing.assert_array_equal(form.columns(without, values), form.columns(equipped, values))
+
+
+@pytest.mark.parametrize("name", ["attitude_thermal", "thermal_hysteresis"])
+def test_a_statement_explains_the_names_of_its_forms(name):
+    (effect,) = (each for each in all_effects() if each.name == name)
+    for form in effect.forms:
+        assert f"({form.name.partition(',')[0]})" in effect.statement

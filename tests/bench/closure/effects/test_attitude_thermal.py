@@ -77,8 +77,3 @@ def test_divided_by_its_weights_no_term_exceeds_the_flow_at_the_coldest_gyro(cle
     length = np.linalg.norm(along, axis=2)
     assert length.max() <= 1.0 + 1e-9
     np.testing.assert_allclose(length.flat[clean.gyro_c.argmin()], 1.0, rtol=1e-6)
-
-
-def test_the_statement_of_the_effect_explains_the_names_of_its_forms():
-    for form in EFFECT.forms:
-        assert f"({form.name.partition(',')[0]})" in EFFECT.statement
