@@ -108,6 +108,10 @@ class DbcCodec:
         self._layouts = {
             message.name: _Layout(message) for message in database.messages if message.length <= MAX_LENGTH
         }
+        #: By identifier of each multiplexed message: the bits of its payload that select a page.
+        self.page_masks = {
+            each.arbitration_id: each.page_mask for each in self._layouts.values() if each.page_mask
+        }
 
     @property
     def message_names(self) -> list[str]:
@@ -140,16 +144,6 @@ class DbcCodec:
         layout = self._layout(message_name)
         rows = block.rows_with_id(layout.arbitration_id)
         return rows[block.length[rows] >= layout.length]
-
-    def pages(self, block: FrameBlock) -> Words:
-        """Bits of each frame's payload that select its multiplexed signals, shape (n,); 0 without such."""
-        words = block.data.view(np.uint64)[:, 0]
-        pages = np.zeros(len(words), np.uint64)
-        for layout in self._layouts.values():
-            if layout.page_mask:
-                rows = block.rows_with_id(layout.arbitration_id)
-                pages[rows] = words[rows] & layout.page_mask
-        return pages
 
     def count_short(self, block: FrameBlock, message_name: str) -> int:
         """Count the frames of a message with fewer bytes than in the DBC."""
@@ -235,7 +229,7 @@ class _Layout:
         """Mask of the payloads whose multiplexers select the signal."""
         return self._is_selected(name, lambda selector: self.fields[selector].raw(words))
 
-    @cached_property
+    @property
     def page_mask(self) -> np.uint64:
         """Bits of the multiplexers in the payload as a little-endian number; 0 without multiplexers."""
         little, big = np.zeros(1, "<u8"), np.zeros(1, ">u8")

@@ -23,12 +23,11 @@ STALE_S = 5.0
 #: Time stamp, identifier, length and data of a row of :data:`~gyrobench.drivers.frames.FRAME_DTYPE`.
 _ROW = struct.Struct("=dIB3x8s")
 _NOW = np.zeros(1, np.int64)
-#: Time stamp and data of the newest frame by :meth:`DbcCodec.pages`.
-Pages = Mapping[int, tuple[float, bytes]]
+_NEVER = -math.inf, b""
 
 
 class NewestFrames:
-    """The newest data frame of each identifier and page, with its age.
+    """The newest data frame of each identifier, of a multiplexed message of each page, with its age.
 
     The age of the last frame is measured on the clock of the run. The ages of the others follow from the
     time stamps of the CAN interface, whose origin is arbitrary.
@@ -36,27 +35,39 @@ class NewestFrames:
 
     def __init__(self, codec: DbcCodec) -> None:
         self._codec = codec
-        #: Time stamp and data by identifier and page; replaced, not changed, as snapshots refer to it.
-        self._newest: dict[int, Pages] = {}
+        #: Time stamp and data by identifier; replaced, not changed, as snapshots refer to it.
+        self._newest: dict[int, tuple[float, bytes]] = {}
+        #: The same of multiplexed messages, by identifier and page, the newest one last.
+        self._pages: Mapping[int, Mapping[int, tuple[float, bytes]]] = {}
         self._received_s, self._stamp_s = -math.inf, 0.0
 
     def take(self, frames: FrameBlock, now_s: float) -> None:
         """Store frames that have just arrived, in order; at least one."""
         self._received_s, self._stamp_s = now_s, frames.timestamp_s.item(-1)
-        pages = self._codec.pages(frames)
-        newest_rows = _newest_rows(frames.arbitration_id, pages)
-        rows, newest = frames.take(newest_rows).rows, dict(self._newest)
-        for page, (time_s, identifier, length, data) in zip(
-            # Unpacked from bytes: numpy is slow at converting rows with array fields to objects.
-            pages[newest_rows].tolist(), _ROW.iter_unpack(rows.tobytes()), strict=True,
-        ):  # fmt: skip
-            newest[identifier] = {**newest.get(identifier, {}), page: (time_s, data[:length])}
-        self._newest = newest
+        newest = _by_identifier(frames.take(_newest_rows(frames.arbitration_id)))
+        self._newest = self._newest | newest
+        for identifier, mask in self._codec.page_masks.items():
+            if identifier in newest:
+                self._pages = {**self._pages, identifier: self._newest_pages(frames, identifier, mask)}
+
+    def _newest_pages(
+        self, frames: FrameBlock, identifier: int, mask: np.uint64
+    ) -> dict[int, tuple[float, bytes]]:
+        """Newest frames of a multiplexed message by page, with those that have just arrived."""
+        pages = dict(self._pages.get(identifier, {}))
+        of_message = frames.take(frames.rows_with_id(identifier))
+        selected = of_message.data.view(np.uint64)[:, 0] & mask
+        for page in reversed(dict.fromkeys(selected[::-1].tolist())):  # in the order of their last frames
+            last = int(np.flatnonzero(selected == page)[-1])
+            pages.pop(page, None)
+            pages |= {page: _by_identifier(of_message.take(slice(last, last + 1)))[identifier]}
+        return pages
 
     def forget(self, message_name: str) -> None:
         """Drop the frames of a message."""
         dropped_id = self._codec.arbitration_id(message_name)
         self._newest = {each: row for each, row in self._newest.items() if each != dropped_id}
+        self._pages = {each: pages for each, pages in self._pages.items() if each != dropped_id}
 
     def age_s(self, now_s: float) -> float:
         """Time since the last frame; infinite before the first."""
@@ -64,18 +75,26 @@ class NewestFrames:
 
     def snapshot(self, now_s: float) -> Snapshot:
         """Return the values of the frames that are not stale."""
-        return Snapshot(self._newest, self._stamp_s + self.age_s(now_s) - STALE_S)
+        return Snapshot(self._newest, self._pages, self._stamp_s + self.age_s(now_s) - STALE_S)
+
+
+def _by_identifier(frames: FrameBlock) -> dict[int, tuple[float, bytes]]:
+    """Time stamp and data of frames with different identifiers."""
+    return {
+        identifier: (time_s, data[:length])
+        # Unpacked from bytes: numpy is slow at converting rows with array fields to objects.
+        for time_s, identifier, length, data in _ROW.iter_unpack(frames.rows.tobytes())
+    }
 
 
 @compiled
-def _newest_rows(identifiers: NDArray[np.uint32], pages: NDArray[np.uint64]) -> IntArray:
-    """Index of the last frame of each identifier and page."""
+def _newest_rows(identifiers: NDArray[np.uint32]) -> IntArray:
+    """Index of the last frame of each identifier."""
     last_rows = np.empty(identifiers.size, np.int64)
     count = 0
     for row in range(identifiers.size - 1, -1, -1):
         for index in range(count):
-            last = last_rows[index]
-            if identifiers[last] == identifiers[row] and pages[last] == pages[row]:
+            if identifiers[last_rows[index]] == identifiers[row]:
                 break
         else:
             last_rows[count] = row
@@ -86,17 +105,24 @@ def _newest_rows(identifiers: NDArray[np.uint32], pages: NDArray[np.uint64]) -> 
 class Snapshot:
     """Values of the newest frames at one moment, without frames stamped before ``oldest_s``."""
 
-    def __init__(self, newest: Mapping[int, Pages], oldest_s: float) -> None:
+    def __init__(
+        self,
+        newest: Mapping[int, tuple[float, bytes]],
+        pages: Mapping[int, Mapping[int, tuple[float, bytes]]],
+        oldest_s: float,
+    ) -> None:
         self._newest = newest
+        self._pages = pages
         self._oldest_s = oldest_s
 
     def value(self, bound: BoundSignal) -> float:
-        """Value of a signal; NaN if its frame is missing or stale, or its value not valid."""
-        pages = self._newest.get(bound.arbitration_id, {})
-        for stamp_s, data in pages.values() if len(pages) == 1 else sorted(pages.values(), reverse=True):
-            if stamp_s >= self._oldest_s and not math.isnan(value := bound.decode_si(data)):
-                return value
-        return math.nan
+        """Value of a signal; NaN if its frame is missing or stale."""
+        if self._pages and bound.arbitration_id in self._pages:
+            frames = [*self._pages[bound.arbitration_id].values()][::-1]
+            values = (bound.decode_si(data) for stamp_s, data in frames if stamp_s >= self._oldest_s)
+            return next((value for value in values if not math.isnan(value)), math.nan)
+        stamp_s, data = self._newest.get(bound.arbitration_id, _NEVER)
+        return math.nan if stamp_s < self._oldest_s else bound.decode_si(data)
 
     def last_values(self, bound: BoundSignal, rows: IntArray) -> FloatArray:  # noqa: ARG002 - there is only the present
         """Value of a signal, shape (1,)."""
