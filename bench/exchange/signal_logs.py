@@ -206,9 +206,14 @@ def _can_signals(read_frames: Callable[[Path], FrameBlock], dbc: Path, path: Pat
     for message in codec.message_names:
         rows = codec.rows(block, message)
         frames = block.take(rows)
-        decoded = codec.decode(frames, message)
-        signals = {f"{message}.{name}": values for name, values in decoded.items()}
-        yield _Stamps(frames.timestamp_s, rows), signals
+        payloads, stamps = codec.payloads(block, rows), _Stamps(frames.timestamp_s, rows)
+        for name, values in codec.decode(frames, message).items():
+            if codec.signal(message, name).multiplexer_ids is None:
+                yield stamps, {f"{message}.{name}": values}
+                continue
+            is_sent = codec.selected(payloads, message, name)
+            stamps_sent = _Stamps(frames.timestamp_s[is_sent], rows[is_sent])
+            yield stamps_sent, {f"{message}.{name}": values[is_sent]}
 
 
 def _mf4_frames(path: Path) -> FrameBlock:

@@ -45,18 +45,30 @@ def write_parquet(log):
     return {"signals": "{format: parquet}"}, "log.parquet"
 
 
-def write_blf(log):
-    (log.folder / "imu.dbc").write_text(DBC)
+def write_paged_blf(log):
+    """Temperature on a page of a multiplexed message, whose other page follows it."""
+    pages = ' SG_ PAGE M : 16|8@1+ (1,0) [0|0] "" IMU\n SG_ OTHER m1 : 0|16@1- (1,0) [0|0] "" IMU\n'
+    dbc = DBC.replace("HEAT: 2", "HEAT: 3").replace(" SG_ T :", f"{pages} SG_ T m0 :")
+    return write_blf(log, dbc)
+
+
+def write_blf(log, dbc=DBC):
+    (log.folder / "imu.dbc").write_text(dbc)
     codec = DbcCodec(load_dbc(log.folder / "imu.dbc"))
     _, x, y, z, heat = log.columns.values()
     n = len(x)
     rates = np.zeros((n, 8), np.uint8)
     heats = np.zeros((n, 8), np.uint8)
     rates[:, :6] = codec.encode("RATES", {"X": x, "Y": y, "Z": z})
-    heats[:, :2] = codec.encode("HEAT", {"T": heat})
-    times_s = np.repeat(1.7e9 + log.time_s, 2)
-    ids, lengths = np.tile([17, 16], n), np.tile([2, 6], n)
-    data = np.stack([heats, rates], axis=1).reshape(-1, 8)
+    encoded = codec.encode("HEAT", {"T": heat})
+    heats[:, : encoded.shape[1]] = encoded
+    others = np.zeros((n, 8), np.uint8)
+    others[:, 2] = 1  # its page
+    kinds = [heats, others, rates] if dbc != DBC else [heats, rates]
+    times_s = np.repeat(1.7e9 + log.time_s, len(kinds))
+    size = encoded.shape[1]
+    ids, lengths = np.tile([17, 17, 16][-len(kinds) :], n), np.tile([size, size, 6][-len(kinds) :], n)
+    data = np.stack(kinds, axis=1).reshape(-1, 8)
     can_log = CanLog(log.folder / "can")
     can_log.write(FrameBlock.from_columns(times_s, ids, lengths, data))
     can_log.cut()
@@ -209,7 +221,9 @@ def test_of_slower_forces_the_last_one_counts(tmp_path):
     assert recording.velocity[:, 0] / recording.interval_s == pytest.approx(number // 2 * 2)
 
 
-@pytest.mark.parametrize("write", [write_parquet, write_blf, write_ardupilot, write_px4, write_mf4])
+@pytest.mark.parametrize(
+    "write", [write_parquet, write_blf, write_paged_blf, write_ardupilot, write_px4, write_mf4]
+)
 def test_every_format_gives_the_rows_of_the_text_log(log, expected, write):
     changes, name = write(log)
     rows = import_logs([log.folder / name], log.mapping(text="absent", **changes)).rows
