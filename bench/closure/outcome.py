@@ -98,7 +98,8 @@ class FoundEffect:
         """Sentence with the behaviour of the bias, its size, gyros and parameters, with uncertainties."""
         parameters = "; ".join(self.parameter_texts)
         if self.other_forms:
-            form = self.candidate.form.name
+            share = 1.0 - sum(each.probability for each in self.other_forms)
+            form = f"{self.candidate.form.name} with P = {share:.2f}"
             parameters = "; ".join(
                 [f"{form}: {parameters}" if parameters else form, *(each.text for each in self.other_forms)]
             )

@@ -74,8 +74,8 @@ def test_another_form_that_is_not_improbable_is_stated_with_its_parameters():
         THERMAL_HYSTERESIS, 5.25, sigma=[0.12], within=[(5.02, 5.5)], other_forms=(other,)
     ).statement
     assert sentence.endswith(
-        "(one width: half width 5.25 ± 0.12 degC; or, with P = 0.34, many widths: half width 4.50 ± 0.25 "
-        "degC)."
+        "(one width with P = 0.66: half width 5.25 ± 0.12 degC; or, with P = 0.34, many widths: half width "
+        "4.50 ± 0.25 degC)."
     )
 
 
