@@ -155,7 +155,7 @@ def print_unfinished(paths: Iterable[Path], on_stderr: bool = False) -> None:
     for folder in filter(lambda each: each.is_unfinished, map(RunFolder, paths)):
         is_held = holder_of(folder.run.path) is not None
         state = "is still in progress: these are its dwells so far" if is_held else "has not finished"
-        resume = "" if is_held else f" Resume it with: gyrobench resume {folder.run.path}"
+        resume = "" if is_held else f" Resume it with: gyrobench resume {folder.run.argument}"
         console(on_stderr).print(
             f"{folder.path}: the run {state}.{resume}", soft_wrap=True, style="bold yellow"
         )
@@ -200,7 +200,7 @@ def print_end(
     if not folder.journal.exists():
         raise RunFolderError(
             f"{folder.path}: the run folder has disappeared, and no report was written. Rename it back, or "
-            f"mount its disk, then: gyrobench resume {folder.path}"
+            f"mount its disk, then: gyrobench resume {folder.argument}"
         )
     record = _end_record(folder, outcome)
     shortcoming, skipped = outcome.shortcoming(fail_on), outcome.skipped_text
@@ -225,7 +225,7 @@ def print_end(
         if is_finished:
             console.print(
                 f"{safe_state}\nAll steps are finished, and all dwells are kept.\n"
-                f"Report   gyrobench resume {folder.path}",
+                f"Report   gyrobench resume {folder.argument}",
                 soft_wrap=True,
             )
         raise
@@ -255,7 +255,7 @@ def print_end(
     figures = "" if outcome.units else f"Figures  {folder.figures}\n"
     console.print(f"Report   {folder.report}\n{figures}Folder   {folder.path}", soft_wrap=True)
     if is_finished and repeatable:
-        again = f"gyrobench resume {folder.path} --repeat {','.join(repeatable)} --look"
+        again = f"gyrobench resume {folder.argument} --repeat {','.join(repeatable)} --look"
         console.print(f"Repeat   {again}", soft_wrap=True)
     if as_json:
         print_json(record)
@@ -269,7 +269,7 @@ def print_end(
 
 def _resume_text(folder: RunFolder, outcome: RunOutcome) -> str:
     """Text on how to resume an unfinished run, and what to correct in a wrong station file before."""
-    resume = f"gyrobench resume {folder.path}"
+    resume = f"gyrobench resume {folder.argument}"
     if not outcome.is_station_wrong:
         return f"Resume   {resume}"
     new_run = "New run  correct your own station file or DBC file: a new run reads that one."
@@ -278,7 +278,7 @@ def _resume_text(folder: RunFolder, outcome: RunOutcome) -> str:
     lines = (
         f"Resume   correct the copy {folder.station} or the DBC file beside it:",
         "resume reads no other, and evaluates the dwells measured so far again with it. Then",
-        f"gyrobench seal {folder.path} --accept-changes",
+        f"gyrobench seal {folder.argument} --accept-changes",
         resume,
     )
     return "\n         ".join(lines) + f"\n{new_run}"

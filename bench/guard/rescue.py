@@ -175,7 +175,7 @@ class Rescue:
         message = Message(
             event="guard_acted",
             why=f"{capitalised(end.value)}, so the guard acted. {bench}\n"
-            f"Once the cause is found: gyrobench resume {self._folder.path}",
+            f"Once the cause is found: gyrobench resume {self._folder.argument}",
             station=self._station.file.station,
             time=self._clock.utc(),
             folder=self._folder.path,

@@ -7,6 +7,7 @@ The child receives options and prints the addresses as one line of JSON.
 from __future__ import annotations
 
 import json
+import shlex
 import signal
 import subprocess
 import sys
@@ -122,7 +123,7 @@ def guide(urls: Mapping[str, str], station: Station, speed: float, station_path:
     if emulated_frames(station) is None:
         lines += ["", f"No emulated INS sends the frames of {station.dbc_path.name}: decode with {frames}."]
     if station_path:
-        command = f"gyrobench run ten_minute_check --station {station_path}"
+        command = f"gyrobench run ten_minute_check --station {shlex.quote(str(station_path))}"
         lines += _guide_entry("Bench", f"{station_path}  station file", command)
     return "\n".join(lines)
 

@@ -277,7 +277,7 @@ def _damage(
     damage = {}
     if error := errors.get(folder.journal):
         damage[JOURNAL] = f"{error}. Restore the file from a copy."
-    advice = f"Write it again with `gyrobench bins {folder.path}`."
+    advice = f"Write it again with `gyrobench bins {folder.argument}`."
     if error := errors.get(folder.dwells):
         damage[DWELLS] = f"{error}. {advice}"
     measured_biases = (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import shlex
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -286,7 +287,7 @@ def signs_sentence(facts: RunFacts, station: Mapping[str, Any], name: str | Path
         return (
             "Signs and axes of the signal map were not tested: the windows are too short, the output is too "
             "coarse, or the velocities do not follow from the tilt. If they are wrong, so are the "
-            f"biases: test them with gyrobench check {name} --signs."
+            f"biases: test them with gyrobench check {shlex.quote(str(name))} --signs."
         )
     match station:
         case {"location": {"latitude_deg": int() | float() as latitude_deg}}:

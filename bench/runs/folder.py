@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -117,6 +118,11 @@ class RunFolder:
         return self.run.path.resolve().name
 
     @property
+    def argument(self) -> str:
+        """The path as an argument of a command in a shell."""
+        return shlex.quote(f"{self.path}")
+
+    @property
     def is_unfinished(self) -> bool:
         """Whether it holds a run that has not finished; False if its journal is missing or damaged."""
         try:
@@ -148,7 +154,7 @@ def create_run_folder(out: Path | None, name: str, parent: Path = RUNS) -> RunFo
             _WRITTEN_BEFORE_JOURNAL.fullmatch(name) for name in existing
         )
         if existing and not is_interrupted_start:
-            resume_text = f"continue the run with `gyrobench resume {out}`"
+            resume_text = f"continue the run with `gyrobench resume {RunFolder(out).argument}`"
             alternative = resume_text if RunFolder(out).is_unfinished else "omit it for a new folder"
             raise UnusablePathError(f"{out}: is not empty. Choose another --out, or {alternative}.")
         return RunFolder(out)

@@ -261,7 +261,7 @@ def require_sealed_inputs(folder: RunFolder) -> None:
     if changed:
         raise RunFolderError(
             f"{folder.path}: {listed(changed)} changed since seal {last.number}. Accept the change with "
-            f"`gyrobench seal {folder.path} --accept-changes`, which records it, or restore the file"
+            f"`gyrobench seal {folder.argument} --accept-changes`, which records it, or restore the file"
         )
 
 
@@ -272,7 +272,11 @@ def verify_seals(folder: Path, trusted_key: Path | None = None) -> SealCheck:
     without a folder or a seal, and DocumentError if the key can't be read.
     """
     if not (seals := _read_seals(folder, trusted_key)):
-        lack = f"has no seal. Make one with: gyrobench seal {folder}" if folder.exists() else "no such folder"
+        lack = (
+            f"has no seal. Make one with: gyrobench seal {RunFolder(folder).argument}"
+            if folder.exists()
+            else "no such folder"
+        )
         raise MissingRunError(f"{folder}: {lack}")
     findings = [SealFinding(seal.relative_path, seal.problem) for seal in seals if seal.problem]
     previous = ""

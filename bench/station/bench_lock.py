@@ -11,6 +11,7 @@ import contextlib
 import hashlib
 import os
 import re
+import shlex
 import socket
 import stat
 from collections.abc import Iterator
@@ -62,7 +63,7 @@ class BenchLock(Lock):
             return "Try again in a minute: it is bringing the bench to its safe state after that run."
         if holder is not None and holder.command == JOG_COMMAND:
             return "Nothing was moved: an operator controls it manually; `quit` there releases it."
-        run = "RUN" if holder is None else holder.run
+        run = "RUN" if holder is None else shlex.quote(f"{holder.run}")
         return f"Nothing was moved: wait for its end, or end it with `gyrobench control {run} abort`."
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
@@ -390,5 +391,7 @@ def runs_in_index(root: str, index: RunIndex, selection: Selection) -> list[Path
         raise RunFolderError(f"{root}: runs in an object store can't be changed. Copy them to a folder first")
     paths = [Path(store.root) / run["path"] for run in find_runs(index, selection)]
     if not paths:
-        raise RunFolderError(f"{root}: no run matches the selection. List them with: gyrobench runs {root}")
+        raise RunFolderError(
+            f"{root}: no run matches the selection. List them with: gyrobench runs {shlex.quote(root)}"
+        )
     return paths

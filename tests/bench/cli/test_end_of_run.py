@@ -49,8 +49,10 @@ def lines_of(folder, outcome):
     ],
 )
 def test_a_stopped_run_begins_with_who_stopped_it_and_how_to_continue(tmp_path, reason, sentence):
-    lines = lines_of(RunFolder(tmp_path), RunOutcome(ended="stopped", reason=reason))
-    resume = f"Resume   gyrobench resume {tmp_path}"
+    folder = RunFolder(tmp_path / "Labor 2")
+    folder.path.mkdir()
+    lines = lines_of(folder, RunOutcome(ended="stopped", reason=reason))
+    resume = f"Resume   gyrobench resume '{folder.path}'"
     assert lines[:2] == [sentence, resume]
     assert lines[-1] == resume
 

@@ -54,7 +54,8 @@ def test_a_second_run_is_refused_with_all_that_is_known_of_the_first(make_statio
         with pytest.raises(BenchInUseError) as caught, BenchLock(station, tmp_path, WallClock()):
             pass
         message = str(caught.value)
-        assert message.endswith(f"or end it with `gyrobench control {tmp_path / 'run one'} abort`.")
+        first = tmp_path / "run one"
+        assert message.endswith(f"or end it with `gyrobench control '{first}' abort`.")
         for part in (
             str(process.pid),
             str(tmp_path / "run one"),
