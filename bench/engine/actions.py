@@ -74,9 +74,7 @@ class StepContext:
     """State that the actions share."""
 
     def __init__(self, run: RunContext, units: Units) -> None:
-        self.run = run
-        self.bench = run.bench
-        self.units = units
+        self.run, self.bench, self.units = run, run.bench, units
         self.retries = 0  #: How often a failed exchange of the step in progress is repeated.
         #: Turns until the next position: the table goes to angles from which they stay within its limits.
         self.next_turns_deg: Sequence[TurnOrMove] = ()
@@ -242,16 +240,15 @@ def _command_all(context: StepContext, command: Callable[[MeasuredUnit], Ticks |
     """
     waiting = {unit: ticks for unit in context.units.measuring if (ticks := command(unit)) is not None}
     for remaining_tries in range(context.retries, -1, -1):
-        errors = _exchange_all(context, waiting)
-        for unit, error in errors.items():
-            if not remaining_tries or isinstance(error, FaultError):
+        retried = []
+        for unit, error in _exchange_all(context, waiting).items():
+            if remaining_tries and not isinstance(error, FaultError):
+                retried.append(error)
+                waiting[unit] = command(unit) or iter(())
+            else:
                 context.units.fail(unit, error)
-                continue
-            _prepare_retry(context, error)
-            waiting[unit] = command(unit) or iter(())
-        if not waiting:
-            return
-        yield from _pause(context.bench, _RETRY_PAUSE_S)
+        if waiting:
+            yield from _prepare_retry(context, retried)
 
 
 def _exchange_all(
@@ -319,8 +316,7 @@ def _begin_navigation(context: StepContext) -> Ticks:
 
 def _wait_until_navigated(step: Navigate, context: StepContext) -> Ticks:
     """Wait until the time is over, or the bias uncertainties are below the step's limit."""
-    clock = context.bench.clock
-    begin_s = clock.now()
+    clock, begin_s = context.bench.clock, context.bench.clock.now()
     next_estimate_s = begin_s + _ESTIMATE_PERIOD_S
     while clock.now() < begin_s + step.max_duration_s - 1e-6:
         if clock.now() >= next_estimate_s:
@@ -471,15 +467,19 @@ def _with_retries(context: StepContext, exchange: Callable[[], _T]) -> Generator
         except InstrumentError as error:
             if not remaining_tries:
                 raise
-            _prepare_retry(context, error)
-            yield from _pause(context.bench, _RETRY_PAUSE_S)
+            yield from _prepare_retry(context, [error])
     raise AssertionError("the last try returns or raises")
 
 
-def _prepare_retry(context: StepContext, error: InstrumentError) -> None:
-    context.run.record_retry(error)
-    if isinstance(error, ConnectionFailedError):
-        context.bench.reopen(error.instrument)
+def _prepare_retry(context: StepContext, errors: Sequence[InstrumentError]) -> Ticks:
+    """Record failed exchanges, reopen lost ports, and pause."""
+    for error in errors:
+        context.run.record_retry(error)
+        if isinstance(error, ConnectionFailedError):
+            context.bench.reopen(error.instrument)
+    yield from _pause(context.bench, _RETRY_PAUSE_S)
+    while any(context.bench.is_reopening(error.instrument) for error in errors):
+        yield
 
 
 def _read_table(context: StepContext) -> Ticks:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -120,6 +119,7 @@ class LiveBench:
         self._failing: list[str] = []
         self._next_reopen_s, self._reopen_pause_s = -math.inf, _FIRST_REOPEN_PAUSE_S
         self._next_try_s: dict[str, float] = {}  # of table and chamber while they do not answer
+        self._reopening: set[str] = set()  # instruments whose ports threads open
         self._next_loss_s = 0.0
         self._next_reading_s = 0.0
         #: Safe actions that failed and have not succeeded since, by what they do.
@@ -178,7 +178,7 @@ class LiveBench:
         if self.instruments.is_ramping and CHAMBER not in self._failing:
             self.query(CHAMBER, self.instruments.advance_ramp)
         self.lateness.add(next_tick_s, now_s, tick_s)
-        if self._failing:
+        if self._failing or self._reopening:
             self._reopen()
         if next_tick_s >= self._next_reading_s - 1e-6:
             self.read_instruments()
@@ -243,11 +243,23 @@ class LiveBench:
         return sum(other.is_on for other in self._all_units if other is not unit)
 
     def reopen(self, instrument: str) -> None:
-        """Reopen the port of an instrument; a failure is reported."""
-        self.query(instrument, lambda: self.instruments.reopen(instrument))
+        """Reopen the port of an instrument, or begin to (:meth:`is_reopening`); a failure is reported."""
+        if self.instruments.reopens_in_thread:
+            self._try_reopen(instrument)
+        else:
+            self.query(instrument, lambda: self.instruments.reopen(instrument))
+
+    def is_reopening(self, instrument: str) -> bool:
+        """Whether a thread opens the port of an instrument; its result is taken at a tick."""
+        return instrument in self._reopening
 
     def query(self, instrument: str, ask: Callable[[], _T]) -> _T | None:
-        """Return an instrument's answer, or None after a failure, which is reported."""
+        """Return an instrument's answer, or None after a failure, which is reported.
+
+        None also while a thread opens its port.
+        """
+        if instrument in self._reopening:
+            return None
         try:
             answer = ask()
         except FaultError:
@@ -282,26 +294,49 @@ class LiveBench:
 
     def _reopen(self) -> None:
         """Reopen an instrument that does not answer, as an unplugged adapter requires."""
-        begin_s, instrument = self.clock.now(), self._failing[0]
+        for instrument in sorted(self._reopening):
+            self._try_reopen(instrument)
+        waiting = [each for each in self._failing if each not in self._reopening]
+        if not waiting:
+            return
+        begin_s, instrument = self.clock.now(), waiting[0]
         late_s = begin_s - self._next_reopen_s
-        if late_s < 0.0 or not self._may_try(instrument):
+        if late_s < 0.0 or not (self.instruments.reopens_in_thread or self._may_try(instrument)):
             return
         is_first = late_s > _REOPEN_RESET_S
         pause_s = _FIRST_REOPEN_PAUSE_S if is_first else min(2.0 * self._reopen_pause_s, _MAX_REOPEN_PAUSE_S)
         self._next_reopen_s, self._reopen_pause_s = begin_s + pause_s, pause_s
-        self._failing.append(self._failing.pop(0))  # one at a time: it may take long
-        with contextlib.suppress(ConnectionFailedError):  # reported already
-            self.instruments.reopen(instrument)
-        self._pause_tries(instrument, begin_s)
+        self._failing.remove(instrument)
+        self._failing.append(instrument)  # one at a time: it may take long
+        self._try_reopen(instrument)
+
+    def _try_reopen(self, instrument: str) -> None:
+        """Reopen an instrument, or begin to, or take the result; a failure is reported once."""
+        begin_s = self.clock.now()
+        self._reopening.discard(instrument)
+        is_open = False
+        try:
+            is_open = self.instruments.try_reopen(instrument)
+            if not is_open:
+                self._reopening.add(instrument)
+        except ConnectionFailedError as error:
+            self.handle_failure(error)
+        self._pause_tries(instrument, begin_s, is_open)
 
     def _may_try(self, instrument: str) -> bool:
         """Whether an instrument that does not answer may block the ticks again."""
         return instrument not in self._failing or self.clock.now() >= self._next_try_s.get(instrument, 0.0)
 
-    def _pause_tries(self, instrument: str, begin_s: float) -> None:
-        """Leave an instrument alone for as long as an attempt took: it blocks at most half of the time."""
+    def _pause_tries(self, instrument: str, begin_s: float, is_open: bool = False) -> None:
+        """Leave an instrument alone until a thread has reached it.
+
+        Without threads for as long as an attempt took: it blocks at most half of the time.
+        """
         took_s = self.clock.now() - begin_s
-        self._next_try_s[instrument] = begin_s + (2.0 * took_s if took_s > _BRIEF_S else took_s)
+        if self.instruments.reopens_in_thread:
+            self._next_try_s[instrument] = begin_s if is_open else math.inf
+        else:
+            self._next_try_s[instrument] = begin_s + (2.0 * took_s if took_s > _BRIEF_S else took_s)
 
     def _try_query(self, instrument: str, ask: Callable[[], _T]) -> _T | None:
         """Query table or chamber, which takes long if it does not answer."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping
+from concurrent.futures import Future
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Self, TypeVar, cast
 from urllib.parse import urlencode
-from uuid import uuid4
 
 import can
 
@@ -27,10 +27,11 @@ from gyrobench.bench.foundations.errors import (
 )
 from gyrobench.bench.foundations.packages import CHAMBERS, RATE_TABLES, load
 from gyrobench.bench.foundations.shipped import DEFAULT_WORLD, find_document, world_for
+from gyrobench.bench.station.absent_instruments import AbsentInstrument, disconnected_ins
 from gyrobench.bench.station.instrument_sections import DialectSection
 from gyrobench.bench.station.station import Station
 from gyrobench.bench.station.station_file import load_station_file
-from gyrobench.bench.station.time_limit import call_within
+from gyrobench.bench.station.time_limit import await_call, begin_call, call_within
 from gyrobench.drivers.chamber import Chamber, ChamberDialect, ChamberReading, running_profile
 from gyrobench.drivers.chamber.software_ramp import SoftwareRamp
 from gyrobench.drivers.ins.can_bus import close_bus, open_bus
@@ -50,7 +51,7 @@ _OPENING_TIME_S = 15.0
 _LATE_REPLY_S = 1.0
 
 
-_DriverT = TypeVar("_DriverT", bound=RateTable | Chamber | CanIns)
+_OpenedT = TypeVar("_OpenedT")
 
 
 @dataclass(frozen=True)
@@ -111,6 +112,9 @@ class Outputs:
         self._emulation = emulation or Emulation()
         self._drivers: dict[str, Any] = {}  # opened so far
         self._identities = dict(identities or {})
+        self._reopenings: dict[str, Future[Any]] = {}  # by threads that have begun, of any instrument
+        #: Whether :meth:`try_reopen` uses a thread: emulators inside this process share one simulated bench.
+        self.reopens_in_thread = not (clock.is_virtual or any(station.file.emulated_instruments()))
 
     def __enter__(self) -> Self:
         return self
@@ -171,6 +175,38 @@ class Outputs:
         Raises ConnectionFailedError if it can't be opened, does not answer, or has another identity than
         before: adapters that were reconnected may have exchanged their names.
         """
+        outcome = self._reopenings.pop(instrument, None)
+        try:
+            if outcome is not None:
+                opened = await_call(self.clock, _opening_time_s(self.clock), instrument, outcome)
+            else:
+                opened = self._within_time_limit(instrument, *self._reopening(instrument))
+        except ConnectionFailedError:
+            raise
+        except InstrumentError as error:
+            raise ConnectionFailedError(instrument, f"its port is open, but {error.message}") from error
+        self._replace(instrument, opened)
+
+    def try_reopen(self, instrument: str) -> bool:
+        """Reopen as :meth:`reopen`, in a thread: returns False until it has ended; call again until then.
+
+        An exchange with table or chamber before that waits for the thread. Table and chamber must also answer
+        a reading. If :attr:`reopens_in_thread` is False, reopens at once.
+        """
+        if self.reopens_in_thread:
+            if instrument not in self._reopenings:
+                self._reopenings[instrument] = begin_call(
+                    instrument, *self._reopening(instrument, must_answer=True)
+                )
+            if not self._reopenings[instrument].done():
+                return False
+        self.reopen(instrument)
+        return True
+
+    def _reopening(
+        self, instrument: str, must_answer: bool = False
+    ) -> tuple[Callable[[], Any], Callable[[Any], None]]:
+        """Functions that open the port of an instrument again, and that close what comes too late."""
         if instrument not in (RATE_TABLE, CHAMBER):
             raise ValueError(f"no instrument is called {instrument!r}")
         previous = self._drivers.get(instrument)
@@ -178,26 +214,38 @@ class Outputs:
         def open_again() -> RateTable | Chamber:
             if previous is not None:
                 previous.close()
-            return self._open_driver(instrument)
+            driver = self._open_driver(instrument)
+            try:
+                if must_answer:
+                    _require_answer(driver.read, self.clock)
+            except InstrumentError:
+                driver.close()
+                raise
+            return driver
 
-        try:
-            self._drivers[instrument] = driver = self._within_time_limit(instrument, open_again)
-        except ConnectionFailedError:
-            raise
-        except InstrumentError as error:
-            raise ConnectionFailedError(instrument, f"its port is open, but {error.message}") from error
-        if isinstance(previous, SoftwareRamp) and isinstance(driver, SoftwareRamp):
-            driver.continue_from(previous)
+        return open_again, _close_driver
+
+    def _replace(self, instrument: str, opened: Any) -> None:
+        """Use what was opened from now on."""
+        previous, self._drivers[instrument] = self._drivers.get(instrument), opened
+        if isinstance(previous, SoftwareRamp) and isinstance(opened, SoftwareRamp):
+            opened.continue_from(previous)
 
     def close(self) -> None:
         """Close the ports; table and chamber keep their state."""
+        for instrument in list(self._reopenings):
+            outcome = self._reopenings.pop(instrument)
+            if not outcome.cancel() and outcome.exception() is None:
+                self._replace(instrument, outcome.result())
         for driver in list(self._drivers.values()):
             driver.close()
 
     def _driver(self, instrument: str) -> Any:
+        if instrument in self._reopenings:
+            self.reopen(instrument)
         if instrument not in self._drivers:
             self._drivers[instrument] = self._within_time_limit(
-                instrument, partial(self._open_driver, instrument)
+                instrument, partial(self._open_driver, instrument), _close_driver
             )
         return self._drivers[instrument]
 
@@ -242,10 +290,14 @@ class Outputs:
             )
         return identity
 
-    def _within_time_limit(self, instrument: str, open_it: Callable[[], _DriverT]) -> _DriverT:
-        return call_within(
-            self.clock, _opening_time_s(self.clock), instrument, open_it, lambda late: late.close()
-        )
+    def _within_time_limit(
+        self, instrument: str, open_it: Callable[[], _OpenedT], discard: Callable[[_OpenedT], None]
+    ) -> _OpenedT:
+        return call_within(self.clock, _opening_time_s(self.clock), instrument, open_it, discard)
+
+
+def _close_driver(driver: RateTable | Chamber | CanIns) -> None:
+    driver.close()
 
 
 class Instruments(Outputs):
@@ -282,11 +334,11 @@ class Instruments(Outputs):
             for name, unit in self._stations.items():
                 try:
                     self.units[name] = self._within_time_limit(
-                        name, partial(open_ins, unit, clock, emulation, station)
+                        name, partial(open_ins, unit, clock, emulation, station), _close_driver
                     )
                 except InstrumentError as error:
                     self._leave_out(error, may_be_absent)
-                    self.units[name] = _disconnected_ins(unit, clock)
+                    self.units[name] = disconnected_ins(unit, clock)
                 resources.callback(self.units[name].close)
             if len(self.absent) == len({RATE_TABLE, CHAMBER, *self.units}):
                 causes = "\n  ".join(map(str, self.absent.values()))
@@ -310,36 +362,40 @@ class Instruments(Outputs):
             self._leave_out(error, may_be_absent)
             if instrument in self._drivers:
                 self._drivers[instrument].close()
-            self._drivers[instrument] = _AbsentInstrument(error, empty_reading)
+            self._drivers[instrument] = AbsentInstrument(error, empty_reading)
 
     def _leave_out(self, error: InstrumentError, may_be: bool) -> None:
         if not may_be:
             raise error
         self.absent[error.instrument] = error
 
-    def reopen(self, instrument: str) -> None:
-        """Close and reopen one instrument, including the INS; see :meth:`Outputs.reopen`.
-
-        The INS stays the same object, on a new bus, with the data received before.
-        """
+    def _reopening(
+        self, instrument: str, must_answer: bool = False
+    ) -> tuple[Callable[[], Any], Callable[[Any], None]]:
+        """As :meth:`Outputs._reopening`, also of an INS, which need not send."""
         ins = self.units.get(instrument)
         if ins is None:
-            super().reopen(instrument)
-            return
+            return super()._reopening(instrument, must_answer)
 
         def open_again() -> can.BusABC:
             ins.close()  # first: closing the channel later would also close the new bus
             return _open_ins_bus(self._stations[instrument], self.clock, self._emulation, self._station)
 
-        ins.replace_bus(
-            call_within(self.clock, _opening_time_s(self.clock), instrument, open_again, discard=close_bus)
-        )
+        return open_again, close_bus
+
+    def _replace(self, instrument: str, opened: Any) -> None:
+        """As :meth:`Outputs._replace`. An INS stays the same object, with the data received before."""
+        ins = self.units.get(instrument)
+        if ins is None:
+            super()._replace(instrument, opened)
+        else:
+            ins.replace_bus(opened)
 
     def close(self) -> None:
         """Close all ports; the instruments keep their state."""
+        super().close()
         for ins in self.units.values():
             ins.close()
-        super().close()
 
 
 def _require_answer(read: Callable[[], object], clock: Clock) -> None:
@@ -355,35 +411,6 @@ def _require_answer(read: Callable[[], object], clock: Clock) -> None:
             clock.sleep(_LATE_REPLY_S)
         else:
             return
-
-
-class _AbsentInstrument:
-    """Replaces a table or chamber that does not answer: reads nothing and refuses every command."""
-
-    def __init__(self, error: InstrumentError, empty_reading: TableReading | ChamberReading) -> None:
-        self._instrument, self._empty_reading = error.instrument, empty_reading
-
-    def __getattr__(self, name: str) -> Callable[..., Any]:
-        def refuse(*_: object, **__: object) -> None:
-            raise RefusedError(
-                self._instrument, "did not answer when the bench was opened. Start jog again once it answers."
-            )
-
-        return refuse
-
-    def read(self) -> TableReading | ChamberReading:
-        """Read nothing."""
-        return self._empty_reading
-
-    def close(self) -> None:
-        """Do nothing: it has no port."""
-
-
-def _disconnected_ins(station: Station, clock: Clock) -> CanIns:
-    """An INS on a virtual bus inside this process, on which no node sends."""
-    section = station.file.ins
-    bus = open_bus("virtual", f"absent INS {uuid4()}", clock)
-    return CanIns(bus, section.signals, station.database(), clock, section.commands, name=station.instrument)
 
 
 def open_table(station: Station, clock: Clock, emulation: Emulation) -> RateTable:

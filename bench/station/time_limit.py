@@ -33,6 +33,13 @@ def call_within(
     """
     if clock.is_virtual:
         return action()
+    return await_call(clock, limit_s, instrument, begin_call(instrument, action, discard), meanwhile)
+
+
+def begin_call(
+    instrument: str, action: Callable[[], _ResultT], discard: Callable[[_ResultT], None]
+) -> Future[_ResultT]:
+    """Call ``action`` in a separate thread; ``discard`` receives the result if the future was cancelled."""
     outcome: Future[_ResultT] = Future()
 
     def perform() -> None:
@@ -48,6 +55,17 @@ def call_within(
             discard(result)
 
     threading.Thread(target=perform, name=f"limited: {instrument}", daemon=True).start()
+    return outcome
+
+
+def await_call(
+    clock: Clock,
+    limit_s: float,
+    instrument: str,
+    outcome: Future[_ResultT],
+    meanwhile: Callable[[], object] = lambda: None,
+) -> _ResultT:
+    """Return the result of a call that was begun; waits and raises as :func:`call_within`."""
     deadline = Deadline(clock, limit_s)
     while not wait([outcome], timeout=min(_POLL_S, deadline.remaining_s())).done:
         if deadline.expired() and outcome.cancel():

@@ -1,11 +1,9 @@
 """Stations of the tests: behind real ports, and without any instrument that answers."""
 
-import json
-import subprocess
-import sys
 from contextlib import contextmanager
 
 from gyrobench.bench.foundations.shipped import find_document
+from tests.drivers.emulators.forked import served
 
 
 def changed_station(folder, changes):
@@ -20,26 +18,24 @@ def changed_station(folder, changes):
 
 
 @contextmanager
-def served_station(folder):
-    """A station in real time whose emulators are served on real ports by another process."""
-    command = [sys.executable, "-m", "gyrobench.drivers.emulators.serve", "--world", "ideal"]
-    with subprocess.Popen([*command, "--for-s", "1000"], stdout=subprocess.PIPE, text=True) as server:
-        urls = json.loads(server.stdout.readline())
-        changes = {
-            "clock: virtual": "clock: wall",
-            ", gravity_uncertainty_mps2: 1.0e-6": "",
-            "poll_period_s: 1.0": "poll_period_s: 0.1",
-            "instruments_period_s: 10.0": "instruments_period_s: 2.0",
-            "emulator://table": urls["table"],
-            "emulator://chamber": urls["chamber"],
-            "interface: emulator": "interface: slcan",
-            "channel: ins": f"channel: {urls['ins']}",
-            "bitrate: 500000": "bitrate: 500000\n  options: {sleep_after_open: 0.1}",
-        }
-        try:
-            yield changed_station(folder, changes)
-        finally:
-            server.terminate()
+def served_station(folder, speed=1):
+    """A station in real time, or ``speed`` times as fast, whose emulators another process serves."""
+    server, urls = served("--world", "ideal", "--for-s", "1000", "--speed", speed)
+    changes = {
+        "clock: virtual": f"clock: wall\nspeed: {speed}",
+        ", gravity_uncertainty_mps2: 1.0e-6": "",
+        "poll_period_s: 1.0": "poll_period_s: 0.1",
+        "instruments_period_s: 10.0": "instruments_period_s: 2.0",
+        "emulator://table": urls["table"],
+        "emulator://chamber": urls["chamber"],
+        "interface: emulator": "interface: slcan",
+        "channel: ins": f"channel: {urls['ins']}",
+        "bitrate: 500000": "bitrate: 500000\n  options: {sleep_after_open: 0.1}",
+    }
+    try:
+        yield changed_station(folder, changes)
+    finally:
+        server.close()
 
 
 def absent_station(folder):

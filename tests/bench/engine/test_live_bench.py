@@ -1,6 +1,8 @@
 """The bench between ticks: frames that are lost, frames that stop."""
 
 import math
+import os
+import tty
 from contextlib import closing, contextmanager
 from itertools import cycle
 
@@ -8,7 +10,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.engine.live_bench import LiveBench
-from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.bench.foundations.clock import VirtualClock, WallClock
 from gyrobench.bench.foundations.errors import NoReplyError, ReplyError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.can_log import CanLog, read_can_log
@@ -16,6 +18,7 @@ from gyrobench.bench.station.instruments import Emulation, Instruments
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
 from gyrobench.drivers.frames import concatenate
+from tests.bench.engine.stations import served_station
 from tests.drivers.ins.test_text_buses import Slcan
 
 
@@ -245,6 +248,45 @@ def test_a_table_that_does_not_answer_blocks_the_ticks_about_half_of_the_time(tm
         while bench.silent:
             bench.tick()
         assert clock.now() < 420.0
+
+
+@pytest.mark.long
+@pytest.mark.wall_time
+@pytest.mark.parametrize("link", ["table", "chamber", "ins"])
+def test_a_port_that_hangs_does_not_keep_the_ticks_from_the_other_instruments(tmp_path, link):
+    """As a serial server that accepts a connection and does not answer."""
+    controller, silent = os.openpty()
+    tty.setraw(silent)
+    with served_station(tmp_path, speed=10) as path:
+        station = Station(path).file
+        port = {"table": station.rate_table.port, "chamber": station.chamber.port, "ins": station.ins.channel}
+        (tmp_path / link).symlink_to(port[link])
+        path.write_text(path.read_text().replace(port[link], str(tmp_path / link)))
+        clock = WallClock(speed=10.0)
+        with Instruments(Station(path), clock, Emulation("ideal", 0)) as instruments:
+            bench = LiveBench(Station(path), instruments, clock, [], lambda *_: None)
+            instruments.power_unit(True)
+            bench.start()
+            bench.units[0].state.powered()
+            opened = {"table": instruments.table, "chamber": instruments.chamber, "ins": instruments.ins}
+            (tmp_path / link).unlink()
+            (tmp_path / link).symlink_to(os.ttyname(silent))
+            opened[link].close()
+            while not bench.silent:
+                bench.tick()
+            missed = bench.lateness.summary()["missed"]  # in the exchange that failed
+            for _ in range(40):
+                bench.tick()
+                if link != "table":
+                    assert clock.now() - bench.readings.table_s < 5.0
+            assert bench.silent
+            assert bench.lateness.summary()["missed"] <= missed + 10
+            (tmp_path / link).unlink()
+            (tmp_path / link).symlink_to(port[link])
+            while bench.silent:
+                bench.tick()
+    os.close(controller)
+    os.close(silent)
 
 
 def test_a_bus_of_one_of_several_units_that_gives_invalid_bytes_is_reopened():

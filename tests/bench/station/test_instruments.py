@@ -5,6 +5,8 @@ import struct
 import threading
 import tty
 from contextlib import closing
+from functools import partial
+from types import SimpleNamespace
 
 import pytest
 
@@ -84,6 +86,57 @@ def test_an_instrument_that_is_gone_can_not_be_reopened_until_it_is_back(changed
         answer.join()
     os.close(controller)
     os.close(line)
+
+
+@pytest.fixture
+def real_ports(changed):
+    """A station without emulated instruments."""
+    ports = [("port: emulator://table", "port: none"), ("port: emulator://chamber", "port: neither")]
+    bus = [("interface: emulator", "interface: virtual"), ("  bitrate: 500000\n", "")]
+    return Station(changed(*ports, *bus, ("clock: virtual", "clock: wall")))
+
+
+@pytest.mark.parametrize("take", ["try_reopen", "exchange", "close"])
+def test_a_port_that_hangs_is_opened_by_one_thread_until_its_result_is_taken(real_ports, monkeypatch, take):
+    answers, opened, closed = threading.Event(), [], []
+
+    def table(*_):
+        if opened:
+            assert answers.wait(60)
+        opened.append(SimpleNamespace(read=list, stop=str, close=partial(closed.append, len(opened))))
+        return opened[-1]
+
+    monkeypatch.setattr("gyrobench.bench.station.instruments.open_table", table)
+    with Outputs(real_ports, WallClock()) as outputs:
+        outputs.table.stop()
+        assert not outputs.try_reopen(RATE_TABLE)
+        (thread,) = (each for each in threading.enumerate() if each.name == "limited: rate table")
+        assert not outputs.try_reopen(RATE_TABLE)
+        answers.set()
+        thread.join(60)
+        if take == "try_reopen":
+            assert outputs.try_reopen(RATE_TABLE)
+        if take != "close":
+            outputs.table.stop()
+    assert (len(opened), closed) == (2, [0, 1])
+
+
+def test_a_port_that_opens_and_does_not_answer_is_closed_again_by_the_thread(real_ports, monkeypatch):
+    closed = threading.Event()
+
+    def silent():
+        raise NoReplyError(RATE_TABLE, "says nothing")
+
+    table = SimpleNamespace(read=silent, close=closed.set)
+    monkeypatch.setattr("gyrobench.bench.station.instruments.open_table", lambda *_: table)
+    monkeypatch.setattr("gyrobench.bench.station.instruments._LATE_REPLY_S", 0.01)
+    with Outputs(real_ports, WallClock()) as outputs:
+        assert not outputs.try_reopen(RATE_TABLE)
+        (thread,) = (each for each in threading.enumerate() if each.name == "limited: rate table")
+        thread.join(60)
+        assert closed.is_set()
+        with pytest.raises(ConnectionFailedError, match="its port is open, but says nothing"):
+            outputs.try_reopen(RATE_TABLE)
 
 
 def answer_once(controller):
