@@ -3,12 +3,16 @@
 A reply does not name its request, and an instrument answers in the order of the requests. So after a failed
 exchange nothing is sent until the line has been silent for the reply time-out; if several replies then
 follow the next request, the last one is its reply.
+
+Some adapters and controllers echo what is sent. No query is its own reply, so its echo is skipped, and with
+it that of the command before.
 """
 
 from __future__ import annotations
 
 import math
 import re
+from collections import deque
 
 from gyrobench.bench.foundations.clock import Deadline
 from gyrobench.bench.foundations.errors import NoReplyError, ReplyError
@@ -37,6 +41,7 @@ class TextLine:
         self._reply_timeout_s = reply_timeout_s
         self._out_of_sync = False
         self._late_reply_is_possible = False
+        self._sent: deque[bytes] = deque(maxlen=2)  # the last two requests
 
     def send(self, request: str) -> None:
         """Send a request; discards input that arrived before."""
@@ -44,7 +49,8 @@ class TextLine:
             self.line.await_silence(self._reply_timeout_s)
             self._out_of_sync = False
         self.line.discard_input()
-        self.line.write(request.encode("ascii") + self._ending)
+        self._sent.append(request.encode("ascii"))
+        self.line.write(self._sent[-1] + self._ending)
 
     def receive(self, request: str, *, may_be_empty: bool = False, first_byte: bytes = b"") -> bytes:
         """Wait for the reply to ``request``; returns it without its end and surrounding spaces.
@@ -77,10 +83,12 @@ class TextLine:
         return bytes(reply).strip()
 
     def ask(self, request: str) -> bytes:
-        """Send a request and wait for its reply; raises as :meth:`receive`."""
+        """Send a request and wait for its reply, after the echo of a query; raises as :meth:`receive`."""
         may_be_late, self._late_reply_is_possible = self._late_reply_is_possible, False
         self.send(request)
         reply = self.receive(request)
+        while request.endswith("?") and reply in self._sent:
+            reply = self.receive(request)
         while may_be_late and (following := self.more(request, NEXT_REPLY_S)):
             reply = following
         return reply

@@ -70,7 +70,7 @@ class Thermotron8800(TextChamber):
     def identify(self) -> str:
         """Return the replies to ``IDEN?`` and ``VRSN?``, and the channel."""
         model, version = (
-            self._ask(query).decode("ascii", "backslashreplace") for query in ("IDEN?", "VRSN?")
+            self._text.ask(query).decode("ascii", "backslashreplace") for query in ("IDEN?", "VRSN?")
         )
         return f"Thermotron {model}, version {version}, channel {self._channel}"
 
@@ -192,18 +192,14 @@ class Thermotron8800(TextChamber):
         if code != _DONE:
             raise self._refused(f"{command} was refused with code {code:g}. {advice}".rstrip())
 
-    def _ask(self, query: str) -> bytes:
-        reply = self._text.ask(query)
-        return self._text.receive(query) if reply == query.encode("ascii") else reply
-
     def _number(self, query: str) -> float:
-        reply = self._ask(query)
+        reply = self._text.ask(query)
         if _ERROR_CODE.fullmatch(reply):  # an error code has one digit; values have decimals
             raise RefusedError(self._line.instrument, f"{query} was refused with code {reply.decode()}")
         return self._text.number(query, reply)
 
     def _mask(self, query: str) -> int:
-        reply = self._ask(query)
+        reply = self._text.ask(query)
         if not _MASK.fullmatch(reply):
             raise self._text.unexpected(query, reply)
         return int(float(reply))

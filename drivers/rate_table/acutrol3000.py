@@ -8,6 +8,8 @@ undefined: axes must be set up with position limits, so that the demanded angle 
 A reply does not name its request, and replies come in the order of the requests. So after a failed
 exchange the driver sends a marker: one message that reads a status register so many times that its reply
 has a number of values that no other reply has. All replies before it belong to earlier requests.
+
+Some adapters echo what is sent (local echo). The echo comes before the reply and is skipped.
 """
 
 from __future__ import annotations
@@ -279,7 +281,10 @@ class Acutrol3000:
         """Read the next reply; returns its error code and text."""
         line, deadline = self._line, Deadline(self._line.clock, self._reply_timeout_s)
         try:
-            prefix = line.read(_PREFIX_BYTES, deadline)
+            prefix, sent = line.read(_PREFIX_BYTES, deadline), message.encode("ascii") + b"\r\n"
+            if prefix.startswith(sent[:_PREFIX_BYTES]):  # an adapter with local echo
+                echo = prefix + line.read(len(sent), deadline)
+                prefix = echo.removeprefix(sent)[:_PREFIX_BYTES]
             decoded = self._framing.decode(prefix)
             if decoded is None:
                 raise self._unexpected(message, prefix.hex(" "))

@@ -27,6 +27,16 @@ class Scripted:
         return self.replies.pop(0) if self.replies else b""
 
 
+class Echoing:
+    """An instrument behind an adapter that echoes what is sent."""
+
+    def __init__(self, instrument):
+        self.instrument, self.latency_s = instrument, instrument.latency_s
+
+    def feed(self, data, now_s):
+        return data + self.instrument.feed(data, now_s)
+
+
 class Heard:
     """An instrument, and every request that it got."""
 

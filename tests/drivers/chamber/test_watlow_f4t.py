@@ -2,7 +2,7 @@ import pytest
 
 from gyrobench.bench.foundations.errors import FaultError, NoReplyError, RefusedError, ReplyError
 from gyrobench.drivers.chamber.watlow_f4t import WatlowF4T
-from tests.drivers.conftest import Scripted, WatlowBench
+from tests.drivers.conftest import Echoing, Scripted, WatlowBench
 
 LOOP = b":SOURCE:CLOOP1:"
 OPENED = WatlowBench.opened
@@ -171,3 +171,19 @@ def test_one_lost_reply_disables_neither_check_of_unit_nor_of_profile(rig):
     with pytest.raises(NoReplyError):
         chamber.running_profile()
     assert chamber.running_profile() == "a profile (its state is RUN)"
+
+
+def test_the_echo_of_an_adapter_is_no_reply(rig):
+    """Nor is the echo of a command, which has no reply, that of the next query."""
+    bench = WatlowBench(rig)
+    bench.heard.instrument = Echoing(bench.chamber)
+    chamber = bench.driver()
+    assert "F4T" in chamber.identify()
+    chamber.set_temperature(25.0, 5.0)
+    chamber.switch(True)
+    assert bench.air.running
+    reading = chamber.read()
+    assert (reading.set_point_c, reading.is_on) == (25.0, True)
+    bench.heard.instrument = Echoing(Scripted())
+    with pytest.raises(NoReplyError, match=r"no reply to :SOURCE:CLOOP1:ERROR\? within"):
+        chamber.read()

@@ -25,7 +25,7 @@ from gyrobench.drivers.emulators.world.table_axis import AxisParameters, TableAx
 from gyrobench.drivers.rate_table import RateTable, TableReading
 from gyrobench.drivers.rate_table.acutrol3000 import SOFTWARE_FAULTS, Acutrol3000, ReplyFraming, set_bits
 from gyrobench.drivers.serial_line import SerialLine
-from tests.drivers.conftest import Scripted
+from tests.drivers.conftest import Echoing, Scripted
 
 FAST = AxisParameters(
     rate_limit_dps=2000.0, acceleration_limit_dps2=2e4, jerk_limit_dps3=2e6, settling_time_constant_s=0.001
@@ -483,3 +483,19 @@ def test_no_prefix_gives_a_length_beyond_the_longest_message(prefixes):
 )
 def test_bits_have_names_or_at_least_numbers(register, expected):
     assert set_bits(register, SOFTWARE_FAULTS, "fault") == expected
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_the_echo_of_an_adapter_is_no_reply(rig, late):
+    controller = Echoing(emulator())
+    line, heard = rig.line("table", controller)
+    table = Acutrol3000(line)
+    assert "Acutrol3000" in table.identify()
+    table.set_limits(30.0, 60.0, 600.0)
+    if late:
+        heard.instrument = Echoing(Scripted())
+        with pytest.raises(NoReplyError, match="no complete reply to :Mode:"):
+            table.stop()
+        heard.instrument = controller
+    assert table.read().rate_dps == (0.0, 0.0)
+    table.stop()
