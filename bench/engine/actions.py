@@ -300,12 +300,12 @@ def _begin_navigation(context: StepContext) -> Ticks:
             unit.recorder.disturb("the INS left navigation in the turn")
         elif status.alignment is Alignment.NONE and status.mode in (InsMode.BOOT, InsMode.STANDBY):
             unit.live.state.restarted()
-            context.units.repeat_or_flag(
-                unit, "the INS left its alignment. Check its supply and the CAN log."
-            )
+            reason = "the INS left its alignment. Check its supply and the CAN log."
+            context.units.repeat_or_flag(unit, unit.live.ins.describe_second_node() or reason)
         elif status.alignment is Alignment.NONE:
             reason = "the INS has not aligned, so it can't navigate. Increase the duration of align."
-            context.units.fail(unit, InvalidDwellError(reason))
+            error = InvalidDwellError(unit.live.ins.describe_second_node() or reason)
+            context.units.fail(unit, error)
 
     def enter_navigation(unit: MeasuredUnit) -> Ticks | None:
         has_begun = unit.live.ins.status().mode is InsMode.NAVIGATE or unit.recorder.has_window

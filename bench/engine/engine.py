@@ -382,7 +382,8 @@ class Engine:
         if restarted := [unit for unit in self._units.running if unit.live.state.has_restarted]:
             retained = self._retained_state(is_ins_on=False, is_at_temperature=True)
             for unit in restarted:
-                unit.note("the INS has restarted without a command")
+                problem = unit.live.ins.describe_second_node()
+                unit.note(problem or "the INS has restarted without a command")
                 unit.live.state.has_restarted = False
             self._approach(planned.number - 1, retained)
 

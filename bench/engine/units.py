@@ -306,7 +306,8 @@ def _require_number(unit: MeasuredUnit, number: str) -> None:
     """Raise FaultError if the serial number is that of another unit."""
     name, expected = unit.live.name, unit.live.state.number
     if expected not in ("", number):
-        raise FaultError(name, f"is unit {number}, but this run measures {expected}. Connect {expected}.")
+        mismatch = f"is unit {number}, but this run measures {expected}. Connect {expected}"
+        raise FaultError(name, f"{unit.live.ins.describe_second_node() or mismatch}.")
 
 
 def _may_pass(trips: Sequence[Trip]) -> bool:

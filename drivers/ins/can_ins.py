@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterator
 
 import can
@@ -19,7 +20,7 @@ from gyrobench.bench.foundations.errors import (
     ReplyError,
 )
 from gyrobench.bench.foundations.text import counted
-from gyrobench.drivers.frames import ERROR_FRAME, EXTENDED_ID, FrameBlock
+from gyrobench.drivers.frames import ERROR_FRAME, EXTENDED_ID, FrameBlock, concatenate
 from gyrobench.drivers.ins.attitude import EulerSequence
 from gyrobench.drivers.ins.can_bus import INSTRUMENT, block_receiver, close_bus
 from gyrobench.drivers.ins.command_map import Command, CommandMap, check_commands
@@ -34,6 +35,9 @@ _REPLY_TIMEOUT_S = 5.0
 _SEND_TIMEOUT_S = 1.0
 #: Most identifiers of other nodes that are stored for messages.
 _MAX_FOREIGN_IDS = 100
+#: Most blocks of frames that are kept to compare counts of epochs; smallest number of counts that is
+#: compared, epochs by which frames of one node may arrive out of order, share of steps back of two nodes.
+_RECENT_BLOCKS, _MIN_COUNTS, _MAX_DISORDER, _TWO_NODES_SHARE = 64, 16, 3.0, 1.0 / 3.0
 #: Period at which a confirmation is polled.
 POLL_PERIOD_S = 0.05
 
@@ -73,6 +77,7 @@ class CanIns:
         self._clock = clock
         self.on_frames: Callable[[FrameBlock], None] | None = None
         self._newest = NewestFrames(self.codec)
+        self._recent: deque[FrameBlock] = deque(maxlen=_RECENT_BLOCKS)
         self.frames = 0  #: Number of data frames of the DBC since the first bus was opened.
 
     def close(self) -> None:
@@ -112,6 +117,7 @@ class CanIns:
         self.frames += len(data_frames)
         if len(data_frames):
             self._newest.take(data_frames, self._clock.now())
+            self._recent.append(data_frames)
             self._error_frames = 0
         else:
             self._error_frames += int(np.count_nonzero(block.flags & ERROR_FRAME))
@@ -169,7 +175,29 @@ class CanIns:
     def forget(self) -> None:
         """Drop the newest frames: the state is unknown until new frames arrive."""
         self._newest = NewestFrames(self.codec)
+        self._recent.clear()
         self._foreign_ids.clear()
+
+    def describe_second_node(self) -> str:
+        """Describe that two nodes send the frames of the INS: its count of epochs jumps to and fro.
+
+        Empty if one node sends them, without a counter of epochs, or before some epochs have arrived.
+        """
+        bound = self._signals.get("epoch_counter")
+        if bound is None or not self._recent:
+            return ""
+        frames = concatenate(list(self._recent))
+        rows = frames.rows[frames.arbitration_id == bound.arbitration_id][-2 * _MIN_COUNTS :]
+        counts = np.array([bound.decode_si(row["data"][: row["length"]].tobytes()) for row in rows])
+        half = bound.modulus / 2.0
+        steps = (np.diff(counts) + half) % bound.modulus - half
+        if len(counts) < _MIN_COUNTS or np.mean(steps < -_MAX_DISORDER) < _TWO_NODES_SHARE:
+            return ""
+        return (
+            "two nodes send the frames of the INS: its count of epochs "
+            f"({bound.message}.{bound.signal.name}) jumps between {counts[-2]:.0f} and {counts[-1]:.0f}. "
+            "Disconnect the other node, or give it other identifiers"
+        )
 
     def identity(self) -> dict[str, int]:
         """Wait for the numbers that identify the INS, by name; empty if the map has none.

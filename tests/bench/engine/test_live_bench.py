@@ -289,6 +289,31 @@ def test_a_port_that_hangs_does_not_keep_the_ticks_from_the_other_instruments(tm
     os.close(silent)
 
 
+@pytest.mark.parametrize(
+    ("fault", "shows_two_nodes"),
+    [
+        ("second_node, for_s: 60", True),
+        ("frames_out_of_order, share: 0.5, for_s: 60", False),
+        ("frames_repeated, share: 0.5, for_s: 60", False),
+        ("frames_lost, share: 0.5, for_s: 60", False),
+        ("frames_corrupted, share: 0.5, bits: 2, for_s: 60", False),
+        ("counter_jump, by: 1000", False),
+        ("ins_restarts", False),
+    ],
+)
+def test_a_second_node_with_the_same_identifiers_is_named(tmp_path, fault, shows_two_nodes):
+    (tmp_path / "faults.yaml").write_text(f"faults:\n  - {{fault: {fault}, at_s: 60}}\n")
+    with live_bench(faults=tmp_path / "faults.yaml") as (bench, _):
+        texts = []
+        while bench.clock.now() < 130.0:
+            bench.tick()
+            texts += filter(None, [bench.instruments.ins.describe_second_node()])
+        assert (len(texts) > 20) == shows_two_nodes
+        problem = "two nodes send the frames of the INS: its count of epochs (HEADING.EPOCH_COUNTER) jumps"
+        assert all(text.startswith(problem) for text in texts)
+        assert shows_two_nodes or not texts
+
+
 def test_a_bus_of_one_of_several_units_that_gives_invalid_bytes_is_reopened():
     clock, station = VirtualClock(), Station(find_document("stations", "four_units"))
     with (
