@@ -32,7 +32,7 @@ from gyrobench.bench.procedure.approach import (
     retained_between,
 )
 from gyrobench.bench.procedure.plan import PlannedStep, turns_after
-from gyrobench.bench.procedure.steps import Align, GoTo, PowerOn
+from gyrobench.bench.procedure.steps import Align, AskOperator, GoTo, PowerOn
 from gyrobench.bench.station.interlocks import PassingRule
 from gyrobench.bench.station.safe_state import RAMP_PERIOD_S, SafeAction, SafePart, finish_ramp
 
@@ -239,9 +239,11 @@ class Engine:
         if not self._units.drop_late(f"step {planned.number}: {planned.step.describe()} {problem}"):
             place = self._run.job.document.place(planned.location)
             description = ": ".join(filter(None, (planned.label, planned.step.describe())))
+            is_question = isinstance(planned.step, AskOperator)
+            advice = "Answer it" if is_question else "Check the instrument that it waits for"
             raise StepTimeoutError(
-                f"{place}: step {planned.number} ({description}) {problem}. Check the instrument that it "
-                "waits for, or increase the step's timeout_s"
+                f"{place}: step {planned.number} ({description}) {problem}. {advice}, or increase the "
+                "step's timeout_s"
             )
 
     def _finish_step(self, planned: PlannedStep, elapsed_s: float, is_approach: bool) -> None:

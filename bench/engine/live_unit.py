@@ -220,7 +220,10 @@ class LiveUnit:
             is_emulated = self.station.file.ins.is_emulated
             remedy = "choose the --world that belongs to it" if is_emulated else "the output rate of the INS"
             if self.station.file.speed > 1.0:
-                remedy += "; or this computer is too slow for `gyrobench emulate --speed`"
+                remedy += (
+                    "; or give `gyrobench emulate` the --speed of the station file: it had another one, or this "
+                    "computer is too slow for it"
+                )
             raise SignalMapError(
                 f"{self.name}: counts an epoch in {period_s:.3g} s, not in {ins.epoch_period_s:g} s. Correct "
                 f"epoch_period_s of the signal map in the station file, or {remedy}"

@@ -31,7 +31,7 @@ def main() -> int:
     if config is None:
         return 0
     engine = EngineProcess(config.engine_pid)
-    clock = WallClock(datetime.fromisoformat(config.epoch), config.now_s)
+    clock = WallClock(datetime.fromisoformat(config.epoch), config.now_s, config.speed)
     log = GuardLog(Path(config.folder) / LOG_NAME, clock)
     _report_ready()
     log.add(f"watches process {config.engine_pid}; acts after {config.silence_s:g} s of silence")
@@ -40,7 +40,7 @@ def main() -> int:
         from gyrobench.bench.guard.rescue import Rescue
 
         rescue = Rescue(config, engine, clock, log)
-        end = watch_engine(_IN, config.silence_s, clock)
+        end = watch_engine(_IN, config.silence_s, WallClock())
         if end is EngineEnd.RELEASED:
             log.add(end.value)
         else:

@@ -162,6 +162,7 @@ class GuardProcess(Guard):
             engine_pid=os.getpid(),
             epoch=self._clock.epoch.isoformat(),
             now_s=self._clock.now(),
+            speed=self._clock.speed,
         )
 
     def _await_ready(self, process: subprocess.Popen[bytes]) -> None:

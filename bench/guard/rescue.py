@@ -109,7 +109,7 @@ class Rescue:
 
         Raises BenchInUseError if another run has locked it.
         """
-        deadline = Deadline(self._clock, self._silence_s)
+        deadline = Deadline(self._clock, self._silence_s * self._clock.speed)
         while True:
             lock = BenchLock(self._station, self._folder.path, self._clock, GUARD_COMMAND)
             with ExitStack() as resources:

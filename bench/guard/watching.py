@@ -39,6 +39,7 @@ class GuardConfig:
     engine_pid: int  #: the engine's process
     epoch: str  #: calendar time at zero of the run's clock, ISO 8601
     now_s: float  #: the run's clock when the guard starts
+    speed: float = 1.0  #: seconds of the run's clock per second of the host
 
     def line(self) -> bytes:
         """Return the bytes to send; raises ValueError if they are too long for the pipe."""

@@ -195,8 +195,8 @@ class CanIns:
             return ""
         return (
             "two nodes send the frames of the INS: its count of epochs "
-            f"({bound.message}.{bound.signal.name}) jumps between {counts[-2]:.0f} and {counts[-1]:.0f}. "
-            "Disconnect the other node, or give it other identifiers"
+            f"({bound.message}.{bound.signal.name}) jumps back and forth. Disconnect the other node, "
+            "or give it other identifiers"
         )
 
     def identity(self) -> dict[str, int]:

@@ -161,6 +161,26 @@ def test_an_operator_who_does_not_continue_stops_the_run(tmp_path):
     assert "Is the door shut?" in outcome.reason
 
 
+def test_a_question_without_an_answer_in_time_holds_the_run_with_the_advice_to_answer_it(tmp_path):
+    path = tmp_path / "ask.yaml"
+    ask = "ask_operator: {question: 'Is the door shut?', timeout_s: 60}"
+    path.write_text(f"procedure: ask\nsteps:\n  - {ask}\n")
+
+    class Absent(RefusingOperator):
+        def ask(self, question, answers):
+            super().ask(question, answers)
+            self.is_hold = question.startswith("The run holds")
+
+        def answer(self):
+            return super().answer() if self.is_hold else None
+
+    _, outcome = run_job(
+        prepare_job(str(path), "emulated"), tmp_path / "run", Intervention("nothing", None), Absent()
+    )
+    assert outcome.ended == "stopped"
+    assert "did not end within 60 s. Answer it, or increase the step's timeout_s" in outcome.reason
+
+
 def test_the_dwell_table_holds_every_dwell_that_was_finished_before_the_end(tmp_path):
     path = Path(tmp_path / "two.yaml")
     path.write_text(
@@ -215,7 +235,7 @@ def test_a_wrong_period_of_the_epochs_ends_the_run_before_its_first_dwell(
     monkeypatch.setitem(job.station.file.__dict__, "speed", speed)  # of a bench that is served
     _, outcome = run_job(job, tmp_path / "run", RunObserver(), ConsentingOperator())
     assert outcome.ended == "failed"
-    assert ("too slow for `gyrobench emulate --speed`" in outcome.reason) == (speed > 1.0)
+    assert ("give `gyrobench emulate` the --speed of the station file" in outcome.reason) == (speed > 1.0)
     assert f"counts an epoch in 0.1 s, not in {period_s:g} s. Correct epoch_period_s" in outcome.reason
     assert not outcome.check_dwells
     assert [action.problem for action in outcome.safe_state] == [""] * len(outcome.safe_state)

@@ -309,7 +309,9 @@ def test_a_second_node_with_the_same_identifiers_is_named(tmp_path, fault, shows
             bench.tick()
             texts += filter(None, [bench.instruments.ins.describe_second_node()])
         assert (len(texts) > 20) == shows_two_nodes
-        problem = "two nodes send the frames of the INS: its count of epochs (HEADING.EPOCH_COUNTER) jumps"
+        problem = (
+            "two nodes send the frames of the INS: its count of epochs (HEADING.EPOCH_COUNTER) jumps back"
+        )
         assert all(text.startswith(problem) for text in texts)
         assert shows_two_nodes or not texts
 

@@ -3,6 +3,7 @@ import os
 import signal
 import subprocess
 import sys
+from datetime import datetime
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from gyrobench.bench.foundations.clock import VirtualClock, WallClock
 from gyrobench.bench.foundations.errors import GyrobenchError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.guard.process import Guard, GuardProcess, guard_for
+from gyrobench.bench.guard.watching import LOG_NAME
 from gyrobench.bench.station.station import Station
 from tests.bench.guard.served_bench import station_file
 
@@ -29,6 +31,15 @@ def test_a_bench_inside_the_process_has_no_guard(tmp_path):
 
 def test_a_bench_behind_ports_has_one(station, tmp_path):
     assert isinstance(guard_for(station, tmp_path, WallClock()), GuardProcess)
+
+
+def test_the_log_of_a_guard_is_on_the_clock_of_a_fast_bench(station, tmp_path):
+    clock = WallClock(speed=1000.0)
+    with GuardProcess(station, tmp_path, clock) as guard:
+        clock.sleep(200.0)
+        guard.release()
+    begin, *_, end = (line.partition(" ")[0] for line in (tmp_path / LOG_NAME).read_text().splitlines())
+    assert (datetime.fromisoformat(end) - datetime.fromisoformat(begin)).total_seconds() > 190.0
 
 
 def test_a_guard_that_can_not_start_is_an_error(station, tmp_path, monkeypatch):
