@@ -221,8 +221,8 @@ class LiveUnit:
             remedy = "choose the --world that belongs to it" if is_emulated else "the output rate of the INS"
             if self.station.file.speed > 1.0:
                 remedy += (
-                    "; or give `gyrobench emulate` the --speed of the station file: it had another one, or this "
-                    "computer is too slow for it"
+                    "; or give `gyrobench emulate` the --speed of the station file: it had another one, or "
+                    "this computer is too slow for it"
                 )
             raise SignalMapError(
                 f"{self.name}: counts an epoch in {period_s:.3g} s, not in {ins.epoch_period_s:g} s. Correct "
