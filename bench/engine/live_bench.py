@@ -15,6 +15,7 @@ from gyrobench.bench.engine.interlocks.watch import SILENT_INSTRUMENT, Interlock
 from gyrobench.bench.engine.live_unit import BUS_SILENCE_S, LiveUnit, telemetry_row
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import ConnectionFailedError, FaultError, InstrumentError, ReplyError
+from gyrobench.bench.foundations.text import capitalised
 from gyrobench.bench.navigation.table_axes import Angles
 from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE, Instruments
 from gyrobench.bench.station.safe_state import SafeAction, make_safe, repeat
@@ -117,6 +118,7 @@ class LiveBench:
         self._report_failure = report_failure
         self._watch = InterlockWatch(station, clock, {INSTRUMENT, *instruments.absent})
         self._failing: list[str] = []
+        self._causes: dict[str, str] = {}  # why the port of a failing instrument could not be reopened
         self._next_reopen_s, self._reopen_pause_s = -math.inf, _FIRST_REOPEN_PAUSE_S
         self._next_try_s: dict[str, float] = {}  # of table and chamber while they do not answer
         self._reopening: set[str] = set()  # instruments whose ports threads open
@@ -205,7 +207,15 @@ class LiveBench:
         trips = self._watch.trips(self.clock.now(), self.state.expected)
         for unit in self.units:
             trips += [] if unit.is_set_aside else unit.trips()
-        return trips
+        return [self._with_cause(trip) for trip in trips]
+
+    def _with_cause(self, trip: Trip) -> Trip:
+        """Return a trip because of silence with the present problem of the port, if any, as its advice."""
+        instrument = SILENT_INSTRUMENT.get(trip.name, "")
+        cause = self._causes.get(f"{instrument} {trip.unit}".rstrip())
+        if cause is None:
+            return trip
+        return replace(trip, findings=tuple(each._replace(advice=cause) for each in trip.findings))
 
     def _answered_last_poll(self, silence: Trip) -> bool:
         """Whether a trip is the silence of an instrument whose last exchange did not fail."""
@@ -269,6 +279,7 @@ class LiveBench:
             return None
         if instrument in self._failing and not self._sends_nothing(instrument):
             self._failing.remove(instrument)
+            self._causes.pop(instrument, None)
             self._report_failure(instrument, None)
         return answer
 
@@ -320,6 +331,7 @@ class LiveBench:
             if not is_open:
                 self._reopening.add(instrument)
         except ConnectionFailedError as error:
+            self._causes[instrument] = capitalised(error.message)
             self.handle_failure(error)
         self._pause_tries(instrument, begin_s, is_open)
 

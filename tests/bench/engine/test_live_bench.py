@@ -2,6 +2,7 @@
 
 import math
 import os
+import re
 import tty
 from contextlib import closing, contextmanager
 from itertools import cycle
@@ -9,6 +10,7 @@ from itertools import cycle
 import numpy as np
 import pytest
 
+from gyrobench.bench.engine.interlocks.watch import text_of_trips
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.foundations.clock import VirtualClock, WallClock
 from gyrobench.bench.foundations.errors import NoReplyError, ReplyError
@@ -250,6 +252,22 @@ def test_a_table_that_does_not_answer_blocks_the_ticks_about_half_of_the_time(tm
         assert clock.now() < 420.0
 
 
+def test_a_silent_instrument_whose_port_is_gone_is_reported_with_the_present_problem_of_the_port(tmp_path):
+    """As an adapter that came back under another name."""
+    (tmp_path / "faults.yaml").write_text(
+        "faults:\n  - {fault: port_gone, target: table, at_s: 60, for_s: 300}\n"
+    )
+    with live_bench(faults=tmp_path / "faults.yaml") as (bench, _):
+        texts = []
+        while bench.clock.now() < 400.0:
+            bench.tick()
+            texts += [text_of_trips(trips)] if (trips := bench.trips()) else []
+        assert texts
+        problem = r"limit is \d+ s\. Can't open emulator://table: .* Check the station file's port and the"
+        assert all(re.search(problem, text) for text in texts)
+        assert not bench.silent
+
+
 @pytest.mark.long
 @pytest.mark.wall_time
 @pytest.mark.parametrize("link", ["table", "chamber", "ins"])
@@ -280,6 +298,10 @@ def test_a_port_that_hangs_does_not_keep_the_ticks_from_the_other_instruments(tm
                 if link != "table":
                     assert clock.now() - bench.readings.table_s < 5.0
             assert bench.silent
+            if link != "ins":
+                reason = text_of_trips(bench.trips())
+                assert "Its port is open, but " in reason
+                assert "Check its power, cable and port." not in reason
             assert bench.lateness.summary()["missed"] <= missed + 10
             (tmp_path / link).unlink()
             (tmp_path / link).symlink_to(port[link])
