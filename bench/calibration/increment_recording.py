@@ -78,7 +78,7 @@ class IncrementRecording:
         if self.interval_s > _BLOCK_S:
             raise MeasurementError(
                 f"samples are {self.interval_s:.3g} s apart; at most {_BLOCK_S:g} s is allowed. Check "
-                "'time' in the import map"
+                "'time' in the import map; of a run, ins.signals.increments.period_s"
             )
         if self.duration_s < MIN_REST_TOTAL_S:
             raise MeasurementError(
