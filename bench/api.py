@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from gyrobench.bench.bias.bias_filter import StateSpaceEstimate, estimate_state_space
 from gyrobench.bench.bias.dwell import MIN_EPOCHS, Dwell, NavigationWindow, RestOutput, TurnPath
 from gyrobench.bench.bias.noise_model import NoiseModel
-from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.parameters import ErrorModel, PriorKnowledge
 from gyrobench.bench.dwells.output_checks import rounding
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.csv_tables import read_text
@@ -334,7 +334,7 @@ def estimate_bias(
         *rounding(windows, *lsb)
     )
     site = Site(float(np.deg2rad(latitude_deg)), height_m)
-    return estimate_state_space(dwell, site, noise, prior or PriorKnowledge())
+    return estimate_state_space(dwell, ErrorModel(site, noise, prior or PriorKnowledge()))
 
 
 def _output(

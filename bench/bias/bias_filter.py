@@ -26,15 +26,14 @@ from gyrobench.bench.bias.damping import Damping
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, RestOutput, TurnPath
 from gyrobench.bench.bias.error_sources import SOURCES
 from gyrobench.bench.bias.error_split import ErrorPart, ErrorParts, noise_parts, prior_parts
-from gyrobench.bench.bias.noise_model import NoiseModel
-from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.parameters import ErrorModel
 from gyrobench.bench.bias.statistics import Chi2Test, chi2_p_value, chi2_test, least_chi2, solve
 from gyrobench.bench.bias.window_filter import WindowFilter
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, FloatArray, IntArray, block_diagonal
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vectors
 from gyrobench.bench.navigation.earth import EARTH_RATE, earth_rate_enu
-from gyrobench.bench.navigation.error_model import STATES, Site, integrate, unit_walks
+from gyrobench.bench.navigation.error_model import STATES, integrate, unit_walks
 
 #: Prior of the damping rate without prior knowledge, 1/s.
 _WIDE_DAMPING = 1.0
@@ -114,11 +113,11 @@ def _sigma_of_attitude(parts: Mapping[str, ErrorPart]) -> FloatArray:
 class BiasFilter:
     """Recursive estimate of one dwell."""
 
-    def __init__(self, site: Site, noise: NoiseModel, prior: PriorKnowledge) -> None:
-        self._site, self._noise, self._prior = site, noise, prior
-        self._earth_rate = earth_rate_enu(site.latitude)
+    def __init__(self, model: ErrorModel) -> None:
+        self._model = model
+        self._earth_rate = earth_rate_enu(model.site.latitude)
         self._windows: list[WindowFilter] = []
-        self._prior_root = parameters.prior_root(prior, 0, self._earth_rate)
+        self._prior_root = parameters.prior_root(model.prior, 0, self._earth_rate)
         self._expansions: list[FloatArray] = []
         self._changes: list[WindowChange] = []
         self._reference_c = np.full(4, np.nan)
@@ -148,14 +147,15 @@ class BiasFilter:
             before = last.columns[:, : window_filter.DATA] @ self._expansions[-1]
             state_response[:, : -parameters.PER_WINDOW] = change.transition @ before + turn_response
             negated_state = change.transition @ last.columns[:, window_filter.DATA]
-            walks = np.square([self._noise.angle_random_walk, self._noise.velocity_random_walk])
+            noise = self._model.noise
+            walks = np.square([noise.angle_random_walk, noise.velocity_random_walk])
             covariance = change.transition @ last.covariance @ change.transition.T
             covariance += np.tensordot(walks, change.walk_covariance, 1)
         state_response[3:5, count - parameters.PER_WINDOW :][:, parameters.VELOCITY] = np.eye(2)
         state_response[:3, count - parameters.PER_WINDOW :][:, parameters.ATTITUDE] = np.eye(3)
-        self._windows.append(WindowFilter(self._site, self._noise, time_s, C_nb, negated_state, covariance))
+        self._windows.append(WindowFilter(self._model, time_s, C_nb, negated_state, covariance))
         self._expansions.append(_expansion(state_response, C_nb, self._earth_rate))
-        self._prior_root = parameters.prior_root(self._prior, len(self._windows), self._earth_rate)
+        self._prior_root = parameters.prior_root(self._model.prior, len(self._windows), self._earth_rate)
 
     def add(self, rest: RestOutput) -> None:
         """Add the next epochs of the present window.
@@ -224,7 +224,7 @@ class BiasFilter:
         covariance: FloatArray,
     ) -> ErrorParts:
         gain = covariance @ information.bias_at_mean.T
-        noise = noise_parts(self._windows, self._changes, expansions, gain, self._site, self._noise)
+        noise = noise_parts(self._windows, self._changes, expansions, gain, self._model)
         by_prior = self._prior_parts(information, parameter_mask, information.bias_at_mean, covariance)
         return ErrorParts(noise | by_prior)
 
@@ -238,7 +238,7 @@ class BiasFilter:
         """Errors of linear functions ``at_mean`` (3, p) of the parameters due to prior knowledge."""
         at_gain = at_mean @ covariance @ information.rows.T @ information.rows
         response = (at_mean - at_gain) @ self._prior_root
-        return prior_parts(response, self._prior, parameter_mask, len(self._windows))
+        return prior_parts(response, self._model.prior, parameter_mask, len(self._windows))
 
     def goodness_of_fit(self) -> Chi2Test:
         """Test whether the model explains the epochs added so far, even of a single window."""
@@ -281,7 +281,7 @@ class BiasFilter:
         return Damping(float(values[parameters.DAMPING]) - duration_s * variance, math.sqrt(variance))
 
     def _latitude(self, information: DwellInformation) -> tuple[float, float]:
-        prior = replace(self._prior, latitude=_WIDE_LATITUDE)
+        prior = replace(self._model.prior, latitude=_WIDE_LATITUDE)
         prior_root = parameters.prior_root(prior, len(self._windows), self._earth_rate)
         values, covariance = solve(information.rows, information.data, prior_root)
         rates = parameters.NAVIGATION_RATE
@@ -307,7 +307,8 @@ class BiasFilter:
         rotations = rotation_vectors(path[:-1].transpose(0, 2, 1) @ path[1:])
         middle = path[:-1] @ rotation_matrices(0.5 * rotations)
         durations = np.diff(edges)
-        steps, walks = integrate(self._site, durations, 0.0, 0.0), unit_walks(self._site, durations)
+        site = self._model.site
+        steps, walks = integrate(site, durations, 0.0, 0.0), unit_walks(site, durations)
         for k in np.flatnonzero(durations > 0.0):
             rate_body = middle[k].T @ self._earth_rate + rotations[k] / durations[k]
             inputs = parameters.inputs(middle[k], rate_body, count)
@@ -331,7 +332,7 @@ class BiasFilter:
         count = len(self._windows)
         transient_indices = parameters.transients(count)
         parameter_mask = np.ones(information.rows.shape[1])
-        if not len(transient_indices) or self._prior.accelerometer_transient == 0.0:
+        if not len(transient_indices) or self._model.prior.accelerometer_transient == 0.0:
             return information, parameter_mask
         if not (test and self._transient_p_value(information, transient_indices) < _MAX_TRANSIENT_P_VALUE):
             parameter_mask[transient_indices] = 0.0
@@ -346,7 +347,7 @@ class BiasFilter:
             covariance[np.ix_(transient_indices, transient_indices)],
         )
         # Short windows can't distinguish settling from a bias, so they are no evidence of it.
-        if np.sqrt(np.diag(covariance)).max() > self._prior.accelerometer_transient:
+        if np.sqrt(np.diag(covariance)).max() > self._model.prior.accelerometer_transient:
             return 1.0
         chi2 = float(changes_mps2 @ np.linalg.solve(covariance, changes_mps2))
         return chi2_p_value(len(transient_indices), chi2)
@@ -408,23 +409,21 @@ def _add_north_rate(values: FloatArray, information: DwellInformation) -> FloatA
     return result
 
 
-def estimate_state_space(
-    dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge
-) -> StateSpaceEstimate:
+def estimate_state_space(dwell: Dwell, model: ErrorModel) -> StateSpaceEstimate:
     """Estimate the gyro biases of one complete dwell; see the module docstring.
 
     Raises MeasurementError if the dwell has no turn.
     """
-    return _filter_dwell(dwell, site, noise, prior).estimate(complete=True)
+    return _filter_dwell(dwell, model).estimate(complete=True)
 
 
-def dwell_chi2(dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge) -> float:
-    """Chi-square of a dwell under the error model for this site; see :meth:`BiasFilter.chi2`."""
-    return _filter_dwell(dwell, site, noise, prior).chi2()
+def dwell_chi2(dwell: Dwell, model: ErrorModel) -> float:
+    """Chi-square of a dwell under an error model; see :meth:`BiasFilter.chi2`."""
+    return _filter_dwell(dwell, model).chi2()
 
 
-def _filter_dwell(dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge) -> BiasFilter:
-    bias_filter = BiasFilter(site, noise, prior)
+def _filter_dwell(dwell: Dwell, model: ErrorModel) -> BiasFilter:
+    bias_filter = BiasFilter(model)
     for index, window in enumerate(dwell.windows):
         turn = dwell.turns[index - 1] if index else None
         bias_filter.begin_window(window.time_s[0], window.C_nb[0], turn)
@@ -432,11 +431,9 @@ def _filter_dwell(dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowl
     return bias_filter
 
 
-def navigation_fit(
-    window: NavigationWindow, site: Site, noise: NoiseModel, prior: PriorKnowledge
-) -> Chi2Test:
-    """Test whether error model and noise explain one navigation; does not test the alignment."""
-    bias_filter = BiasFilter(site, noise, prior)
+def navigation_fit(window: NavigationWindow, model: ErrorModel) -> Chi2Test:
+    """Test whether an error model explains one navigation; does not test the alignment."""
+    bias_filter = BiasFilter(model)
     bias_filter.begin_window(window.time_s[0], window.C_nb[0])
     bias_filter.add(window)
     return bias_filter.goodness_of_fit()

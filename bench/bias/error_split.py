@@ -27,12 +27,11 @@ import numpy as np
 from gyrobench.bench.bias import parameters
 from gyrobench.bench.bias.bias_steps import WindowChange
 from gyrobench.bench.bias.error_sources import SOURCES
-from gyrobench.bench.bias.noise_model import NoiseModel
-from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.parameters import ErrorModel, PriorKnowledge
 from gyrobench.bench.bias.window_filter import DATA, MEASURED_STATES, WindowFilter
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, FloatArray, IntArray
 from gyrobench.bench.foundations.kernels import compiled
-from gyrobench.bench.navigation.error_model import STATES, Site, unit_walks
+from gyrobench.bench.navigation.error_model import STATES, unit_walks
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,8 +140,7 @@ def noise_parts(
     changes: Sequence[WindowChange],
     expansions: Sequence[FloatArray],
     gain: FloatArray,
-    site: Site,
-    noise: NoiseModel,
+    model: ErrorModel,
 ) -> dict[str, ErrorPart]:
     """Errors due to the noise of gyros, accelerometers and outputs.
 
@@ -153,7 +151,7 @@ def noise_parts(
     for number in reversed(range(len(windows))):
         epochs = windows[number].filtered_epochs
         durations = np.diff(epochs.time_s, prepend=epochs.time_s[0])
-        walk_covariance = unit_walks(site, durations)
+        walk_covariance = unit_walks(model.site, durations)
         # Weights of the white innovations in the biases.
         weights = epochs.rows[:, :, :DATA] @ (expansions[number] @ gain[: expansions[number].shape[1]])
         _backward(
@@ -163,7 +161,7 @@ def noise_parts(
         if number:
             walks += costate.T @ changes[number - 1].walk_covariance @ costate
             costate = np.ascontiguousarray(changes[number - 1].transition.T @ costate)
-    variances = windows[0].output_variances
+    variances, noise = windows[0].output_variances, model.noise
     covariances = {
         "angle_random_walk": noise.angle_random_walk**2 * walks[0],
         "velocity_random_walk": noise.velocity_random_walk**2 * walks[1],

@@ -1,4 +1,4 @@
-"""Parameters of a dwell, in the order of the least-squares problem, and prior knowledge of them.
+"""Parameters of a dwell, in the order of the least-squares problem, and the error model that they are of.
 
 First the parameters that dwells can share, then those of each window.
 """
@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.foundations.arrays import (
     ARCSEC_TO_RAD,
     DPH_TO_RADPS,
@@ -18,7 +19,7 @@ from gyrobench.bench.foundations.arrays import (
     IntArray,
 )
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.navigation.error_model import INPUTS
+from gyrobench.bench.navigation.error_model import INPUTS, Site
 
 #: Indices of the parameters that dwells can share: biases of the gyros and their slopes with temperature,
 #: accelerometer biases (body axes), rate North and Up fixed in the navigation frame, gyro error matrix by
@@ -167,3 +168,16 @@ class PriorKnowledge:
             accelerometer_transient_ug * UG_TO_MPS2,
             accelerometer_slope_ug_per_c * UG_TO_MPS2,
         )
+
+
+@dataclass(frozen=True)
+class ErrorModel:
+    """Error model of an INS at rest: where it stands, its noise, and prior knowledge of its other errors."""
+
+    site: Site
+    noise: NoiseModel
+    prior: PriorKnowledge = PriorKnowledge()
+
+    def at_latitude(self, latitude: float) -> ErrorModel:
+        """The model for another latitude, rad."""
+        return replace(self, site=replace(self.site, latitude=latitude))

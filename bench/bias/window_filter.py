@@ -15,12 +15,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gyrobench.bench.bias.dwell import interval_indices
-from gyrobench.bench.bias.noise_model import NoiseModel
+from gyrobench.bench.bias.parameters import ErrorModel
 from gyrobench.bench.bias.statistics import compress
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray
 from gyrobench.bench.foundations.kernels import compiled
 from gyrobench.bench.navigation.attitude import rotation_vector_enu
-from gyrobench.bench.navigation.error_model import INPUTS, STATES, Site, integrate
+from gyrobench.bench.navigation.error_model import INPUTS, STATES, integrate
 
 #: Interval of the epochs used, s. Velocity and heading are integrals, so more epochs would only average the
 #: noise of the output.
@@ -80,16 +80,15 @@ class WindowFilter:
 
     def __init__(
         self,
-        site: Site,
-        noise: NoiseModel,
+        model: ErrorModel,
         time_s: float,
         C_nb: FloatArray,
         negated_state: FloatArray,
         covariance: FloatArray,
     ) -> None:
-        self._site, self._noise = site, noise
+        self._model = model
         self.first_s = time_s
-        white = np.array([noise.velocity_white, noise.velocity_white, noise.heading_white])
+        white = np.array([model.noise.velocity_white] * 2 + [model.noise.heading_white])
         self.output_variances = np.maximum(white, _MIN_WHITE) ** 2
         self._minutes: dict[int, _Minute] = {}
         self.C_nb = np.ascontiguousarray(C_nb)
@@ -123,10 +122,10 @@ class WindowFilter:
         temperatures of the bias slopes, K.
         """
         steps = integrate(
-            self._site,
+            self._model.site,
             np.diff(time_s, prepend=time_s[0] if math.isnan(self.last_s) else self.last_s),
-            self._noise.angle_random_walk,
-            self._noise.velocity_random_walk,
+            self._model.noise.angle_random_walk,
+            self._model.noise.velocity_random_walk,
         )
         heading = -rotation_vector_enu(C_nb, self.C_nb)[:, 2]
         varying_inputs = np.zeros((len(time_s), INPUTS, DATA - SLOPE))

@@ -26,9 +26,8 @@ from gyrobench.bench.bias import parameters
 from gyrobench.bench.bias.bias_filter import BiasFilter
 from gyrobench.bench.bias.dwell import Dwell, NavigationWindow
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.paper import TURN_TOLERANCE, PolynomialTrend
-from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.parameters import ErrorModel
 from gyrobench.bench.bias.plateaus import MAX_FROM_MEAN_K, group_plateaus
 from gyrobench.bench.bias.statistics import solve
 from gyrobench.bench.dwells.earlier_calibration import AccelerometerBiases, EarlierCalibration
@@ -84,11 +83,11 @@ def _velocity_row(
     row = _empty_row(each.marks, "velocity", _NORTH, each.flags)
     if each.navigation is None:
         return row
-    dwell, noise = each.navigation.dwell, each.navigation.noise
+    dwell, model = each.navigation.dwell, setup.error_model(each.navigation.noise)
     gyro_c = each.temperatures.gyro_c
     accelerometers = calibration.accelerometers(row.position, gyro_c)
-    bias = bias_from_velocity(dwell, each.marks.align_s, setup.site, noise, setup.prior, accelerometers)
-    slope = bias_from_velocity_slope(dwell, setup.site, noise, accelerometers)
+    bias = bias_from_velocity(dwell, each.marks.align_s, model, accelerometers)
+    slope = bias_from_velocity_slope(dwell, model, accelerometers)
     return _compare(row, gyro_c, bias, slope, accelerometers, calibration)
 
 
@@ -115,9 +114,7 @@ def _alignment_row(
         first.navigation.dwell,
         second.navigation.dwell,
         min(first.marks.align_s, second.marks.align_s),
-        setup.site,
-        first.navigation.noise,
-        setup.prior,
+        setup.error_model(first.navigation.noise),
         accelerometers,
     )
     return _compare(row, (x, y, z), bias, None, accelerometers, calibration)
@@ -246,13 +243,7 @@ class AxisBias:
 
 
 def bias_from_alignments(
-    first: Dwell,
-    second: Dwell,
-    align_s: float,
-    site: Site,
-    noise: NoiseModel,
-    prior: PriorKnowledge,
-    accelerometers: AccelerometerBiases,
+    first: Dwell, second: Dwell, align_s: float, model: ErrorModel, accelerometers: AccelerometerBiases
 ) -> AxisBias:
     """Bias of the gyro that points East, from two alignments half a turn apart.
 
@@ -264,6 +255,7 @@ def bias_from_alignments(
     Raises MeasurementError if the two are not half a turn apart.
     """
     _check_half_turn(first, second)
+    site, noise, prior = model.site, model.noise, model.prior
     _, rate_n, rate_u = earth_rate_enu(site.latitude)
     headings = [_heading_error(each) for each in (first, second)]
     sigmas = (
@@ -278,12 +270,7 @@ def bias_from_alignments(
 
 
 def bias_from_velocity(
-    dwell: Dwell,
-    align_s: float,
-    site: Site,
-    noise: NoiseModel,
-    prior: PriorKnowledge,
-    accelerometers: AccelerometerBiases,
+    dwell: Dwell, align_s: float, model: ErrorModel, accelerometers: AccelerometerBiases
 ) -> AxisBias:
     """Bias of the gyro that points North, from the navigation directly after an alignment.
 
@@ -293,11 +280,11 @@ def bias_from_velocity(
     Raises MeasurementError if there is not one window.
     """
     window = _only_window(dwell)
-    bias_filter = BiasFilter(site, noise, prior)
+    bias_filter = BiasFilter(model)
     bias_filter.begin_window(window.time_s[0], window.C_nb[0])
     bias_filter.add(window)
     information = bias_filter.information()
-    mean, root = _aligned_prior(window.C_nb[0], align_s, site, noise, prior, accelerometers)
+    mean, root = _aligned_prior(window.C_nb[0], align_s, model, accelerometers)
     values, covariance = solve(information.rows, information.data - information.rows @ mean, root)
     north = window.C_nb[0].T @ _NORTH
     weights = north @ information.bias_at_mean
@@ -305,18 +292,18 @@ def bias_from_velocity(
 
 
 def bias_from_velocity_slope(
-    dwell: Dwell, site: Site, noise: NoiseModel, accelerometers: AccelerometerBiases
+    dwell: Dwell, model: ErrorModel, accelerometers: AccelerometerBiases
 ) -> AxisBias:
     """Bias of the gyro that points North, from the second derivative of the velocity East over g.
 
     For comparison: neglects the Schuler loop and the Earth's rotation, as the paper does. Raises
     MeasurementError if there is not one window.
     """
-    window = _only_window(dwell)
+    window, site = _only_window(dwell), model.site
     time = window.time_s - window.time_s[0]
     weights = PolynomialTrend(time, 2).weights / site.gravity
     apparent = float(window.velocity_enu_mps[:, 0] @ weights)
-    sigma = math.sqrt(float(noise.velocity_variance(time, weights, site.gravity)))
+    sigma = math.sqrt(float(model.noise.velocity_variance(time, weights, site.gravity)))
     return _correct_for_accelerometer(window.C_nb[0].T @ _NORTH, apparent, sigma, site, accelerometers)
 
 
@@ -344,18 +331,14 @@ def _heading_error(dwell: Dwell) -> float:
 
 
 def _aligned_prior(
-    C_nb: FloatArray,
-    align_s: float,
-    site: Site,
-    noise: NoiseModel,
-    prior: PriorKnowledge,
-    accelerometers: AccelerometerBiases,
+    C_nb: FloatArray, align_s: float, model: ErrorModel, accelerometers: AccelerometerBiases
 ) -> tuple[FloatArray, FloatArray]:
     """Prior mean (p,) of the parameters after an alignment, and root (p, p) of their covariance."""
+    site, noise = model.site, model.noise
     earth_rate = earth_rate_enu(site.latitude)
     level_sigma = noise.velocity_random_walk / site.gravity / math.sqrt(align_s)
     heading_sigma = noise.angle_random_walk / earth_rate[1] / math.sqrt(align_s)
-    root = parameters.prior_root(prior, 1, earth_rate)
+    root = parameters.prior_root(model.prior, 1, earth_rate)
     root[parameters.ACCELEROMETER_BIAS, parameters.ACCELEROMETER_BIAS] = np.diag(accelerometers.sigma)
     attitude = np.arange(len(root))[parameters.COMMON_COUNT :][parameters.ATTITUDE]
     root[attitude, attitude] = level_sigma, level_sigma, heading_sigma

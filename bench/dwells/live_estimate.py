@@ -26,7 +26,7 @@ _ANY_NOISE = NoiseModel(1e-7, 1e-5, 1e-5, 1e-8)
 
 def compile_estimator(setup: MeasurementSetup) -> None:
     """Compile the kernels that estimate a dwell, or load them from numba's cache."""
-    bias_filter = BiasFilter(setup.site, setup.noise or _ANY_NOISE, setup.prior)
+    bias_filter = BiasFilter(setup.error_model(setup.noise or _ANY_NOISE))
     time_s, attitudes = np.arange(2.0), rotation_matrices(np.outer([0.0, np.pi], [0.0, 0.0, 1.0]))
     for index, C_nb in enumerate(attitudes):
         turn = TurnPath.at_constant_rate(0.0, 1.0, attitudes) if index else None
@@ -67,9 +67,8 @@ class LiveEstimate:
             first_frame = max(0, self._next_frame - _OVERLAP_FRAMES)
             navigation = self._setup.decode(self._frames(first_frame))
             if self._filter is None:
-                self._filter = BiasFilter(
-                    self._setup.site, self._noise(windows, navigation), self._setup.prior
-                )
+                noise = self._noise(windows, navigation)
+                self._filter = BiasFilter(self._setup.error_model(noise))
             for index, mark in enumerate(windows):
                 if mark.end_frame > self._next_frame:
                     self._add_new_epochs(self._filter, index, mark, navigation, first_frame)

@@ -18,7 +18,7 @@ from gyrobench.bench.bias.joint_solution import JointInformation
 from gyrobench.bench.bias.noise_estimate import RestMotion
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.paper import estimate_paper
-from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.parameters import ErrorModel, PriorKnowledge
 from gyrobench.bench.bias.statistics import Chi2Test
 from gyrobench.bench.bias.vertical_pairs import exceeds_declared
 from gyrobench.bench.bias.window_filter import EPOCH_S
@@ -202,7 +202,7 @@ def estimate_dwell(
     ``damping``: of the velocities by the tilt, which a change of a bias does not affect. Without it, damping
     is estimated together with the biases.
     """
-    estimate = _estimate(dwell, setup, noise, damping)
+    estimate = _estimate(dwell, setup.error_model(noise), damping)
     faults = setup.output_faults(dwell.windows, noise) if faults is None else faults
     disturbances = [fault.text for fault in faults if not fault.may_be_noise]
     persistent_flags = _contradictions(estimate)
@@ -228,9 +228,7 @@ def estimate_dwell(
     return EstimatedDwell(estimate, tuple(disturbances), (*by_noise, *persistent_flags))
 
 
-def _estimate(
-    dwell: Dwell, setup: MeasurementSetup, noise: NoiseModel, damping: Damping | None
-) -> StateSpaceEstimate:
+def _estimate(dwell: Dwell, model: ErrorModel, damping: Damping | None) -> StateSpaceEstimate:
     """Estimate the biases with the declared latitude, or with another one if only that avoids a flag.
 
     All dwells of a run together decide on the latitude. Until then, the uncertainty of the vertical bias
@@ -238,10 +236,10 @@ def _estimate(
     """
 
     def estimate_with(prior: PriorKnowledge) -> StateSpaceEstimate:
-        estimate = estimate_state_space(dwell, setup.site, noise, prior)
+        estimate = estimate_state_space(dwell, replace(model, prior=prior))
         return estimate if damping is None else replace(estimate, damping=damping)
 
-    estimate, prior = estimate_with(setup.prior), setup.prior
+    estimate, prior = estimate_with(model.prior), model.prior
     error = abs(estimate.latitude_error)
     is_consistent = not (_contradictions(estimate) or estimate.probable_step)
     if is_consistent or not exceeds_declared(error, estimate.latitude_sigma, prior.latitude):
@@ -249,7 +247,7 @@ def _estimate(
     refit = estimate_with(replace(prior, latitude=error))
     if _contradictions(refit) or refit.probable_step:
         return estimate
-    _, north_rate, _ = earth_rate_enu(setup.site.latitude)
+    _, north_rate, _ = earth_rate_enu(model.site.latitude)
     up_radps = error * north_rate * dwell.windows[0].C_nb[0, 2]
     latitude = refit.parts["latitude"]
     widened = replace(latitude, columns=np.column_stack([latitude.columns, up_radps]))
@@ -406,7 +404,7 @@ def measure_check_dwell(marks: DwellMarks, frames: FrameBlock, setup: Measuremen
             raise_setup_fault(setup.evidence(dwell, navigation.noise, faults, data.latitude))
         flags += [fault.text for fault in faults]
         (window,) = navigation.dwell.windows
-        fit = navigation_fit(window, setup.site, navigation.noise, setup.prior)
+        fit = navigation_fit(window, setup.error_model(navigation.noise))
         if fit.p_value < _MIN_FIT_P_VALUE:
             flags.append(lack_of_fit_text(fit))
     except MeasurementError as error:

@@ -13,7 +13,7 @@ from gyrobench.bench.bias.budget import BudgetInputs
 from gyrobench.bench.bias.dwell import Dwell, NavigationWindow, RestOutput, TurnPath
 from gyrobench.bench.bias.noise_estimate import estimate_noise
 from gyrobench.bench.bias.noise_model import NoiseModel
-from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.parameters import ErrorModel, PriorKnowledge
 from gyrobench.bench.dwells.output_checks import OutputFault, exceeds_noise, output_faults, rounding
 from gyrobench.bench.dwells.setup_check import SetupEvidence, setup_evidence
 from gyrobench.bench.dwells.sign_check import SignCheck
@@ -82,7 +82,11 @@ class MeasurementSetup:
         if any(not fault.may_be_noise for fault in faults):
             return None
         is_latitude_sent = math.isfinite(sent_latitude)
-        return setup_evidence(dwell, self.site, noise, self.prior, self.heading_lsb_rad, is_latitude_sent)
+        return setup_evidence(dwell, self.error_model(noise), self.heading_lsb_rad, is_latitude_sent)
+
+    def error_model(self, noise: NoiseModel) -> ErrorModel:
+        """Error model of the INS with this noise."""
+        return ErrorModel(self.site, noise, self.prior)
 
     @property
     def budget_inputs(self) -> BudgetInputs:

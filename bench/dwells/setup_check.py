@@ -32,8 +32,7 @@ import numpy as np
 from gyrobench.bench.bias.bias_filter import dwell_chi2, estimate_state_space
 from gyrobench.bench.bias.damping import Damping
 from gyrobench.bench.bias.dwell import Dwell, NavigationWindow
-from gyrobench.bench.bias.noise_model import NoiseModel
-from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.parameters import ErrorModel
 from gyrobench.bench.bias.statistics import chi2_p_value
 from gyrobench.bench.bias.window_filter import EPOCH_S
 from gyrobench.bench.dwells.velocity_regression import VelocityRegression, velocity_regression
@@ -96,26 +95,18 @@ class SetupEvidence:
 
 
 def setup_evidence(
-    dwell: Dwell,
-    site: Site,
-    noise: NoiseModel,
-    prior: PriorKnowledge,
-    heading_step_rad: float,
-    is_latitude_sent: bool,
+    dwell: Dwell, model: ErrorModel, heading_step_rad: float, is_latitude_sent: bool
 ) -> SetupEvidence | None:
     """Evidence of a dwell without jumps of the output; None if it has none.
 
     ``heading_step_rad``: resolution of the attitude. ``is_latitude_sent``: whether the INS sends its
     latitude, which is compared with the station's; then only the opposite one is tried.
     """
-    velocities = velocity_regression(dwell, site, noise, prior, heading_step_rad)
+    velocities = velocity_regression(dwell, model, heading_step_rad)
     if velocities is None:
         return None
-    return SetupEvidence(
-        velocities,
-        site.latitude,
-        *_latitude_gains(dwell, site, noise, prior, velocities.damping, is_latitude_sent),
-    )
+    gains = _latitude_gains(dwell, model, velocities.damping, is_latitude_sent)
+    return SetupEvidence(velocities, model.site.latitude, *gains)
 
 
 def setup_fault(dwells: Sequence[SetupEvidence]) -> str:
@@ -315,12 +306,7 @@ def _latitude_fault(dwells: Sequence[SetupEvidence]) -> str:
 
 
 def _latitude_gains(
-    dwell: Dwell,
-    site: Site,
-    noise: NoiseModel,
-    prior: PriorKnowledge,
-    damping: Damping,
-    is_latitude_sent: bool,
+    dwell: Dwell, model: ErrorModel, damping: Damping, is_latitude_sent: bool
 ) -> tuple[float, FloatArray]:
     """Reduction of chi2 at the opposite latitude, and at others (7,); 0 if neither explains the data.
 
@@ -332,42 +318,37 @@ def _latitude_gains(
         )
     except MeasurementError:
         return 0.0, _NO_GAINS
-    thinned, opposite = replace(dwell, windows=windows), replace(site, latitude=-site.latitude)
-    latitudes = [] if is_latitude_sent else _LATITUDES.tolist()
-    sites = [opposite, *(replace(site, latitude=each) for each in latitudes)]
-    chi2 = dwell_chi2(thinned, site, noise, prior)
-    others = np.array([dwell_chi2(thinned, each, noise, prior) for each in sites])
+    thinned = replace(dwell, windows=windows)
+    latitudes = [-model.site.latitude, *([] if is_latitude_sent else _LATITUDES.tolist())]
+    models = [model.at_latitude(each) for each in latitudes]
+    chi2, others = dwell_chi2(thinned, model), np.array([dwell_chi2(thinned, each) for each in models])
     limit = _MAX_CHI2_PER_DATUM * 3 * sum(len(each.time_s) for each in windows)
     gains = np.where(np.minimum(chi2, others) > limit, 0.0, chi2 - others)
     # The opposite latitude may be the exact one; the nearest of the others is not.
-    if _is_step(dwell, (site, opposite), noise, prior, damping, float(gains[0])):
+    if _is_step(dwell, (model, models[0]), damping, float(gains[0])):
         gains[0] = 0.0
     best = int(np.argmax(gains))
-    if best and _is_step(dwell, (site, sites[best]), noise, prior, damping, float(gains[best]), _MAX_P_VALUE):
+    if best and _is_step(dwell, (model, models[best]), damping, float(gains[best]), _MAX_P_VALUE):
         gains = np.zeros_like(gains)
     return float(gains[0]), _NO_GAINS if is_latitude_sent else gains[1:]
 
 
 def _is_step(
     dwell: Dwell,
-    sites: tuple[Site, Site],
-    noise: NoiseModel,
-    prior: PriorKnowledge,
+    models: tuple[ErrorModel, ErrorModel],
     damping: Damping,
     gain: float,
     max_p_value: float = 1.0,
 ) -> bool:
-    """Whether a bias that steps explains the dwell better than the second site, with this gain.
+    """Whether a bias that steps explains the dwell better than the second model, with this gain.
 
-    ``max_p_value``: that the second site may leave for the fit or the windows. False without a turn,
+    ``max_p_value``: that the second model may leave for the fit or the windows. False without a turn,
     and for the gain of noise.
     """
     if gain < _MIN_STEP_GAIN:
         return False
     try:
-        here, other = (
-            replace(estimate_state_space(dwell, each, noise, prior), damping=damping) for each in sites
-        )
+        here, other = (replace(estimate_state_space(dwell, each), damping=damping) for each in models)
     except MeasurementError:
         return False
     if other.probable_step is not None or other.damping.p_value < _MAX_P_VALUE:

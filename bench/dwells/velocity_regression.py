@@ -23,13 +23,12 @@ import numpy as np
 
 from gyrobench.bench.bias.damping import Damping
 from gyrobench.bench.bias.dwell import Dwell, NavigationWindow
-from gyrobench.bench.bias.noise_model import NoiseModel, rounding_sigma
-from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.noise_model import rounding_sigma
+from gyrobench.bench.bias.parameters import ErrorModel, PriorKnowledge
 from gyrobench.bench.bias.window_filter import EPOCH_S, TRANSIENT_S
 from gyrobench.bench.foundations.arrays import FloatArray, integral
 from gyrobench.bench.navigation.attitude import rotation_vector_enu
 from gyrobench.bench.navigation.earth import EARTH_RATE
-from gyrobench.bench.navigation.error_model import Site
 
 #: Usual remainder of a quartz accelerometer's slope of 15 to 30 ug/K after compensation.
 _USUAL_SLOPE_UG_PER_C = 2.0
@@ -70,7 +69,7 @@ class VelocityRegression:
 
 
 def velocity_regression(
-    dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge, heading_step_rad: float
+    dwell: Dwell, model: ErrorModel, heading_step_rad: float
 ) -> VelocityRegression | None:
     """Regression of a dwell without jumps of the output; None if its attitude is too coarse.
 
@@ -78,6 +77,7 @@ def velocity_regression(
     """
     # A station file may declare less than the unit really has.
     usual = PriorKnowledge.from_datasheet(accelerometer_slope_ug_per_c=_USUAL_SLOPE_UG_PER_C)
+    prior = model.prior
     widened = replace(
         prior,
         accelerometer_drift=max(prior.accelerometer_drift, usual.accelerometer_drift),
@@ -85,7 +85,7 @@ def velocity_regression(
         accelerometer_slope=max(prior.accelerometer_slope, usual.accelerometer_slope),
     )
     moments, attitude_noise, count, separate_chi2 = _dwell_moments(
-        dwell, site.gravity, noise, widened, heading_step_rad
+        dwell, replace(model, prior=widened), heading_step_rad
     )
     if (attitude_noise > _MAX_NOISE_SHARE * np.diag(moments)[_MATRIX]).any() or not np.isfinite(
         moments
@@ -98,7 +98,7 @@ def velocity_regression(
     covariance = np.asarray(scatter * np.linalg.inv(rows)[_MATRIX, _MATRIX])
     if not (np.linalg.eigvalsh(covariance) > 0.0).all():
         return None
-    others, others_covariance, response = _solve_for_identity(moments, site.latitude)
+    others, others_covariance, response = _solve_for_identity(moments, model.site.latitude)
     sigma = np.sqrt(scatter * np.diag(others_covariance))
     drift, drift_unit = slice(2, 5), widened.accelerometer_drift
     return VelocityRegression(
@@ -113,7 +113,7 @@ def velocity_regression(
 
 
 def _dwell_moments(
-    dwell: Dwell, gravity: float, noise: NoiseModel, prior: PriorKnowledge, step_rad: float
+    dwell: Dwell, model: ErrorModel, step_rad: float
 ) -> tuple[FloatArray, FloatArray, int, float]:
     """Moments (n + 1, n + 1) of the n parameters of a dwell and the velocity, whitened.
 
@@ -123,9 +123,7 @@ def _dwell_moments(
     size = _DWELL_COUNT + 2 * len(dwell.windows)
     moments, attitude_noise, count, separate_chi2 = np.zeros((size + 1, size + 1)), np.zeros(4), 0, 0.0
     for number, window in enumerate(dwell.windows):
-        window_moments, noise_moments, data = _window_moments(
-            window.thinned(EPOCH_S), gravity, noise, prior, step_rad
-        )
+        window_moments, noise_moments, data = _window_moments(window.thinned(EPOCH_S), model, step_rad)
         to_dwell = np.zeros((_WINDOW_COUNT + 1, size + 1))
         to_dwell[: _DRIFT.start, : _DRIFT.start] = np.eye(_DRIFT.start)
         to_dwell[_DRIFT, _DRIFT.start : _DWELL_COUNT] = window.C_nb[0, :2]
@@ -167,13 +165,14 @@ def _prior(count: int) -> FloatArray:
 
 
 def _window_moments(
-    window: NavigationWindow, gravity: float, noise: NoiseModel, prior: PriorKnowledge, step_rad: float
+    window: NavigationWindow, model: ErrorModel, step_rad: float
 ) -> tuple[FloatArray, FloatArray, int]:
     """Moments (9, 9) of the parameters of a window and the velocity, whitened.
 
     Also returns the moments (4,) that noise of the attitude adds to those of the matrix, and the number of
     white data.
     """
+    gravity, noise, prior = model.site.gravity, model.noise, model.prior
     count = len(window.time_s) // max(1, len(window.time_s) // _MEANS)
     every = len(window.time_s) // count
     time_s = window.time_s - window.time_s[0]

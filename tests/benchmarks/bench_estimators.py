@@ -23,7 +23,7 @@ from gyrobench.bench.bias.bias_filter import BiasFilter, StateSpaceEstimate, est
 from gyrobench.bench.bias.dwell import Dwell, RestOutput
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.paper import estimate_paper
-from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.parameters import ErrorModel, PriorKnowledge
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import POSITIONS
 from tests.bench.bias import disturbances
@@ -44,7 +44,7 @@ DWELLS, QUANTISED_DWELLS, FIT_DWELLS = 2000, 400, 20
 def ours(
     dwell: Dwell, noise: NoiseModel, prior: PriorKnowledge = DEFAULT, latitude_deg: float = LATITUDE_DEG
 ):
-    return estimate_state_space(dwell, site(latitude_deg), noise, prior)
+    return estimate_state_space(dwell, ErrorModel(site(latitude_deg), noise, prior))
 
 
 def papers(dwell: Dwell, noise: NoiseModel = NOISE, latitude_deg: float = LATITUDE_DEG):
@@ -358,7 +358,7 @@ def test_azimuths():
 
 
 def recursive(dwell: Dwell, chunk: int, noise: NoiseModel) -> StateSpaceEstimate:
-    bias_filter = BiasFilter(site(), noise, DEFAULT)
+    bias_filter = BiasFilter(ErrorModel(site(), noise, DEFAULT))
     for number, window in enumerate(dwell.windows):
         bias_filter.begin_window(
             window.time_s[0], window.C_nb[0], dwell.turns[number - 1] if number else None

@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrobench.bench.bias.bias_filter import estimate_state_space
 from gyrobench.bench.bias.joint_solution import JointDwell, JointInformation, JointSolution, solve_jointly
-from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.parameters import ErrorModel, PriorKnowledge
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.navigation.positions import POSITIONS
 from tests.bench.bias.emulated_dwells import emulate, noise_model, sensors, site
@@ -96,7 +96,7 @@ def _measured(
         outer_level=True,
         latitude_error_arcmin=unit.latitude_error_arcmin,
     )
-    estimate = estimate_state_space(dwell, site(), NOISE, PriorKnowledge())
+    estimate = estimate_state_space(dwell, ErrorModel(site(), NOISE))
     return JointDwell(number, position, estimate.information, 1, chamber_set_c, (25.0, 25.0, 25.0))
 
 

@@ -8,7 +8,7 @@ import pytest
 from gyrobench.bench.bias.bias_filter import BiasFilter, estimate_state_space
 from gyrobench.bench.bias.dwell import RestOutput
 from gyrobench.bench.bias.noise_model import NoiseModel
-from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.parameters import ErrorModel, PriorKnowledge
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import UP, angle_between, rotation_matrix
 from gyrobench.bench.navigation.positions import POSITIONS
@@ -25,7 +25,7 @@ EXACT_DPH = 2e-4
 
 
 def estimate(dwell, prior=DEFAULT, noise=NOISE, latitude_deg=LATITUDE_DEG):
-    return estimate_state_space(dwell, site(latitude_deg), noise, prior)
+    return estimate_state_space(dwell, ErrorModel(site(latitude_deg), noise, prior))
 
 
 @cache
@@ -129,7 +129,7 @@ def epochs(rest, part):
 
 def feed(dwell, sizes, noise=NOISE):
     """A filter that got the epochs of a dwell in chunks of these sizes, again and again."""
-    bias_filter = BiasFilter(site(), noise, DEFAULT)
+    bias_filter = BiasFilter(ErrorModel(site(), noise, DEFAULT))
     for number, window in enumerate(dwell.windows):
         bias_filter.begin_window(
             window.time_s[0], window.C_nb[0], dwell.turns[number - 1] if number else None
@@ -220,7 +220,7 @@ def test_refuses_a_dwell_without_a_turn():
 
 def test_refuses_an_estimate_before_there_is_navigation_after_the_turn():
     dwell = emulate(window_s=60.0)
-    bias_filter = BiasFilter(site(), NOISE, DEFAULT)
+    bias_filter = BiasFilter(ErrorModel(site(), NOISE, DEFAULT))
     with pytest.raises(MeasurementError, match="no navigation after a turn"):
         bias_filter.estimate()
     before, after = dwell.windows
@@ -246,7 +246,7 @@ def test_a_turn_that_determines_nothing_leaves_the_level_gyros_unknown():
 def test_a_long_rest_after_the_turn_changes_nothing(settle_s):
     truth = sensors(bias_dph=(0.05, 0.05, 0.05))
     dwell = emulate("z_up", truth, settle_s=settle_s)
-    estimate = estimate_state_space(dwell, site(), NOISE, CLEAN)
+    estimate = estimate_state_space(dwell, ErrorModel(site(), NOISE, CLEAN))
     assert np.abs(estimate.bias_dph - 0.05).max() < 2e-4
     level = np.abs(estimate.accelerometer_bias[:2])
     assert np.all(level < 0.5 * estimate.accelerometer_sigma[:2])

@@ -7,6 +7,7 @@ from scipy.stats import chi2, kstest
 from gyrobench.bench.bias.bias_filter import estimate_state_space
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.paper import estimate_paper
+from gyrobench.bench.bias.parameters import ErrorModel
 from gyrobench.bench.navigation.positions import POSITIONS
 from tests.bench.bias.cramer_rao import CramerRao
 from tests.bench.bias.emulated_dwells import CLEAN, DPH, emulate, noise_model, sensors, site
@@ -17,7 +18,7 @@ TRUTH_DPH = np.array([0.02, -0.01, 0.015])
 
 
 def estimate(dwell, noise=NOISY):
-    return estimate_state_space(dwell, site(), noise, CLEAN)
+    return estimate_state_space(dwell, ErrorModel(site(), noise, CLEAN))
 
 
 def chi_square(estimates, truth_dph):

@@ -18,7 +18,7 @@ from gyrobench.bench.bias.budget import (
     with_budgets,
 )
 from gyrobench.bench.bias.error_split import ErrorPart
-from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.parameters import ErrorModel
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, RAD_TO_ARCMIN
 from tests.bench.bias.dwell_rows import dwell_row
 from tests.bench.bias.emulated_dwells import emulate, noise_model, sensors, site
@@ -69,9 +69,7 @@ def contribution(budget, source):
 def measured(position):
     """Budgets of a simulated dwell whose random walks count as estimated."""
     noise = replace(noise_model(0.0006), dof=MEASURED_DOF)
-    found = estimate_state_space(
-        emulate(position, sensors((0.05, 0.0, 0.0))), site(), noise, PriorKnowledge()
-    )
+    found = estimate_state_space(emulate(position, sensors((0.05, 0.0, 0.0))), ErrorModel(site(), noise))
     row = replace(dwell_row(1, position, 20.5), sigma_dph=tuple(found.sigma_dph.tolist()))
     return found, budgets([BudgetedDwell(row, found.parts)])
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.bias.bias_filter import estimate_state_space
-from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.parameters import ErrorModel, PriorKnowledge
 from tests.bench.bias import disturbances
 from tests.bench.bias.emulated_dwells import CLEAN, emulate, noise_model, sensors, site
 from tests.bench.bias.pyins_dwells import RestingIns, simulate
@@ -19,7 +19,7 @@ EXACT_DPH = 2e-4
 
 
 def estimate(dwell, prior=DEFAULT):
-    return estimate_state_space(dwell, site(), NOISE, prior)
+    return estimate_state_space(dwell, ErrorModel(site(), NOISE, prior))
 
 
 def error_dph(dwell, bias_dph=BIAS_DPH):

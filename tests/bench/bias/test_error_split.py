@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.bias.bias_filter import estimate_state_space
-from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.parameters import ErrorModel, PriorKnowledge
 from tests.bench.bias.emulated_dwells import emulate, noise_model, sensors, site
 
 NOISE, PRIOR = noise_model(0.0006), PriorKnowledge()
@@ -24,7 +24,7 @@ def warming(time_s):
 
 
 def estimate(measured, noise=NOISE, prior=PRIOR):
-    return estimate_state_space(measured, site(), noise, prior)
+    return estimate_state_space(measured, ErrorModel(site(), noise, prior))
 
 
 def covariance_of(part):

@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 from gyrobench.bench.bias.bias_filter import estimate_state_space
 from gyrobench.bench.bias.noise_model import NoiseModel
-from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.parameters import ErrorModel
 from gyrobench.bench.bias.statistics import Chi2Test, chi2_test
 from tests.bench.bias import disturbances
 from tests.bench.bias.emulated_dwells import emulate, noise_model, sensors, site, turned_about_up
@@ -24,7 +24,7 @@ def fits(count=3, declared=NOISE, **dwell):
     random = np.random.default_rng(30)
     for _ in range(count):
         emulated = emulate(noise=NOISE, random=random, **dwell)
-        yield estimate_state_space(emulated, site(), declared, PriorKnowledge()).fit
+        yield estimate_state_space(emulated, ErrorModel(site(), declared)).fit
 
 
 def flagged(**dwell):
@@ -61,7 +61,7 @@ def test_less_noise_than_declared_shows_in_the_ratio():
 def undisturbed():
     """A good dwell and its biases."""
     dwell = emulate(ins=sensors(noise=NOISE), noise=NOISE, random=np.random.default_rng(31))
-    return dwell, estimate_state_space(dwell, site(), NOISE, PriorKnowledge()).bias_dph
+    return dwell, estimate_state_space(dwell, ErrorModel(site(), NOISE)).bias_dph
 
 
 def spiked(at, velocity_mps=0.0, heading_rad=0.0):
@@ -74,7 +74,7 @@ def spiked(at, velocity_mps=0.0, heading_rad=0.0):
     headings[at] = heading_rad
     wrong = replace(first, velocity_enu_mps=velocity, C_nb=turned_about_up(first.C_nb, headings))
     spike = replace(dwell, windows=(wrong, *dwell.windows[1:]))
-    found = estimate_state_space(spike, site(), NOISE, PriorKnowledge())
+    found = estimate_state_space(spike, ErrorModel(site(), NOISE))
     return found.fit, np.abs(found.bias_dph - bias_dph).max()
 
 

@@ -7,7 +7,7 @@ from scipy.stats import chi2
 
 from gyrobench.bench.bias.bias_filter import estimate_state_space
 from gyrobench.bench.bias.joint_solution import SHARED_ACCELEROMETER_MATRIX, JointDwell, pooled_up_rate
-from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.parameters import ErrorModel, PriorKnowledge
 from gyrobench.bench.bias.plateaus import group_plateaus
 from gyrobench.bench.bias.statistics import uniformity_p_value
 from gyrobench.bench.bias.vertical_pairs import Finding
@@ -82,7 +82,7 @@ def test_dwell_by_itself_is_its_own_estimate():
         outer_level=True, gyro_c=lambda time_s: 20.0 + np.outer(time_s, [1e-3, 2e-3, -1e-3]),
     )  # fmt: skip
     prior = SURVEYED
-    estimate = estimate_state_space(dwell, site(), NOISE, prior)
+    estimate = estimate_state_space(dwell, ErrorModel(site(), NOISE, prior))
     single = joint_solution_of([JointDwell(1, "y_down", estimate.information)], prior).single
     np.testing.assert_allclose(
         single.bias_radps[0] * RADPS_TO_DPH, estimate.bias_dph, atol=1e-3 * estimate.sigma_dph.min()

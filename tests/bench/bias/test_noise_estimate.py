@@ -7,6 +7,7 @@ from gyrobench.bench.bias.bias_filter import estimate_state_space
 from gyrobench.bench.bias.dwell import NavigationWindow
 from gyrobench.bench.bias.noise_estimate import compare_noise, estimate_noise
 from gyrobench.bench.bias.noise_model import NoiseModel
+from gyrobench.bench.bias.parameters import ErrorModel
 from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, DPH_TO_RADPS, UG_PER_SQRT_HZ_TO_SI
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import POSITIONS
@@ -345,7 +346,7 @@ def own_noise():
 def test_good_dwells_pass_the_test_of_fit_with_the_noise_that_they_show(own_noise):
     p_values = np.array(
         [
-            estimate_state_space(one, site(), noise.noise_model(), CLEAN).fit.p_value
+            estimate_state_space(one, ErrorModel(site(), noise.noise_model(), CLEAN)).fit.p_value
             for one, noise in own_noise
         ]
     )

@@ -6,7 +6,7 @@ import pytest
 
 from gyrobench.bench.bias.bias_filter import navigation_fit
 from gyrobench.bench.bias.dwell import NavigationWindow
-from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.parameters import ErrorModel, PriorKnowledge
 from gyrobench.bench.bias.statistics import uniformity_p_value
 from gyrobench.bench.dwells.calibration_check import (
     AccelerometerBiases,
@@ -45,15 +45,15 @@ def dwell_at(position, azimuth_deg, seed=None, **errors):
 
 
 def velocity(dwell, known=KNOWN):
-    return bias_from_velocity(dwell, ALIGN_S, site(), NOISE, PRIOR, known)
+    return bias_from_velocity(dwell, ALIGN_S, ErrorModel(site(), NOISE, PRIOR), known)
 
 
 def slope(dwell, known=KNOWN):
-    return bias_from_velocity_slope(dwell, site(), NOISE, known)
+    return bias_from_velocity_slope(dwell, ErrorModel(site(), NOISE), known)
 
 
 def alignments(first, second, known=KNOWN):
-    return bias_from_alignments(first, second, ALIGN_S, site(), NOISE, PRIOR, known)
+    return bias_from_alignments(first, second, ALIGN_S, ErrorModel(site(), NOISE, PRIOR), known)
 
 
 def error_dph(found):
@@ -90,8 +90,8 @@ def test_both_ways_hold_at_other_latitudes(latitude_deg):
     place = {"latitude_deg": latitude_deg, "align_s": ALIGN_S}
     first, second = (emulate("y_down", ins, stops_deg=(stop,), **place) for stop in (0.0, 180.0))
     there = site(latitude_deg)
-    aligned = bias_from_alignments(first, second, ALIGN_S, there, NOISE, PRIOR, KNOWN)
-    navigated = bias_from_velocity(first, ALIGN_S, there, NOISE, PRIOR, KNOWN)
+    aligned = bias_from_alignments(first, second, ALIGN_S, ErrorModel(there, NOISE, PRIOR), KNOWN)
+    navigated = bias_from_velocity(first, ALIGN_S, ErrorModel(there, NOISE, PRIOR), KNOWN)
     assert abs(error_dph(aligned)) < EXACT_DPH
     assert abs(error_dph(navigated)) < EXACT_DPH
 
@@ -138,7 +138,7 @@ def test_misalignment_towards_the_vertical_is_in_the_uncertainty_of_the_alignmen
     ins = sensors(BIAS_DPH, ACCELEROMETER_UG, gyro_matrix=matrix)
     first, second = (emulate("z_up", ins, stops_deg=(stop,), align_s=ALIGN_S) for stop in (0.0, 180.0))
     loose = replace(PRIOR, gyro_misalignment=20.0 * DPH)
-    found = bias_from_alignments(first, second, ALIGN_S, site(), NOISE, loose, KNOWN)
+    found = bias_from_alignments(first, second, ALIGN_S, ErrorModel(site(), NOISE, loose), KNOWN)
     assert error_dph(found) == pytest.approx(8.7e-4, rel=0.1)
     tight = alignments(first, second)
     assert found.sigma_dph**2 - tight.sigma_dph**2 == pytest.approx(8.7e-4**2, rel=0.1)
@@ -151,7 +151,10 @@ def test_the_uncertainties_are_those_of_the_scatter():
         first, second = dwell_at("x_down", 0.0, seed), dwell_at("x_down", 180.0, seed)
         found = [alignments(first, second), velocity(first), velocity(second)]
         pulls.append([error_dph(each) / each.sigma_dph for each in found])
-        fits += [navigation_fit(each.windows[0], site(), NOISE, PRIOR).p_value for each in (first, second)]
+        fits += [
+            navigation_fit(each.windows[0], ErrorModel(site(), NOISE, PRIOR)).p_value
+            for each in (first, second)
+        ]
     # 100 alignments and 200 navigations: the chance of less or of more is below 1e-3.
     alignment_pulls, velocity_pulls = np.array(pulls)[:, 0], np.array(pulls)[:, 1:].ravel()
     assert 0.79 < np.sqrt(np.mean(alignment_pulls**2)) < 1.23
@@ -174,7 +177,9 @@ def test_the_bias_is_that_at_the_mean_temperature_of_the_navigation():
     )
     loose = replace(PRIOR, bias_slope=0.01 * DPH)
     flat = AccelerometerBiases(np.zeros(3), np.full(3, 2.0 * UG))
-    found = bias_from_velocity(dwell, ALIGN_S, site(), replace(NOISE, angle_random_walk=1e-9), loose, flat)
+    found = bias_from_velocity(
+        dwell, ALIGN_S, ErrorModel(site(), replace(NOISE, angle_random_walk=1e-9), loose), flat
+    )
     assert found.bias_dph == pytest.approx(BIAS_DPH[1] + 0.005, abs=EXACT_DPH)
 
 
@@ -184,8 +189,8 @@ def test_a_navigation_that_was_disturbed_does_not_fit(step_mps, rows):
     velocity_mps = window.velocity_enu_mps.copy()
     velocity_mps[rows, 0] += step_mps
     disturbed = NavigationWindow(window.time_s, velocity_mps, window.C_nb)
-    assert navigation_fit(window, site(), NOISE, PRIOR).p_value > 1e-3
-    assert navigation_fit(disturbed, site(), NOISE, PRIOR).p_value < 1e-9
+    assert navigation_fit(window, ErrorModel(site(), NOISE, PRIOR)).p_value > 1e-3
+    assert navigation_fit(disturbed, ErrorModel(site(), NOISE, PRIOR)).p_value < 1e-9
 
 
 def test_alignments_that_are_not_half_a_turn_apart_determine_nothing():

@@ -8,7 +8,7 @@ import pytest
 
 from gyrobench.bench.bias.damping import Damping
 from gyrobench.bench.bias.joint_solution import JointDwell, solve_jointly
-from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.parameters import ErrorModel, PriorKnowledge
 from gyrobench.bench.dwells.setup_check import drift_fault, measured_scale, setup_evidence, setup_fault
 from tests.adversarial import frames
 from tests.adversarial.frames import euler_deg
@@ -302,7 +302,8 @@ def test_accelerometers_that_follow_the_temperature_pass_for_no_wrong_scale_and_
     known = PriorKnowledge.from_datasheet(accelerometer_slope_ug_per_c=declared_ug_per_k)
     unknown = replace(dwell, windows=tuple(replace(each, accelerometer_c=None) for each in dwell.windows))
     with_temperatures, without = (
-        setup_evidence(each, site(), noise, known, 0.0, is_latitude_sent=True) for each in (dwell, unknown)
+        setup_evidence(each, ErrorModel(site(), noise, known), 0.0, is_latitude_sent=True)
+        for each in (dwell, unknown)
     )
     assert setup_fault([with_temperatures]) == drift_fault(with_temperatures.velocities) == ""
     assert "accelerometer drifts by 1" in drift_fault(without.velocities)
