@@ -168,9 +168,7 @@ class CanIns:
 
     def status(self) -> InsStatus:
         """Return the state according to the newest frames; does not poll."""
-        now_s = self._clock.now()
-        snapshot = self._newest.snapshot(now_s)
-        return InsStatus(snapshot, self._newest.age_s(now_s), self.signal_map, self._signals)
+        return InsStatus(self._newest, self._clock.now(), self.signal_map, self._signals)
 
     def forget(self) -> None:
         """Drop the newest frames: the state is unknown until new frames arrive."""

@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray, Triple
 from gyrobench.bench.foundations.kernels import compiled
@@ -35,26 +36,26 @@ class NewestFrames:
 
     def __init__(self, codec: DbcCodec) -> None:
         self._codec = codec
-        #: Time stamp and data by identifier; replaced, not changed, as snapshots refer to it.
-        self._newest: dict[int, tuple[float, bytes]] = {}
+        #: Time stamp and data by identifier; replaced, not changed, as a status refers to it.
+        self.rows: dict[int, tuple[float, bytes]] = {}
         #: The same of multiplexed messages, by identifier and page, the newest one last.
-        self._pages: Mapping[int, Mapping[int, tuple[float, bytes]]] = {}
-        self._received_s, self._stamp_s = -math.inf, 0.0
+        self.pages: Mapping[int, Mapping[int, tuple[float, bytes]]] = {}
+        self.received_s, self.stamp_s = -math.inf, 0.0
 
     def take(self, frames: FrameBlock, now_s: float) -> None:
         """Store frames that have just arrived, in order; at least one."""
-        self._received_s, self._stamp_s = now_s, frames.timestamp_s.item(-1)
+        self.received_s, self.stamp_s = now_s, frames.timestamp_s.item(-1)
         newest = _by_identifier(frames.take(_newest_rows(frames.arbitration_id)))
-        self._newest = self._newest | newest
+        self.rows = self.rows | newest
         for identifier, mask in self._codec.page_masks.items():
             if identifier in newest:
-                self._pages = {**self._pages, identifier: self._newest_pages(frames, identifier, mask)}
+                self.pages = {**self.pages, identifier: self._newest_pages(frames, identifier, mask)}
 
     def _newest_pages(
         self, frames: FrameBlock, identifier: int, mask: np.uint64
     ) -> dict[int, tuple[float, bytes]]:
         """Newest frames of a multiplexed message by page, with those that have just arrived."""
-        pages = dict(self._pages.get(identifier, {}))
+        pages = dict(self.pages.get(identifier, {}))
         of_message = frames.take(frames.rows_with_id(identifier))
         selected = of_message.data.view(np.uint64)[:, 0] & mask
         for page in reversed(dict.fromkeys(selected[::-1].tolist())):  # in the order of their last frames
@@ -66,16 +67,8 @@ class NewestFrames:
     def forget(self, message_name: str) -> None:
         """Drop the frames of a message."""
         dropped_id = self._codec.arbitration_id(message_name)
-        self._newest = {each: row for each, row in self._newest.items() if each != dropped_id}
-        self._pages = {each: pages for each, pages in self._pages.items() if each != dropped_id}
-
-    def age_s(self, now_s: float) -> float:
-        """Time since the last frame; infinite before the first."""
-        return now_s - self._received_s
-
-    def snapshot(self, now_s: float) -> Snapshot:
-        """Return the values of the frames that are not stale."""
-        return Snapshot(self._newest, self._pages, self._stamp_s + self.age_s(now_s) - STALE_S)
+        self.rows = {each: row for each, row in self.rows.items() if each != dropped_id}
+        self.pages = {each: pages for each, pages in self.pages.items() if each != dropped_id}
 
 
 def _by_identifier(frames: FrameBlock) -> dict[int, tuple[float, bytes]]:
@@ -102,43 +95,42 @@ def _newest_rows(identifiers: NDArray[np.uint32]) -> IntArray:
     return last_rows[:count]
 
 
-class Snapshot:
-    """Values of the newest frames at one moment, without frames stamped before ``oldest_s``."""
+class _PresentReadout(Readout):
+    """Reads the newest frames that are not stale."""
 
     def __init__(
-        self,
-        newest: Mapping[int, tuple[float, bytes]],
-        pages: Mapping[int, Mapping[int, tuple[float, bytes]]],
-        oldest_s: float,
+        self, frames: NewestFrames, now_s: float, signal_map: SignalMap, signals: Mapping[str, BoundSignal]
     ) -> None:
-        self._newest = newest
-        self._pages = pages
-        self._oldest_s = oldest_s
+        super().__init__(signal_map, signals)
+        self.age_s = now_s - frames.received_s
+        self._rows, self._pages = frames.rows, frames.pages
+        self._oldest_s = frames.stamp_s + self.age_s - STALE_S
 
-    def value(self, bound: BoundSignal) -> float:
-        """Value of a signal; NaN if its frame is missing or stale."""
+    def number(self, path: str) -> float:
+        """Present value of a quantity; NaN if it is not mapped, or its frame is missing or stale."""
+        if (bound := self.signals.get(path)) is None:
+            return math.nan
         if self._pages and bound.arbitration_id in self._pages:
             frames = [*self._pages[bound.arbitration_id].values()][::-1]
             values = (bound.decode_si(data) for stamp_s, data in frames if stamp_s >= self._oldest_s)
             return next((value for value in values if not math.isnan(value)), math.nan)
-        stamp_s, data = self._newest.get(bound.arbitration_id, _NEVER)
+        stamp_s, data = self._rows.get(bound.arbitration_id, _NEVER)
         return math.nan if stamp_s < self._oldest_s else bound.decode_si(data)
 
-    def last_values(self, bound: BoundSignal, rows: IntArray) -> FloatArray:  # noqa: ARG002 - there is only the present
-        """Value of a signal, shape (1,)."""
-        return np.array([self.value(bound)])
+    @override
+    def _last_values(self, path: str, rows: IntArray) -> FloatArray:
+        return np.array([self.number(path)])
 
 
 class InsStatus:
     """State of the INS at one moment; quantities not mapped or stale are NaN, None or ``UNKNOWN``."""
 
     def __init__(
-        self, snapshot: Snapshot, age_s: float, signal_map: SignalMap, signals: Mapping[str, BoundSignal]
+        self, frames: NewestFrames, now_s: float, signal_map: SignalMap, signals: Mapping[str, BoundSignal]
     ) -> None:
-        self.age_s = age_s  #: Time since the last frame; infinite before the first.
-        self._snapshot = snapshot
-        self._signals = signals
-        self._readout = Readout(snapshot, signal_map, signals)
+        self._readout = _PresentReadout(frames, now_s, signal_map, signals)
+        self._number = self._readout.number
+        self.age_s = self._readout.age_s  #: Time since the last frame; infinite before the first.
 
     @cached_property
     def mode(self) -> InsMode:
@@ -234,10 +226,6 @@ class InsStatus:
     def _whole_number(self, path: str) -> int | None:
         value = self._number(path)
         return None if math.isnan(value) else int(value)
-
-    def _number(self, path: str) -> float:
-        bound = self._signals.get(path)
-        return math.nan if bound is None else self._snapshot.value(bound)
 
     def _axes(self, name: str) -> Triple:
         return self._number(f"{name}.x"), self._number(f"{name}.y"), self._number(f"{name}.z")

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
-from gyrobench.drivers.ins.readout import BlockReader, Readout
-from gyrobench.drivers.ins.signal_map import SignalMap, bind_signals
+from gyrobench.drivers.ins.readout import BlockReadout
+from gyrobench.drivers.ins.signal_map import SignalMap
 
 _TEMPERATURES = ("gyro_optics_temperature", "gyro_electronics_temperature", "case_temperature")
 _SENSORS = (*(f"{name}.{axis}" for name in _TEMPERATURES[:2] for axis in "xyz"), _TEMPERATURES[2])
@@ -70,9 +70,8 @@ class NavigationData:
 
 def decode_navigation(block: FrameBlock, signal_map: SignalMap, codec: DbcCodec) -> NavigationData:
     """Decode one uninterrupted block. Raises DocumentError if the signal map does not fit the DBC."""
-    reader = BlockReader(block, codec)
-    readout = Readout(reader, signal_map, bind_signals(signal_map, codec))
-    epochs = _find_epochs(reader, readout)
+    readout = BlockReadout(block, signal_map, codec)
+    epochs = _find_epochs(readout)
     messages = {each.message for path, each in readout.signals.items() if not path.startswith("increments.")}
     return NavigationData(
         ins_time_s=epochs.ins_time_s,
@@ -83,7 +82,7 @@ def decode_navigation(block: FrameBlock, signal_map: SignalMap, codec: DbcCodec)
         attitude=readout.attitude(epochs.rows),
         mode=readout.mode(epochs.rows),
         alignment=readout.alignment(epochs.rows),
-        temperatures=_temperatures(reader, readout, epochs),
+        temperatures=_temperatures(readout, epochs),
         counts=epochs.counts,
         short_frames=sum(codec.count_short(block, message) for message in messages),
         latitude=next(iter(readout.value("latitude", epochs.rows[-1:]).tolist()), math.nan),
@@ -110,14 +109,11 @@ def decode_increments(block: FrameBlock, signal_map: SignalMap, codec: DbcCodec)
     mapped = signal_map.increments
     if mapped is None:
         return None
-    reader = BlockReader(block, codec)
-    bound = bind_signals(signal_map, codec)
-    signals = {path: each for path, each in bound.items() if path.startswith("increments.")}
-    readout = Readout(reader, signal_map, signals)
-    rows = reader.rows(max((b.message for b in signals.values()), key=codec.arbitration_id))
+    readout = BlockReadout(block, signal_map, codec)
+    rows = readout.last_rows("increments.")
     if mapped.counter is not None:
         counts = readout.value("increments.counter", rows)
-        rows = _without_repeats(reader, rows, np.diff(counts) == 0.0)
+        rows = _without_repeats(block, rows, np.diff(counts) == 0.0)
     angle, velocity = (
         readout.axes(f"increments.{increment}", rows)
         if getattr(mapped, increment) is not None
@@ -128,7 +124,7 @@ def decode_increments(block: FrameBlock, signal_map: SignalMap, codec: DbcCodec)
     counter_steps, modulus = np.ones(len(intervals_s)), 1.0
     if mapped.counter is not None:
         counter_steps = np.diff(readout.value("increments.counter", rows))
-        modulus = _modulus(readout, "increments.counter")
+        modulus = readout.modulus("increments.counter")
     steps = _unwrap_steps(counter_steps, modulus, 1.0)
     is_next = steps == 1.0 if mapped.counter is not None else np.rint(intervals_s / mapped.period_s) == 1.0
     # In units of the median interval, as the declared period may be wrong; NaN if frames come in bursts.
@@ -145,28 +141,24 @@ def decode_increments(block: FrameBlock, signal_map: SignalMap, codec: DbcCodec)
     )
 
 
-def _temperatures(reader: BlockReader, readout: Readout, epochs: _Epochs) -> Temperatures:
+def _temperatures(readout: BlockReadout, epochs: _Epochs) -> Temperatures:
     """Temperatures, with one row for each frame of the temperature with the highest identifier and page."""
-    signals = [bound for path, bound in readout.signals.items() if path.startswith(_TEMPERATURES)]
-    rows = np.zeros(0, np.int64)
-    if signals and len(epochs.rows):
-        last = max(signals, key=lambda bound: (bound.arbitration_id, bound.signal.multiplexer_ids or []))
-        rows = reader.rows_with(last)
+    rows = readout.last_rows(_TEMPERATURES) if len(epochs.rows) else np.zeros(0, np.int64)
     following = np.minimum(np.searchsorted(epochs.rows, rows), len(epochs.rows) - 1)
     return Temperatures(
         ins_time_s=epochs.ins_time_s[following],
         optics_c=readout.axes("gyro_optics_temperature", rows),
         electronics_c=readout.axes("gyro_electronics_temperature", rows),
         case_c=readout.value("case_temperature", rows),
-        spread_k=np.stack([_spread(reader, readout, path, rows) for path in _SENSORS], axis=-1),
+        spread_k=np.stack([_spread(readout, path, rows) for path in _SENSORS], axis=-1),
     )
 
 
-def _spread(reader: BlockReader, readout: Readout, path: str, rows: IntArray) -> FloatArray:
+def _spread(readout: BlockReadout, path: str, rows: IntArray) -> FloatArray:
     """Largest difference (m,) between successive readings of a sensor, from each row to the next."""
     spread = np.zeros(len(rows) + 1)
     if path in readout.signals:
-        sensor_rows = reader.rows_with(readout.signals[path])
+        sensor_rows = readout.rows_with(readout.signals[path])
         interval = np.searchsorted(rows, sensor_rows)
         is_same_interval = interval[1:] == interval[:-1]
         differences = np.abs(np.diff(readout.value(path, sensor_rows)))
@@ -207,14 +199,14 @@ class _Epochs:
     counts: EpochCounts
 
 
-def _find_epochs(reader: BlockReader, readout: Readout) -> _Epochs:
+def _find_epochs(readout: BlockReadout) -> _Epochs:
     """Find the epochs and their times; see :class:`_Epochs`."""
-    groups, incomplete = _group_frames(reader, readout)
+    groups, incomplete = _group_frames(readout)
     period_s = readout.map.epoch_period_s
     if readout.map.epoch_counter is not None:
-        numbers, modulus = readout.value("epoch_counter", groups.rows), _modulus(readout, "epoch_counter")
+        numbers, modulus = readout.value("epoch_counter", groups.rows), readout.modulus("epoch_counter")
     elif readout.map.time_s is not None:
-        numbers, modulus = readout.time_s(groups.rows) / period_s, _modulus(readout, "time_s") / period_s
+        numbers, modulus = readout.time_s(groups.rows) / period_s, readout.modulus("time_s") / period_s
     else:
         times_s = np.round(groups.arrival_s, _STAMP_DECIMALS)
         one_segment = np.zeros(len(times_s), np.int64)
@@ -229,7 +221,7 @@ def _find_epochs(reader: BlockReader, readout: Readout) -> _Epochs:
     lost = int(np.sum(np.rint(np.diff(position)[~restart[1:]]) - 1.0))
     times_s = _times(readout, groups, position, restart)
     has_time = ~np.isnan(times_s)
-    contradicted = _count_contradicted(reader, readout, groups.rows, np.where(restart, np.inf, steps[is_new]))
+    contradicted = _count_contradicted(readout, groups.rows, np.where(restart, np.inf, steps[is_new]))
     groups, times_s, segment = groups.take(has_time), times_s[has_time], np.cumsum(restart)[has_time]
     counts = EpochCounts(
         lost=lost,
@@ -253,32 +245,32 @@ class _Groups:
         return _Groups(self.rows[mask], self.arrival_s[mask], self.time_rows[mask])
 
 
-def _group_frames(reader: BlockReader, readout: Readout) -> tuple[_Groups, int]:
+def _group_frames(readout: BlockReadout) -> tuple[_Groups, int]:
     """Collect the complete groups, and count the incomplete ones between the first and the last.
 
     A frame that arrives twice, as through two gateways, is no second epoch.
     """
-    names = _messages_in_order(reader, readout)
+    names = _messages_in_order(readout)
     required = np.array([name in readout.map.messages_of_epoch() for name in names])
-    stamps_s = reader.block.timestamp_s
+    stamps_s = readout.block.timestamp_s
     message_index = np.full(len(stamps_s), -1, np.int8)
     for index, name in enumerate(names):
-        message_index[reader.rows(name)] = index
+        message_index[readout.rows(name)] = index
     rows = np.flatnonzero(message_index >= 0)
     if len(names) > 1:  # of a single message, equal frames may be two epochs with the same output
-        rows = _without_repeats(reader, rows, np.diff(message_index[rows]) == 0)
+        rows = _without_repeats(readout.block, rows, np.diff(message_index[rows]) == 0)
     order = message_index[rows]
     # A new epoch begins where the order restarts, or a pause separates the frames.
     restarts = np.diff(order) <= 0
     pause = ~restarts & (np.diff(stamps_s[rows]) > readout.map.epoch_period_s / 2.0)
-    has_count = [name == _message_of("epoch_counter", readout) for name in names]
+    has_count = [name == readout.message_of("epoch_counter") for name in names]
     begins = restarts | (pause & ~_is_delayed(readout, rows, restarts, np.array(has_count)[order]))
     group = np.cumsum(np.concatenate([[True], begins]))[: len(rows)] - 1
     table = np.full((int(group.max(initial=-1)) + 1, len(names)), -1, np.int64)
     table[group, order] = rows
     complete = np.all(table[:, required] >= 0, axis=1)
     complete_rows = table[complete]
-    has_time = [name == _message_of("time_s", readout) for name in names]
+    has_time = [name == readout.message_of("time_s") for name in names]
     groups = _Groups(
         rows=complete_rows.max(axis=1, initial=-1),
         arrival_s=stamps_s[complete_rows[:, int(np.argmax(required))]],
@@ -287,14 +279,16 @@ def _group_frames(reader: BlockReader, readout: Readout) -> tuple[_Groups, int]:
     return groups, int(np.sum(~complete[1:-1]))
 
 
-def _without_repeats(reader: BlockReader, rows: IntArray, is_same: BoolArray) -> IntArray:
+def _without_repeats(block: FrameBlock, rows: IntArray, is_same: BoolArray) -> IntArray:
     """Drop the rows that follow an equal frame; ``is_same``, shape (n - 1,): which of them may be repeats."""
-    later, data = 1 + np.flatnonzero(is_same), reader.block.data
+    later, data = 1 + np.flatnonzero(is_same), block.data
     is_repeated = np.all(data[rows[later]] == data[rows[later - 1]], axis=1)
     return np.delete(rows, later[is_repeated])
 
 
-def _is_delayed(readout: Readout, rows: IntArray, restarts: BoolArray, has_count: BoolArray) -> BoolArray:
+def _is_delayed(
+    readout: BlockReadout, rows: IntArray, restarts: BoolArray, has_count: BoolArray
+) -> BoolArray:
     """Mark the frames that came after a pause but belong to the same epoch as the previous frame.
 
     The epoch counter shows it: two successive counts are one epoch apart. ``restarts`` marks where the order
@@ -304,7 +298,7 @@ def _is_delayed(readout: Readout, rows: IntArray, restarts: BoolArray, has_count
     if not len(counted):
         return np.zeros(len(restarts), np.bool_)
     numbers = readout.value("epoch_counter", rows[counted])
-    steps = _unwrap_steps(np.diff(numbers), _modulus(readout, "epoch_counter"), 1.0)
+    steps = _unwrap_steps(np.diff(numbers), readout.modulus("epoch_counter"), 1.0)
     is_next = np.concatenate([[False], steps == 1.0])
     later = np.arange(1, len(rows))
     next_count = np.minimum(np.cumsum(has_count)[:-1], len(counted) - 1)
@@ -313,29 +307,20 @@ def _is_delayed(readout: Readout, rows: IntArray, restarts: BoolArray, has_count
     return np.asarray(is_same_group & is_next[next_count], np.bool_)
 
 
-def _messages_in_order(reader: BlockReader, readout: Readout) -> list[str]:
+def _messages_in_order(readout: BlockReadout) -> list[str]:
     """Messages of an epoch, and that of the time, in the order in which they are sent.
 
     By default this is the order of the identifiers, as frames that are ready at the same time are sent in
     that order.
     """
     members = readout.map.messages_of_epoch()
-    time_message = _message_of("time_s", readout)
+    time_message = readout.message_of("time_s")
     if time_message is not None:
         members.add(time_message)
     if readout.map.epoch_messages is None:
-        return sorted(members, key=reader.codec.arbitration_id)
+        return sorted(members, key=readout.codec.arbitration_id)
     unlisted = members - set(readout.map.epoch_messages)
     return [*unlisted, *(name for name in readout.map.epoch_messages if name in members)]
-
-
-def _message_of(path: str, readout: Readout) -> str | None:
-    return readout.signals[path].message if path in readout.signals else None
-
-
-def _modulus(readout: Readout, path: str) -> float:
-    """Value at which a quantity wraps; infinite if it does not."""
-    return readout.signals[path].modulus if path in readout.signals else np.inf
 
 
 def _epoch_steps(numbers: FloatArray, modulus: float, elapsed: FloatArray) -> tuple[FloatArray, BoolArray]:
@@ -357,7 +342,7 @@ def _unwrap_steps(steps: FloatArray, modulus: float, expected: FloatArray | floa
     return steps if np.isinf(modulus) else steps + modulus * np.rint((expected - steps) / modulus)
 
 
-def _times(readout: Readout, groups: _Groups, position: FloatArray, restart: BoolArray) -> FloatArray:
+def _times(readout: BlockReadout, groups: _Groups, position: FloatArray, restart: BoolArray) -> FloatArray:
     """INS time of each epoch, shape (n,); NaN where it is unknown.
 
     If two times of the INS contradict the count of epochs between them, its clock was reset in between: the
@@ -374,7 +359,7 @@ def _times(readout: Readout, groups: _Groups, position: FloatArray, restart: Boo
     offsets_s = timed_s - position[timed] * period_s
     continuous = np.diff(np.cumsum(restart)[timed]) == 0
     changes_s = np.where(
-        continuous, _unwrap_steps(np.diff(offsets_s), _modulus(readout, "time_s"), 0.0), np.diff(offsets_s)
+        continuous, _unwrap_steps(np.diff(offsets_s), readout.modulus("time_s"), 0.0), np.diff(offsets_s)
     )
     offsets_s[1:] = offsets_s[:1] + np.cumsum(changes_s)
     contradicted = continuous & (np.abs(changes_s) > period_s / 2.0)
@@ -397,14 +382,14 @@ def _interpolated(
     return result
 
 
-def _count_contradicted(reader: BlockReader, readout: Readout, ends: IntArray, steps: FloatArray) -> int:
+def _count_contradicted(readout: BlockReadout, ends: IntArray, steps: FloatArray) -> int:
     """Count frames in excess of one per epoch; ``steps`` is the number of epochs since the previous end."""
     if not len(ends):
         return 0
     contradicted = 0
     for message in readout.map.messages_of_epoch():
-        rows = reader.rows(message)
-        data = reader.block.data.view(np.uint64)[rows, 0]
+        rows = readout.rows(message)
+        data = readout.block.data.view(np.uint64)[rows, 0]
         is_different = np.concatenate([[True], data[1:] != data[:-1]])[: len(rows)]
         counts = np.bincount(np.searchsorted(ends, rows[is_different]), minlength=len(ends) + 1)
         # Frames before the first and after the last epoch belong to epochs cut off at the ends of the block.

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from enum import IntEnum
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray
 from gyrobench.drivers.frames import FrameBlock
@@ -19,7 +20,7 @@ from gyrobench.drivers.ins.attitude import (
     quaternion_matrices,
 )
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, Payloads
-from gyrobench.drivers.ins.signal_map import BoundSignal, EulerMap, SignalMap
+from gyrobench.drivers.ins.signal_map import BoundSignal, EulerMap, SignalMap, bind_signals
 
 
 class InsMode(IntEnum):
@@ -42,30 +43,26 @@ class Alignment(IntEnum):
     FINE = 2
 
 
-class Reader(Protocol):
-    """Source of the values of bound signals."""
-
-    def last_values(self, bound: BoundSignal, rows: IntArray) -> FloatArray:
-        """Last value received at each moment, shape (n,); NaN before the first."""
-
-
-class Readout:
+class Readout(ABC):
     """Reads the quantities of a signal map at given moments.
 
-    Each method takes the moments, shape (n,), as row indices of the reader's block. It returns values in SI
-    or degrees Celsius; NaN or ``UNKNOWN`` before the first value, or if the quantity is not mapped.
+    Each method takes the moments, shape (n,), as rows of a block of frames. It returns values in SI or
+    degrees Celsius; NaN or ``UNKNOWN`` before the first value, or if the quantity is not mapped.
     """
 
-    def __init__(self, reader: Reader, signal_map: SignalMap, signals: Mapping[str, BoundSignal]) -> None:
+    def __init__(self, signal_map: SignalMap, signals: Mapping[str, BoundSignal]) -> None:
         self.map = signal_map
         self.signals = signals
-        self._reader = reader
+
+    @abstractmethod
+    def _last_values(self, path: str, rows: IntArray) -> FloatArray:
+        """Last value received of a mapped quantity at each moment, shape (n,); NaN before the first."""
 
     def value(self, path: str, rows: IntArray) -> FloatArray:
         """Read one quantity by its path, shape (n,)."""
         if path not in self.signals:
             return np.full(len(rows), np.nan)
-        return self._reader.last_values(self.signals[path], rows)
+        return self._last_values(path, rows)
 
     def values(self, paths: Sequence[str], rows: IntArray) -> FloatArray:
         """Read several quantities, shape (n, number of paths)."""
@@ -178,10 +175,14 @@ def _decode_states(
     return codes
 
 
-class BlockReader:
-    """Values of bound signals in one block; a signal is decoded when it is first read."""
+class BlockReadout(Readout):
+    """Reads the quantities in one block; a signal is decoded when it is first read.
 
-    def __init__(self, block: FrameBlock, codec: DbcCodec) -> None:
+    Raises DocumentError if the signal map does not fit the DBC.
+    """
+
+    def __init__(self, block: FrameBlock, signal_map: SignalMap, codec: DbcCodec) -> None:
+        super().__init__(signal_map, bind_signals(signal_map, codec))
         self.block = block
         self.codec = codec
         self._messages: dict[str, tuple[IntArray, Payloads]] = {}
@@ -200,8 +201,25 @@ class BlockReader:
             return rows
         return rows[self.codec.selected(payloads, bound.message, bound.signal.name)]
 
-    def last_values(self, bound: BoundSignal, rows: IntArray) -> FloatArray:
-        """Last value received at each row of the block, shape (n,); NaN before the first."""
+    def message_of(self, path: str) -> str | None:
+        """Message with a quantity; None if it is not mapped."""
+        return self.signals[path].message if path in self.signals else None
+
+    def last_rows(self, prefixes: str | tuple[str, ...]) -> IntArray:
+        """Rows of the page sent last with the quantities whose paths begin so; empty if none is mapped."""
+        signals = [bound for path, bound in self.signals.items() if path.startswith(prefixes)]
+        if not signals:
+            return np.zeros(0, np.int64)
+        by_page = [(bound.arbitration_id, bound.signal.multiplexer_ids or []) for bound in signals]
+        return self.rows_with(signals[by_page.index(max(by_page))])
+
+    def modulus(self, path: str) -> float:
+        """Value at which a quantity wraps; infinite if it does not."""
+        return self.signals[path].modulus if path in self.signals else np.inf
+
+    @override
+    def _last_values(self, path: str, rows: IntArray) -> FloatArray:
+        bound = self.signals[path]
         frames, payloads = self._message(bound.message)
         values = bound.to_si(self.codec.values(payloads, bound.message, bound.signal.name))
         if bound.signal.multiplexer_ids is not None:

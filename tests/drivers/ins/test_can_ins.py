@@ -198,7 +198,7 @@ def test_the_newest_frame_of_a_message_counts_wherever_in_its_block_it_is(codec,
     newest = NewestFrames(codec)
     newest.take(FrameBlock.from_columns(times_s, identifiers, 8, data), 0.0)
     newest.take(FrameBlock.from_columns([1000.0], [8], 8, np.zeros((1, 8))), 1.0)
-    found = newest._newest
+    found = newest.rows
     assert [found[each][0] for each in (5, 6, 8)] == [2.0, 1.0, 1000.0]
     assert found.get(7, [None])[0] == (2.0 + others if others else None)
     assert 9 not in found
@@ -208,12 +208,12 @@ def test_the_newest_frame_of_each_page_of_a_multiplexed_message_counts(in_pages,
     codec, block = in_pages
     newest = NewestFrames(codec)
     newest.take(block, 0.0)
-    status = InsStatus(newest.snapshot(0.0), 0.0, signal_map, bind_signals(signal_map, codec))
+    status = InsStatus(newest, 0.0, signal_map, bind_signals(signal_map, codec))
     assert status.optics_c == pytest.approx([20.9, 21, 22])
-    late = InsStatus(newest.snapshot(STALE_S + 1.0), 0.0, signal_map, bind_signals(signal_map, codec))
+    late = InsStatus(newest, STALE_S + 1.0, signal_map, bind_signals(signal_map, codec))
     assert np.isnan(late.optics_c).all()
     newest.forget("GYRO_OPTICS_TEMPERATURE")
-    forgotten = InsStatus(newest.snapshot(0.0), 0.0, signal_map, bind_signals(signal_map, codec))
+    forgotten = InsStatus(newest, 0.0, signal_map, bind_signals(signal_map, codec))
     assert np.isnan(forgotten.optics_c).all()
 
 

@@ -11,7 +11,7 @@ from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.drivers import ins
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
-from gyrobench.drivers.ins.readout import BlockReader
+from gyrobench.drivers.ins.readout import BlockReadout
 from gyrobench.drivers.ins.signal_map import SignalMap, bind_signals, check_signals
 from gyrobench.drivers.ins.units import Dimension
 
@@ -138,8 +138,7 @@ def test_unknown_messages_of_an_epoch_are_reported(codec, make_signal_map):
 def test_a_held_value_is_the_last_that_arrived(codec, signal_map, frames_of):
     block = frames_of("INS_STATUS", [0.0, 1.0, 2.0], {"MODE": [1, 2, 3]})
     block.arbitration_id[0] = 0x7FF
-    bound = bind_signals(signal_map, codec)["mode"]
-    held = BlockReader(block, codec).last_values(bound, np.array([0, 1, 2, 100]))
+    held = BlockReadout(block, signal_map, codec).value("mode", np.array([0, 1, 2, 100]))
     assert np.isnan(held[0])
     assert held[1:].tolist() == [2, 3, 3]
 
