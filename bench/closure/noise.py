@@ -19,7 +19,7 @@ from gyrobench.bench.closure.candidates import Candidate, stack
 from gyrobench.bench.closure.effects.effect import same_for_all_gyros
 from gyrobench.bench.closure.problem import SCALE_C, Problem, declared_problem
 from gyrobench.bench.closure.quantity import Quantity
-from gyrobench.bench.closure.validation import LackOfFit, correlation_factor, lack_of_fit
+from gyrobench.bench.closure.validation import LackOfFit, gyro_correlation, lack_of_fit
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.navigation.positions import AXES
@@ -139,7 +139,7 @@ class CampaignNoise:
 
     def without_effects(self, campaign: Campaign, searched: BoolArray) -> CampaignNoise:
         """The same outliers, with the scales estimated from the residual of the declared model alone."""
-        return _with_scales(self, campaign, searched, [], 0)[0]
+        return _with_scales(self, _Model(campaign, searched))[0]
 
     def is_close_to(self, other: CampaignNoise) -> bool:
         """Whether scales and correlations are about equal and the outliers are the same."""
@@ -164,19 +164,16 @@ def estimate_campaign_noise(
     ``smooth`` adds functions of time, temperature rate and attitude to the fit, which absorb most of any
     effect.
     """
-    extra_columns: list[tuple[FloatArray, BoolArray | None]] = (
-        [(_smooth_columns(campaign), None)] if smooth else []
-    )
+    added: list[tuple[FloatArray, BoolArray | None]] = [(_smooth_columns(campaign), None)] if smooth else []
     if effects:
-        extra_columns.append(stack(effects, campaign))
+        added.append(stack(effects, campaign))
+    model = _Model(campaign, searched, added, sum(len(each.values) for each in effects))
     stated = noise = CampaignNoise.stated(campaign)
-    parameters = sum(len(each.values) for each in effects)
-    if _fit_columns(stated, campaign, searched, extra_columns).dof <= parameters:
+    if model.fit(stated).dof <= model.parameters:
         return stated  # a fit of as many parameters as measured values leaves no scatter
     is_converged = False
     for _ in range(_ROUNDS):
-        problem = _fit_columns(noise, campaign, searched, extra_columns)
-        updated = _update_outliers(noise, problem)
+        updated = _update_outliers(noise, model.fit(noise))
         if np.mean(updated.factors[searched] > 1.0) > _MAX_OUTLIER_SHARE:
             break
         is_converged = updated.is_close_to(noise) and np.allclose(
@@ -187,8 +184,8 @@ def estimate_campaign_noise(
             break
     if not is_converged:
         noise = stated
-    noise, has_structure = _with_scales(noise, campaign, searched, extra_columns, parameters)
-    return stated if has_structure and not extra_columns else noise
+    noise, has_structure = _with_scales(noise, model)
+    return stated if has_structure and not added else noise
 
 
 def outweighing_dwell(campaign: Campaign, searched: BoolArray) -> CampaignNoise:
@@ -209,27 +206,35 @@ def outweighing_dwell(campaign: Campaign, searched: BoolArray) -> CampaignNoise:
     return _noise_with_outliers(problem, deviations_sigma, is_outlier)
 
 
-def _with_scales(
-    noise: CampaignNoise,
-    campaign: Campaign,
-    searched: BoolArray,
-    extra: Sequence[tuple[FloatArray, BoolArray | None]],
-    parameters: int,
-) -> tuple[CampaignNoise, bool]:
-    """Noise with the scales and the correlation of the residual, and whether the residual has structure.
+@dataclass(frozen=True)
+class _Model:
+    """The model about which the measured biases scatter: the declared one with columns added to it."""
 
-    ``noise``: with its outliers. ``extra``, ``parameters``: columns added to the declared model, and the
-    number of their nonlinear parameters.
-    """
+    campaign: Campaign  #: With the stated uncertainties.
+    searched: BoolArray  #: Shape (n,). The dwells to which it is fitted.
+    #: Columns (n, 3, k), and which of them each gyro has (3, k); None for all.
+    added: Sequence[tuple[FloatArray, BoolArray | None]] = ()
+    parameters: int = 0  #: Number of nonlinear parameters of these columns.
+
+    def fit(self, noise: CampaignNoise) -> Problem:
+        """Problem after a fit of all columns with this noise."""
+        problem = noise.problem(self.campaign, self.searched)
+        for columns, kept in self.added:
+            problem = problem.with_columns(columns, kept)
+        return problem
+
+
+def _with_scales(noise: CampaignNoise, model: _Model) -> tuple[CampaignNoise, bool]:
+    """Noise with its outliers, scales and correlation of the residual; whether the residual has structure."""
     noise = replace(noise, scales=np.ones(3))
-    scales = _gyro_scales(_fit_columns(noise, campaign, searched, extra), parameters)
-    problem = _fit_columns(replace(noise, scales=scales), campaign, searched, extra)
-    problem = replace(problem, correlation_factor=correlation_factor(problem))
-    test = lack_of_fit(problem, parameters)
+    scales = _gyro_scales(model.fit(noise), model.parameters)
+    problem = model.fit(replace(noise, scales=scales))
+    problem = replace(problem, correlation_factor=gyro_correlation(problem).factor)
+    test = lack_of_fit(problem, model.parameters)
     tests = [test]
     for gyro in np.flatnonzero(scales != 1.0):  # the others would hide structure of this one
         alone = replace(noise, factors=np.where(np.arange(3) == gyro, noise.factors, np.inf))
-        tests.append(lack_of_fit(_fit_columns(alone, campaign, searched, extra), parameters))
+        tests.append(lack_of_fit(model.fit(alone), model.parameters))
     if min(each.p_any_structure for each in tests) < _STRUCTURE_P:  # an effect also correlates the gyros
         return noise, True
     return replace(
@@ -266,19 +271,6 @@ def _scale_of(test: LackOfFit) -> float:
     """Ratio of the noise to the stated uncertainties; 1 unless the scatter is larger."""
     is_larger = test.p_noise < _LARGER_P and 1.0 < test.noise_ratio < _MAX_SCALE
     return test.noise_ratio if is_larger else 1.0
-
-
-def _fit_columns(
-    noise: CampaignNoise,
-    campaign: Campaign,
-    searched: BoolArray,
-    extra: Sequence[tuple[FloatArray, BoolArray | None]],
-) -> Problem:
-    """Problem after a fit of additional columns and their terms kept."""
-    problem = noise.problem(campaign, searched)
-    for columns, kept in extra:
-        problem = problem.with_columns(columns, kept)
-    return problem
 
 
 def _smooth_columns(campaign: Campaign) -> FloatArray:

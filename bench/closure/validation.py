@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
@@ -87,33 +88,35 @@ def lack_of_fit(problem: Problem, parameters: int) -> LackOfFit:
         p_noise=chi2_p_value(max(round(dof / factor), 1), problem.chi2 / factor),
         p_structure=structure,
         noise_ratio=float(np.sqrt(problem.chi2 / dof)),
-        correlated=_correlation(problem)[0],
+        correlated=gyro_correlation(problem).strongest,
     )
 
 
-def correlation_factor(problem: Problem) -> float:
-    """Number of residuals that count as one in a sum of squares of all gyros; 1 if these do not correlate.
+class GyroCorrelation(NamedTuple):
+    """Correlation of the residuals of the three gyros."""
 
-    With correlations ``R``, a sum of squares has ``tr R R / 3`` times the variance (Satterthwaite).
-    """
-    return _correlation(problem)[1]
+    strongest: tuple[int, int, float] | None = None  #: See :attr:`LackOfFit.correlated`.
+    #: Number of residuals that count as one in a sum of squares of all gyros, 1 if these do not correlate:
+    #: with correlations ``R``, the sum has ``tr R R / 3`` times the variance (Satterthwaite).
+    factor: float = 1.0
 
 
-def _correlation(problem: Problem) -> tuple[tuple[int, int, float] | None, float]:
-    """As :attr:`LackOfFit.correlated`, tested by Fisher's transformation; and :func:`correlation_factor`."""
+def gyro_correlation(problem: Problem) -> GyroCorrelation:
+    """Correlation of the residuals of a problem, if it is significant by Fisher's transformation."""
     is_complete = problem.campaign.is_measured[problem.searched].all(axis=1)
     products = problem.residuals[is_complete].T @ problem.residuals[is_complete]
     lengths = np.sqrt(np.maximum(np.diag(products), problem.min_residual_variance))
     correlations = products / np.outer(lengths, lengths)
     dof = int(is_complete.sum()) - max(basis.shape[1] for basis in problem.bases)
     if dof < _MIN_CORRELATION_DOF:
-        return None, 1.0
+        return GyroCorrelation()
     first, second = max(combinations(range(3), 2), key=lambda pair: abs(correlations[pair]))
     value = float(np.clip(correlations[first, second], -_MAX_CORRELATION, _MAX_CORRELATION))
     p_value = 3.0 * math.erfc(abs(math.atanh(value)) * math.sqrt((dof - 2) / 2.0))
     if p_value >= LACK_OF_FIT_P:
-        return None, 1.0
-    return (first, second, value), max(1.0, float(np.sum(correlations**2)) / 3.0 - 2.0 / dof)
+        return GyroCorrelation()
+    factor = max(1.0, float(np.sum(correlations**2)) / 3.0 - 2.0 / dof)
+    return GyroCorrelation((first, second, value), factor)
 
 
 def _spline(values: FloatArray, knots: int) -> FloatArray:

@@ -16,7 +16,7 @@ from gyrobench.bench.closure.effects.laws import (
 from gyrobench.bench.closure.problem import declared_problem
 from gyrobench.bench.closure.validation import (
     LACK_OF_FIT_P,
-    correlation_factor,
+    gyro_correlation,
     lack_of_fit,
     leave_out_cycles,
     measured_minus_model,
@@ -130,11 +130,11 @@ def test_noise_that_gyros_share_is_named_with_them(problem):
 def test_noise_that_gyros_share_counts_as_fewer_values(problem):
     """With correlations R, a sum of squares has tr(R R) / 3 times the variance of independent ones."""
     alone = problem(seed=0)
-    assert correlation_factor(alone) == 1.0
+    assert gyro_correlation(alone).factor == 1.0
     noise = 0.8 * alone.residuals[:, [0]] + 0.6 * alone.residuals
     shared = replace(alone, residuals=noise)
-    assert correlation_factor(shared) == pytest.approx(1.0 + 2.0 * 0.64**2, rel=0.3)
-    once = replace(shared, correlation_factor=correlation_factor(shared))
+    assert gyro_correlation(shared).factor == pytest.approx(1.0 + 2.0 * 0.64**2, rel=0.3)
+    once = replace(shared, correlation_factor=gyro_correlation(shared).factor)
     assert lack_of_fit(once, 0).p_structure["time"] > lack_of_fit(shared, 0).p_structure["time"]
 
 
