@@ -59,6 +59,7 @@ from gyrobench.bench.investigation.stages import (
     CONFIRM,
     DISTINGUISH,
     TEST_LAW,
+    Ending,
     Investigation,
     Stage,
 )
@@ -74,9 +75,11 @@ _MAX_FLAGGED = 2
 MAX_TESTS = 4
 #: After this number of distinguishing blocks, weak rivals no longer keep a hypothesis open.
 PATIENCE = 3
-#: Ends after which an adaptive campaign still determines biases.
-_CONCLUSIVE = ("settled", "nothing_found", "not_on_list", "refuted")
-_ONE_SLOW_LAW = "Not on the list of effects: ageing and a drift together imitate one slow law of time."
+#: Ends where no block of the bench can distinguish what is left, and those after which an adaptive campaign
+#: still determines biases.
+_NO_BLOCK_LEFT = "no_block", "not_on_list"
+_CONCLUSIVE = "settled", "nothing_found", "not_on_list", "refuted"
+_ONE_SLOW_LAW = "ageing and a drift together imitate one slow law of time"
 
 
 class Bench(BlockPlanner, Protocol):
@@ -156,8 +159,8 @@ class Investigator:
                 for entry in self._earlier
                 if entry["event"] == "refused"
             }
-            ended = None
-            while ended is None:
+            ending = None
+            while ending is None:
                 stage = self._search()
                 ratio = stage.calibration and stage.calibration.ratio
                 journal.record(
@@ -166,53 +169,52 @@ class Investigator:
                     uncertainty_ratio=ratio,
                     **_verdict_entry(stage.closure),
                 )
-                stage, ended = self._continue_stage(stage, journal)
+                stage, ending = self._continue_stage(stage, journal)
                 self._stages.append(stage)
-            journal.record("investigation_ended", ended=ended[0], reason=ended[1])
+            journal.record("investigation_ended", **ending._asdict())
             write_dwells(self._folder / "dwells.csv", self._rows)
         whole_h = self._profile.duration_h if self._profile else self._bench.campaign_h
         rows, refused = tuple(self._rows), dict(self._refused)
-        return Investigation(tuple(self._stages), *ended, rows, refused, whole_h)
+        return Investigation(tuple(self._stages), *ending, rows, refused, whole_h)
 
-    def _continue_stage(self, stage: Stage, journal: Journal) -> tuple[Stage, tuple[str, str] | None]:
+    def _continue_stage(self, stage: Stage, journal: Journal) -> tuple[Stage, Ending | None]:
         """The stage with the block that follows its search, or how the investigation ends."""
-        ended = self._ending(stage)
-        if ended is None:
-            confirm = self._confirmation(stage)
-            stage, ended = self._with_block(confirm or stage, journal)
-            is_idle = ended is not None and ended[0] in ("no_block", "not_on_list")
+        ending = self._ending(stage)
+        if ending is None:
+            stage, ending = self._with_block(self._confirmation(stage) or stage, journal)
+            is_idle = ending is not None and ending.ended in _NO_BLOCK_LEFT
             if is_idle and (confirm := self._confirmation(stage, is_last=True)):
-                stage, ended = self._with_block(confirm, journal)
-        if ended and ended[0] in ("no_block", "not_on_list", "budget"):
-            ended = self._ending(stage, is_last=True) or ended
-        if ended and (test := self._test(stage, ended[0])):
-            test, failed = self._with_block(test, journal)
-            if failed is None:
+                stage, ending = self._with_block(confirm, journal)
+        if ending and ending.ended in (*_NO_BLOCK_LEFT, "budget"):
+            ending = self._ending(stage, is_last=True) or ending
+        if ending and (test := self._test(stage, ending.ended)):
+            test, failure = self._with_block(test, journal)
+            if failure is None:
                 return test, None
-            if failed[0] != "bench_failed":
-                failed = (ended[0], f"{ended[1]} No further block tested it. {failed[1]}")
-            return stage, failed
-        if ended and ended[0] in _CONCLUSIVE and stage.is_uncertain and stage.calibration:
+            if failure.ended != "bench_failed":
+                reason = f"{ending.reason} No further block tested it. {failure.reason}"
+                return stage, ending._replace(reason=reason)
+            return stage, failure
+        if ending and ending.ended in _CONCLUSIVE and stage.is_uncertain and stage.calibration:
             stage = replace(stage, purpose=CALIBRATE, rivals=stage.calibration.rivals)
-            stage, failed = self._with_block(stage, journal)
-            ended = failed and (failed if failed[0] in ("bench_failed", "declined") else ended)
-        return stage, ended
+            stage, failure = self._with_block(stage, journal)
+            ending = failure and (failure if failure.ended in ("bench_failed", "declined") else ending)
+        return stage, ending
 
-    def _with_block(self, stage: Stage, journal: Journal) -> tuple[Stage, tuple[str, str] | None]:
+    def _with_block(self, stage: Stage, journal: Journal) -> tuple[Stage, Ending | None]:
         """The stage with the best block that the bench can do, or how the investigation ends without one."""
         folder = self._block_folder
-        forecast = self._forecast(stage.closure)
         dwells_file = folder / _DWELLS
-        best = self._approved_block(stage, forecast)
+        best = self._approved_block(stage)
         if best is not None and dwells_file.exists():
-            return self._with_outcome(stage, forecast, best, read_dwells(dwells_file), journal), None
+            return self._with_outcome(stage, best, read_dwells(dwells_file), journal), None
         while True:
             if best is None:
-                best = self._best_block(stage, forecast)
+                best = self._best_block(stage)
                 if best is None:
                     return stage, self._no_block(stage)
                 if not self._is_approved(best, stage, journal):
-                    return stage, ("declined", "The proposed block was declined.")
+                    return stage, Ending("declined", "The proposed block was declined.")
             try:
                 rows = self._bench.measure(best.block.plan, folder)
             except BlockRefusedError as error:
@@ -222,17 +224,17 @@ class Investigator:
                 continue
             except GyrobenchError as error:
                 problem = "; ".join(str(error).splitlines()).rstrip(".")
-                return stage, ("bench_failed", f"The bench failed: {problem}.")
+                return stage, Ending("bench_failed", f"The bench failed: {problem}.")
             write_dwells(dwells_file, rows)
-            return self._with_outcome(stage, forecast, best, rows, journal), None
+            return self._with_outcome(stage, best, rows, journal), None
 
-    def _best_block(self, stage: Stage, forecast: Forecast) -> Proposal | None:
+    def _best_block(self, stage: Stage) -> Proposal | None:
         """The best block for the purpose of a stage; None if none is useful."""
         only_flagged = [kinds for kinds in self._flagged if self._flagged.count(kinds) >= _MAX_FLAGGED]
         measured = [each.proposal.block.kinds for each in self._stages if each.proposal]
         is_settled = stage.is_uncertain and stage.purpose != DISTINGUISH
         proposals = propose(
-            forecast,
+            stage.forecast,
             stage.rivals,
             PossibleBlocks(self._bench, self._remaining_h, [*self._refused, *only_flagged], measured),
             self._profile,
@@ -248,7 +250,7 @@ class Investigator:
         if not useful:
             return None
         if is_settled:
-            return proposal_of(forecast, useful[0].block, stage.rivals)
+            return proposal_of(stage.forecast, useful[0].block, stage.rivals)
         if stage.is_test:
             return max(useful, key=lambda each: each.tested_per_h)
         return min(useful, key=remaining_hours_of(useful)) if self._profile else useful[0]
@@ -257,24 +259,25 @@ class Investigator:
     def _remaining_h(self) -> float:
         return self._budget_h - self._spent_h
 
-    def _no_block(self, stage: Stage) -> tuple[str, str]:
+    def _no_block(self, stage: Stage) -> Ending:
         if stage.is_uncertain:
-            return "budget", f"No block is short enough for the {self._remaining_h:.1f} h that are left."
+            return Ending(
+                "budget", f"No block is short enough for the {self._remaining_h:.1f} h that are left."
+            )
         closure, best = stage.closure, stage.rivals[0]
         not_on_list = closure.posterior.unlisted_probability
         if closure.verdict == "unexplained" and not_on_list > 0.5:
-            return "not_on_list", f"Not on the list of effects: probability {not_on_list:.4f}."
+            return _not_on_list(f"probability {not_on_list:.4f}")
         if set(best.names) >= SLOW:
-            return "not_on_list", _ONE_SLOW_LAW
+            return _not_on_list(_ONE_SLOW_LAW)
         rejected = {
             each.effect.name: each.rejected for each in closure.evidence if each.effect.name in best.names
         }
         if closure.verdict == "unexplained" and any(rejected.values()) and best.probability >= SETTLED:
             reasons = "; ".join(f"{closure.label(name)}: {each}" for name, each in rejected.items() if each)
             label = listed(sorted(map(closure.label, best.names)))
-            return "not_on_list", (
-                f"Not on the list of effects: the most probable, {label} ({best.probability:.4f}), is not "
-                f"accepted ({reasons})."
+            return _not_on_list(
+                f"the most probable, {label} ({best.probability:.4f}), is not accepted ({reasons})"
             )
         names = sorted({name for each in stage.rivals for name in each.names})
         effects = {each.effect.name: each.effect for each in stage.closure.evidence}
@@ -283,10 +286,11 @@ class Investigator:
         )
         refused = "; ".join(f"{', then '.join(kinds)} ({reason})" for kinds, reason in self._refused.items())
         refused = refused and f"The bench refused {refused}. "
-        return "no_block", (
+        return Ending(
+            "no_block",
             f"{refused}No {'other ' * bool(refused)}block of this bench is expected to distinguish what is "
             "left. What would: "
-            f"{experiments or 'a measurement of other quantities'}."
+            f"{experiments or 'a measurement of other quantities'}.",
         )
 
     def _confirmation(self, stage: Stage, *, is_last: bool = False) -> Stage | None:
@@ -345,18 +349,14 @@ class Investigator:
 
     def _search(self) -> Stage:
         closure = search_campaign(self._bench.campaign(self._rows), self._held_out)
-        stage = Stage(self._spent_h, closure, rivals_of(closure))
+        rivals, noise = rivals_of(closure), closure.noise
+        forecast = Forecast(noise.weighted(self._rows), noise.scales, noise.correlation_factor)
+        stage = Stage(self._spent_h, closure, rivals, forecast)
         if self._profile is None:
             return stage
-        forecast = self._forecast(closure)
-        calibration = calibration_of(forecast, self._profile, stage.rivals, self._bench)
-        return replace(stage, calibration=calibration)
+        return replace(stage, calibration=calibration_of(forecast, self._profile, rivals, self._bench))
 
-    def _forecast(self, closure: Closure) -> Forecast:
-        noise = closure.noise
-        return Forecast(noise.weighted(self._rows), noise.scales, noise.correlation_factor)
-
-    def _ending(self, stage: Stage, *, is_last: bool = False) -> tuple[str, str] | None:
+    def _ending(self, stage: Stage, *, is_last: bool = False) -> Ending | None:
         """End and reason after a search, None to continue; ``is_last`` as in :meth:`_confirmation`."""
         posterior = stage.closure.posterior
         names = tuple(sorted(stage.closure.names))
@@ -371,24 +371,22 @@ class Investigator:
             and only_unconfirmed(stage.closure, with_weak=not (is_last or self._ignores_weak_rivals))
         ):
             if tested is not None and tested.contradicts:
-                return ("refuted", f"A block contradicts what {' + '.join(names)} predicted for it.")
+                return Ending("refuted", f"A block contradicts what {' + '.join(names)} predicted for it.")
             if tested is not None and set(names) >= SLOW:
-                return "not_on_list", _ONE_SLOW_LAW
-            return "settled", _settled_reason(stage.closure)
+                return _not_on_list(_ONE_SLOW_LAW)
+            return Ending("settled", _settled_reason(stage.closure))
         is_listed = posterior.unlisted_probability <= 1.0 - SETTLED
         if stage.closure.verdict == "clean" and is_listed and not posterior.rivals(()):
-            return "nothing_found", (
+            return Ending(
+                "nothing_found",
                 f"Nothing found: the declared model alone has the probability "
                 f"{posterior.no_effect_probability:.4f}, above {CLEAN:g} but below {SETTLED:g}, and "
-                f"no effect one of {RIVAL:g}."
+                f"no effect one of {RIVAL:g}.",
             )
         if posterior.unlisted_probability >= SETTLED and self._confirmation(stage) is None:
-            return (
-                "not_on_list",
-                f"Not on the list of effects: probability {posterior.unlisted_probability:.4f}.",
-            )
+            return _not_on_list(f"probability {posterior.unlisted_probability:.4f}")
         if self._spent_h >= self._budget_h and not (self._block_folder / _DWELLS).exists():
-            return "budget", f"{self._spent_h:.1f} h of {self._budget_h:g} h on the bench are spent."
+            return Ending("budget", f"{self._spent_h:.1f} h of {self._budget_h:g} h on the bench are spent.")
         return None
 
     @property
@@ -411,7 +409,7 @@ class Investigator:
         journal.record(event, number=self._blocks + 1, operator=operator_name())
         return answer
 
-    def _approved_block(self, stage: Stage, forecast: Forecast) -> Proposal | None:
+    def _approved_block(self, stage: Stage) -> Proposal | None:
         """The next block if it was approved by an earlier call and not refused since."""
         entries = [entry for entry in self._earlier if entry.get("number") == self._blocks + 1]
         events = [entry["event"] for entry in entries]
@@ -420,13 +418,13 @@ class Investigator:
         entry = next(entry for entry in reversed(entries) if entry["event"] == "proposed")
         plan = BlockPlan.model_validate_json((self._block_folder / _PLAN).read_text(encoding="utf-8"))
         block = Block(tuple(entry["block"].split(", then ")), entry.get("what", entry["block"]), plan)
-        return proposal_of(forecast, block, stage.rivals)
+        return proposal_of(stage.forecast, block, stage.rivals)
 
     def _with_outcome(
-        self, stage: Stage, forecast: Forecast, proposal: Proposal, rows: Sequence[DwellRow], journal: Journal
+        self, stage: Stage, proposal: Proposal, rows: Sequence[DwellRow], journal: Journal
     ) -> Stage:
         """The stage with its block and outcome; adds the dwells to the table."""
-        confirmed = stage.confirmed
+        confirmed, forecast = stage.confirmed, stage.forecast
         outcome = outcome_of(forecast, proposal, rows, stage.rivals)
         confirmation = outcome_of(forecast, proposal, rows, confirmed) if confirmed[0].names else None
         hours = (max(row.end_s for row in rows) - proposal.block.plan.start_s) / S_PER_H
@@ -450,6 +448,10 @@ class Investigator:
             ],
         )
         return replace(stage, proposal=proposal, outcome=outcome, confirmation=confirmation)
+
+
+def _not_on_list(detail: str) -> Ending:
+    return Ending("not_on_list", f"Not on the list of effects: {detail}.")
 
 
 def _settled_reason(closure: Closure) -> str:

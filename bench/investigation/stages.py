@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.investigation.choice import Rival
+from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.open_hypotheses import confirming_rivals
 from gyrobench.bench.investigation.profile import ProfileCalibration
 from gyrobench.bench.investigation.proposal import Outcome, Proposal
@@ -26,6 +28,7 @@ class Stage:
     #: The hypotheses that a block has to distinguish. If one is confirmed or a law tested, that is the
     #: first, and the others lack it or one of its effects.
     rivals: tuple[Rival, ...]
+    forecast: Forecast  #: Of the next dwells, from all dwells searched.
     purpose: str = DISTINGUISH  #: DISTINGUISH, CONFIRM, TEST_LAW, or CALIBRATE (a hypothesis is settled).
     proposal: Proposal | None = None  #: The block measured next; None at the end.
     #: Result of the block for the rivals; None at the end, and if all its dwells have flags.
@@ -49,15 +52,23 @@ class Stage:
         return self.purpose in (CONFIRM, TEST_LAW)
 
 
+class Ending(NamedTuple):
+    """How an investigation ends."""
+
+    #: "settled", "nothing_found", "not_on_list", "budget", "no_block", "declined", "refuted" or
+    #: "bench_failed".
+    ended: str
+    reason: str  #: Reason why it ends.
+
+
 @dataclass(frozen=True)
 class Investigation:
     """Outcome of an investigation."""
 
     stages: tuple[Stage, ...]  #: In the order of time; the last one has no block.
-    #: "settled", "nothing_found", "not_on_list", "budget", "no_block", "declined", "refuted" or
-    #: "bench_failed".
+    #: ended, reason: As in :class:`Ending`.
     ended: str
-    reason: str  #: Reason why it ended.
+    reason: str
     rows: tuple[DwellRow, ...]  #: All dwells.
     refused: Mapping[tuple[str, ...], str]  #: Reasons why the bench refused blocks, by their kinds.
     repeated_campaign_h: float  #: Duration of the first campaign, or of the profile if there is one.
