@@ -82,7 +82,7 @@ def resume(
     if look:
         if bench := resumption.describe_bench():
             terminal.print(bench, soft_wrap=True)
-        remaining = resumption.state.remaining_plan(resumption.job.plan)
+        remaining = resumption.progress.remaining_plan(resumption.job.plan)
         if remaining.steps:
             terminal.print(timeline_table(timeline_rows(remaining), remaining.duration_s))
         raise typer.Exit(EXIT_NOT_FINISHED if resumption.damage else 0)

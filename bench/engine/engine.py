@@ -67,7 +67,7 @@ class Engine:
         self._unseen_faults: tuple[str, ...] = ()
         self._current: PlannedStep | None = None
         self._dwell: int | None = None  # the dwell in progress, or the one that the run returns to
-        self._state.run_resumed(run.state.power_ons)
+        self._state.run_resumed(run.progress.power_ons)
 
     def run(self) -> None:
         """Execute the remaining steps of the plan, then go to the safe state in any case.
@@ -98,7 +98,7 @@ class Engine:
 
     def _execute_plan(self) -> None:
         """Execute the remaining steps; an interrupted one is re-approached and started again."""
-        index = self._run.state.resume_index(self._plan)
+        index = self._run.progress.resume_index(self._plan)
         # A new run begins with the bench as it is.
         retained = self._retained_state(is_ins_on=False, is_at_temperature=False) if index else None
         while index < len(self._plan.steps):
@@ -192,10 +192,10 @@ class Engine:
 
     def _left_s(self, index: int) -> float:
         """Expected time from the start of a step to the end of the run."""
-        plan, state = self._plan, self._run.state
-        if not state.lost:
+        plan, progress = self._plan, self._run.progress
+        if not progress.lost:
             return plan.duration_s - plan.steps[index].start_s
-        remaining = remaining_steps(plan, state.next_index, state.lost, None)
+        remaining = remaining_steps(plan, progress.next_index, progress.lost, None)
         begun_s = plan.steps[index].start_s - plan.steps[restart_index(plan, index)].start_s
         return remaining[-1].end_s - begun_s
 
@@ -324,11 +324,11 @@ class Engine:
 
     def _after_dwell(self, dwell: int, retained: RetainedState | None) -> tuple[int, RetainedState | None]:
         """Index and retained state to continue with; after a lost dwell, those where the run had stopped."""
-        state = self._run.state
-        if dwell not in state.lost:
+        progress = self._run.progress
+        if dwell not in progress.lost:
             return index_after_dwell(self._plan, dwell), retained
-        state.lost.discard(dwell)
-        begin, end = index_after_dwell(self._plan, dwell), state.resume_index(self._plan)
+        progress.lost.discard(dwell)
+        begin, end = index_after_dwell(self._plan, dwell), progress.resume_index(self._plan)
         retained = retained or self._retained_state(is_ins_on=True, is_at_temperature=True)
         return end, retained_between(self._plan, begin, end, retained)
 

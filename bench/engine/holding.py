@@ -144,7 +144,7 @@ class Holding:
             run.observers.continued()
         source, operator = continuation.source, continuation.operator
         if source == ITSELF:
-            run.state.resumes.update(trip_names)
+            run.progress.resumes.update(trip_names)
         held_s = self._bench.clock.now() - begin_s
         operator_entry = {"operator": operator} if operator else {}
         run.journal.record(
@@ -230,7 +230,7 @@ class Holding:
     def _continues_after_s(self, trips: Sequence[Trip]) -> float | None:
         """Time without a trip after which the run continues without an operator, s; None if it does not."""
         is_automatic = all(
-            trip.rule.resume == "automatic" and self._run.state.resumes[trip.name] < trip.rule.max_resumes
+            trip.rule.resume == "automatic" and self._run.progress.resumes[trip.name] < trip.rule.max_resumes
             for trip in trips
         )
         return max(trip.rule.resume_after_s for trip in trips) if trips and is_automatic else None

@@ -39,7 +39,7 @@ class MeasuredUnit:
         self.is_identified = False
         self.tripped_s: float | None = None  #: time at which its interlock tripped; None if it is not tripped
         self._contradicted = False
-        live.state.number = self.run.state.unit or self.run.number or context.job.unit
+        live.state.number = self.run.progress.unit or self.run.number or context.job.unit
 
     def note(self, text: str) -> None:
         """Record a note about this unit for the operator; notify the observers."""
@@ -53,7 +53,7 @@ class MeasuredUnit:
         of the run agrees with it, or if all dwells together contradict it: further dwells would be invalid
         too. A single contradiction after dwells that agree counts as a disturbance.
         """
-        marks, outcome, state = self.recorder.marks(), self.run.outcome, self.run.state
+        marks, outcome = self.recorder.marks(), self.run.outcome
         frames = self.live.end_capture()
         if not marks.purpose.gives_bias:
             return self._finish_raw_dwell(marks, frames)
@@ -74,7 +74,7 @@ class MeasuredUnit:
             **({"signs_tested": measured.are_signs_tested} if has_result else {}),
             **self._replacement(marks.dwell),
         )
-        state.finish(marks.dwell)
+        self.run.progress.finish(marks.dwell)
         if isinstance(measured, MeasuredDwell):
             dwells = outcome.dwells
             dwells[:] = [each for each in dwells if each.row.dwell != marks.dwell]
@@ -99,7 +99,7 @@ class MeasuredUnit:
             return False
         replacement = self._replacement(marks.dwell)
         self.journal.record("dwell_finished", marks=marks.to_json(), flags=flags, **replacement)
-        self.run.state.finish(marks.dwell)
+        self.run.progress.finish(marks.dwell)
         is_rotated = marks.purpose is DwellPurpose.ROTATIONS
         if is_rotated and not marks.disturbances:
             for finding in self.run.outcome.rotations.add(marks, frames, self.run.setup):
@@ -111,7 +111,7 @@ class MeasuredUnit:
 
     def _replacement(self, dwell: int) -> dict[str, bool]:
         """Key of the journal for a dwell that replaces an earlier measurement."""
-        return {"replaces_earlier": True} if dwell in self.run.state.replaced else {}
+        return {"replaces_earlier": True} if dwell in self.run.progress.replaced else {}
 
     def _dwell_label(self, marks: DwellMarks) -> str:
         """Number and position of a dwell, for messages."""
@@ -126,7 +126,7 @@ class MeasuredUnit:
 
     def may_repeat(self, dwell: int) -> bool:
         """Whether the procedure allows another repeat of a dwell with invalid data."""
-        procedure, repeats = self._context.plan.procedure, self.run.state.repeats
+        procedure, repeats = self._context.plan.procedure, self.run.progress.repeats
         return (
             procedure.disturbed_dwell == "repeat"
             and repeats[dwell] < procedure.max_repeats
@@ -135,7 +135,7 @@ class MeasuredUnit:
 
     def repeat_dwell(self, dwell: int, reason: str) -> None:
         """Discard a dwell and have it repeated; the repeat counts against the procedure's limit."""
-        self.run.state.repeats[dwell] += 1
+        self.run.progress.repeats[dwell] += 1
         self.journal.record("dwell_given_up", dwell=dwell, why=reason, counts=True)
         self._notify(f"dwell {dwell} is repeated: {reason}")
 

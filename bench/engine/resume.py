@@ -47,14 +47,14 @@ class InterruptedRun:
 
     folder: RunFolder
     plan: Plan
-    state: ResumeState
+    progress: ResumeState
     number: str  #: serial number of the unit; empty for the run as a whole
     damage: Damage = field(default_factory=Damage)  #: discarded before the run resumes
 
 
 @dataclass(frozen=True)
 class Resumption:
-    """An interrupted run, its units and their states."""
+    """An interrupted run, its units and their progress."""
 
     job: Job
     run: InterruptedRun
@@ -71,9 +71,9 @@ class Resumption:
         return self.run.folder
 
     @property
-    def state(self) -> ResumeState:
-        """State of the run as a whole."""
-        return self.run.state
+    def progress(self) -> ResumeState:
+        """Progress of the run as a whole."""
+        return self.run.progress
 
     @property
     def parts(self) -> tuple[InterruptedRun, ...]:
@@ -87,7 +87,7 @@ class Resumption:
 
     def clock(self) -> Clock:
         """Create the run's clock, continuing after its last record."""
-        last_s = max(self.state.last_s, last_reading_s(self.folder.telemetry))
+        last_s = max(self.progress.last_s, last_reading_s(self.folder.telemetry))
         if self.job.is_virtual:
             return VirtualClock(last_s + RESUME_STEP_S)
         return WallClock.resumed(started_utc(self.folder), last_s, self.job.station.file.speed)
@@ -99,7 +99,7 @@ class Resumption:
         """
         current = _read(self.folder, self.job, self._damages, self.repeats)
         if any(
-            replace(new.state, last_s=old.state.last_s) != old.state
+            replace(new.progress, last_s=old.progress.last_s) != old.progress
             for new, old in zip((current.run, *current.units), (self.run, *self.units), strict=True)
         ):
             raise RunFolderError(
@@ -117,7 +117,7 @@ class Resumption:
         with a flagged or skipped one. Raises DocumentError for another word, and if a dwell was neither
         measured nor skipped.
         """
-        parts = [part for part in self.units if part.number not in self.state.dropped]
+        parts = [part for part in self.units if part.number not in self.progress.dropped]
         repeats = {part.number: _selected_dwells(part, selection) for part in parts}
         repeats[""] = {dwell: reason for each in repeats.values() for dwell, reason in each.items()}
         return _read(self.folder, self.job, self._damages, repeats)
@@ -133,9 +133,9 @@ class Resumption:
 
     def describe_bench(self) -> str:
         """Describe a bench that was not made safe, and what it reads now; empty if it was made safe."""
-        if not self.state.unsafe or self.job.is_virtual:
+        if not self.progress.unsafe or self.job.is_virtual:
             return ""
-        problems = "; ".join(f"{what}: {problem}" for what, problem in self.state.unsafe.items())
+        problems = "; ".join(f"{what}: {problem}" for what, problem in self.progress.unsafe.items())
         lines = [f"The bench was NOT made safe at the end ({problems}). It reads now:"]
         station = self.job.station
         clock = station.new_clock()
@@ -155,48 +155,50 @@ class Resumption:
 
     def describe(self) -> str:
         """Describe the contents of the run folder and what resuming the run will do."""
-        state, plan = self.state, self.job.plan
-        unit_names = [part.state.unit or part.number for part in self.units]
+        progress, plan = self.progress, self.job.plan
+        unit_names = [part.progress.unit or part.number for part in self.units]
         units = (
             f", {'unit' if len(unit_names) == 1 else 'units'} {listed(unit_names)}" if all(unit_names) else ""
         )
-        ending = run_ending(state.ended, state.reason) if state.ended else NO_END_RECORDED
+        ending = run_ending(progress.ended, progress.reason) if progress.ended else NO_END_RECORDED
         lines = [
             f"{self.folder.path}: {plan.procedure.procedure}{units}; the run {ending.removesuffix('.')}.",
-            f"{len(state.finished | state.replaced)} of {plan.dwell_count} dwells are finished and kept"
-            f"{f', {len(state.skipped)} skipped' if state.skipped else ''}.",
+            f"{len(progress.finished | progress.replaced)} of {plan.dwell_count} dwells are finished and kept"
+            f"{f', {len(progress.skipped)} skipped' if progress.skipped else ''}.",
         ]
-        if not state.unsafe:
+        if not progress.unsafe:
             lines.append("The bench was brought to its safe state.")
         lines += [
             f"Unit {number} was dropped and is not measured: {reason}"
-            for number, reason in state.dropped.items()
+            for number, reason in progress.dropped.items()
         ]
-        if state.in_progress:
-            lines.append(f"Interrupted step: {state.in_progress}.")
+        if progress.in_progress:
+            lines.append(f"Interrupted step: {progress.in_progress}.")
         lines += self.damage.describe()
-        if state.is_over(plan):
+        if progress.is_over(plan):
             remaining = "the results and the report remain" if self.is_measured else "the evaluation remains"
             return "\n".join([*lines, f"All steps are finished; only {remaining} to be done."])
-        planned = plan.steps[state.resume_index(plan)]
+        planned = plan.steps[progress.resume_index(plan)]
         start = (
             f"dwell {planned.dwell} ({planned.label}) from its start"
             if planned.dwell
             else planned.step.describe()
         )
-        remaining_h = hours_minutes(state.remaining_plan(plan).duration_s)
+        remaining_h = hours_minutes(progress.remaining_plan(plan).duration_s)
         lines.append(
             f"It resumes with step {planned.number} of {len(plan.steps)}, {start}; about {remaining_h} h "
             "remain."
         )
-        if state.lost:
+        if progress.lost:
             reasons = self.repeats.get("", {})
             numbers = [
                 f"{dwell} ({reason})" if (reason := reasons.get(dwell)) else str(dwell)
-                for dwell in sorted(state.lost)
+                for dwell in sorted(progress.lost)
             ]
-            next_step = f", before step {state.next_index + 1}" if state.next_index < len(plan.steps) else ""
-            until = " Until then the earlier measurements count." if state.replaced else ""
+            next_step = (
+                f", before step {progress.next_index + 1}" if progress.next_index < len(plan.steps) else ""
+            )
+            until = " Until then the earlier measurements count." if progress.replaced else ""
             dwells = plural(len(numbers), "dwell", "dwells")
             lines.append(f"Measured again{next_step}: {dwells} {listed(numbers)}.{until}")
             if any(0 < len(plateau.intersection(reasons)) < len(plateau) for plateau in _plateaus(plan)):
@@ -204,7 +206,7 @@ class Resumption:
                     "They belong to another power cycle than the other dwells of their plateaus, and are not "
                     "compared with these. --repeat plateaus measures whole plateaus again."
                 )
-        if state.next_index:
+        if progress.next_index:
             is_always_on = self.job.station.file.unit.power == "always_on"
             power = "" if is_always_on else "the INS is switched off and on, and "
             lines.append(f"Before that {power}temperature and position are approached again.")
@@ -254,17 +256,17 @@ def prepare_resumption(path: Path, anyway: bool = False, repeat: Sequence[str] =
     resumption = _read(folder, job)
     if repeat:
         resumption = resumption.with_repeats(repeat)
-    state = resumption.state
-    if all(unit.number in state.dropped for unit in resumption.units):
+    progress = resumption.progress
+    if all(unit.number in progress.dropped for unit in resumption.units):
         raise RunFolderError(f"{path}: every unit of this run was dropped: nothing to resume.")
-    is_measured = state.ended == "finished" and state.is_over(job.plan)
+    is_measured = progress.ended == "finished" and progress.is_over(job.plan)
     if is_measured and not resumption.damage and all(_is_evaluated(unit.folder) for unit in resumption.units):
         reasons = "flagged or skipped" if "plateaus" in repeat else " or ".join(repeat)
         nothing = f"no dwell is {reasons}" if repeat else "nothing to resume"
         raise RunFinishedError(f"{path}: this run is finished and has its report: {nothing}.")
-    if state.resumes_without_progress >= MAX_RESUMES_WITHOUT_PROGRESS and not anyway:
+    if progress.resumes_without_progress >= MAX_RESUMES_WITHOUT_PROGRESS and not anyway:
         raise RunFolderError(
-            f"{path}: was resumed {state.resumes_without_progress} times without finishing a step. "
+            f"{path}: was resumed {progress.resumes_without_progress} times without finishing a step. "
             "Find the cause (see the end of journal.jsonl), then resume it with --anyway"
         )
     return replace(resumption, is_measured=is_measured)
@@ -290,7 +292,7 @@ def _read(
     if len(stations) == 1:
         return Resumption(job, run, (run,), repeats=repeats)
     units = tuple(read_one(folder.unit(unit.number), job.plan_of(unit), unit.number) for unit in stations)
-    _join(run, [unit.state for unit in units if unit.number not in run.state.dropped])
+    _join(run, [unit.progress for unit in units if unit.number not in run.progress.dropped])
     return Resumption(job, run, units, repeats=repeats)
 
 
@@ -308,32 +310,32 @@ def _read_one(
     if repeat:
         entries.append({"time_s": 0.0, "event": REPEAT, "dwells": repeat})
     try:
-        state = resume_state_of(entries, plan)
+        progress = resume_state_of(entries, plan)
     except RunFolderError as error:
         raise RunFolderError(f"{folder.journal}: {error}") from error
     if not has_dwells:
-        state.lost.clear()
+        progress.lost.clear()
     if damaged is None:
         recorded = (entry["dwells"] for entry in entries if entry.get("event") in ("data_given_up", REPEAT))
-        lost = state.lost.difference(*recorded)
+        lost = progress.lost.difference(*recorded)
         damage = replace(damage, dwells=(*damage.dwells, *sorted(lost)))
     else:
         damage = damaged[number]
-    state.mark_lost(damage.dwells)
-    return InterruptedRun(folder, plan, state, number, damage)
+    progress.mark_lost(damage.dwells)
+    return InterruptedRun(folder, plan, progress, number, damage)
 
 
 def _join(run: InterruptedRun, units: Sequence[ResumeState]) -> None:
-    """Complete the state of a run from the states of its units."""
-    state = run.state
-    state.finished = set.intersection(*(unit.finished for unit in units)) if units else set()
-    for dwell in state.finished:
-        state.finish_up_to(index_after_dwell(run.plan, dwell))
-    passed_dwells = {planned.dwell for planned in run.plan.steps[: state.next_index] if planned.dwell}
-    state.lost = passed_dwells - state.finished - state.skipped
+    """Complete the state of a run from the progress of its units."""
+    progress = run.progress
+    progress.finished = set.intersection(*(unit.finished for unit in units)) if units else set()
+    for dwell in progress.finished:
+        progress.finish_up_to(index_after_dwell(run.plan, dwell))
+    passed_dwells = {planned.dwell for planned in run.plan.steps[: progress.next_index] if planned.dwell}
+    progress.lost = passed_dwells - progress.finished - progress.skipped
     measured = set.intersection(*(unit.finished | unit.replaced for unit in units)) if units else set()
-    state.replaced = state.lost & measured
-    state.power_ons = max([state.power_ons, *(unit.power_ons for unit in units)])
+    progress.replaced = progress.lost & measured
+    progress.power_ons = max([progress.power_ons, *(unit.power_ons for unit in units)])
 
 
 def _plateaus(plan: Plan) -> list[set[int]]:
@@ -350,7 +352,7 @@ def _selected_dwells(part: InterruptedRun, selection: Sequence[str]) -> dict[int
     flagged = {int(entry["marks"]["dwell"]): str(entry.get("flags", "")) for entry in finished}
     rows = read_dwells(part.folder.dwells) if part.folder.dwells.is_file() else []
     flagged |= {row.dwell: flag_text(row.flags) for row in rows}
-    skipped = part.state.skipped - part.state.finished
+    skipped = part.progress.skipped - part.progress.finished
     reasons = {dwell: f"flagged: {flags}" for dwell, flags in flagged.items() if flags}
     reasons |= dict.fromkeys(skipped, "skipped")
     known, selected = {*flagged, *skipped}, set()

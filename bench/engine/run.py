@@ -71,7 +71,7 @@ def run_job(
     """
     job.check_calibrations()
     clock = earlier.clock if earlier else job.station.new_clock()
-    state = ResumeState(unit=earlier.unit, power_ons=earlier.power_ons) if earlier else ResumeState()
+    progress = ResumeState(unit=earlier.unit, power_ons=earlier.power_ons) if earlier else ResumeState()
     outcome = RunOutcome()
 
     def prepare(folder: RunFolder, identities: Mapping[str, str]) -> tuple[UnitRun, ...]:
@@ -82,13 +82,13 @@ def run_job(
                 job.plan_of(unit),
                 measurement_setup(unit),
                 folder.unit(unit.number),
-                ResumeState() if unit.number else state,
+                ResumeState() if unit.number else progress,
                 RunOutcome() if unit.number else outcome,
             )
             for unit in job.station.units
         )
 
-    return _execute(_Start(job, clock, state, outcome, out, prepare), observer, operator)
+    return _execute(_Start(job, clock, progress, outcome, out, prepare), observer, operator)
 
 
 def resume_run(
@@ -120,7 +120,7 @@ def resume_run(
 
     expected_identities = {} if other_instruments else identities_in(folder)
     return _execute(
-        _Start(job, clock, resumption.state, outcome, folder, prepare, expected_identities),
+        _Start(job, clock, resumption.progress, outcome, folder, prepare, expected_identities),
         observer,
         operator,
     )
@@ -135,10 +135,12 @@ def _remeasure(resumption: Resumption) -> tuple[RunOutcome, tuple[UnitRun, ...]]
             measure_recorded(interrupted.folder, setup) if interrupted.folder.journal.is_file() else ([], [])
         )
         outcome = RunOutcome(dwells=dwells, check_dwells=check_dwells)
-        if reason := resumption.state.dropped.get(station.number):
+        if reason := resumption.progress.dropped.get(station.number):
             outcome.fail(reason)
         units.append(
-            UnitRun(station.number, interrupted.plan, setup, interrupted.folder, interrupted.state, outcome)
+            UnitRun(
+                station.number, interrupted.plan, setup, interrupted.folder, interrupted.progress, outcome
+            )
         )
     return RunOutcome() if units[0].number else units[0].outcome, tuple(units)
 
@@ -180,7 +182,7 @@ class _Start:
 
     job: Job
     clock: Clock
-    state: ResumeState
+    progress: ResumeState
     outcome: RunOutcome
     #: Folder of a resumed run, or path for a new one; None for a new path under ``runs/``.
     folder: RunFolder | Path | None
@@ -243,13 +245,13 @@ def _open(
     start: _Start, observer: RunObserver, operator: Operator, resources: ExitStack
 ) -> tuple[RunContext, Messenger]:
     """Open bench, locks, files, guard and messages of a run, closed by ``resources``; nothing moves."""
-    job, clock, state, outcome = start.job, start.clock, start.state, start.outcome
+    job, clock, progress, outcome = start.job, start.clock, start.progress, start.outcome
     commands = resources.enter_context(CommandQueue())
-    patience_s = _GUARD_TIME_S if state.last_s else 0.0
+    patience_s = _GUARD_TIME_S if progress.last_s else 0.0
     bench_lock = resources.enter_context(BenchLock(job.station, RUNS, clock, patience_s=patience_s))
     instruments = resources.enter_context(
         Instruments(
-            job.station, clock, job.emulation, dropped=state.dropped, identities=start.expected_identities
+            job.station, clock, job.emulation, dropped=progress.dropped, identities=start.expected_identities
         )
     )
     identities = {each: instruments.identify(each) for each in (RATE_TABLE, CHAMBER)}
@@ -261,7 +263,7 @@ def _open(
     run_lock = resources.enter_context(RunLock(folder.path, clock))
     units = start.prepare(folder, identities)
     journal = resources.enter_context(Journal(folder.journal, clock))
-    measured_units = [unit for unit in units if unit.number not in state.dropped]
+    measured_units = [unit for unit in units if unit.number not in progress.dropped]
     journals = {
         unit.number: resources.enter_context(Journal(unit.folder.journal, clock)) if unit.number else journal
         for unit in measured_units
@@ -275,7 +277,7 @@ def _open(
         journal.record("note", text=text)
         observer.noted(text)
     messenger = resources.enter_context(Messenger(job.station.file.messages, journal.record))
-    observers = ObserverGroup(observer, RunNotifier(messenger, job.plan, state))
+    observers = ObserverGroup(observer, RunNotifier(messenger, job.plan, progress))
     guard = resources.enter_context(guard_for(job.station, folder.path, clock))
     logs = [
         (CanLog(unit.folder.can, job.is_virtual), Telemetry(unit.folder.telemetry, job.is_virtual))
@@ -294,7 +296,7 @@ def _open(
         operator=ObservedOperator(operator, observers),
         commands=commands,
         guard=guard,
-        state=state,
+        progress=progress,
         outcome=outcome,
         units={unit.number: unit for unit in units},
         unit_journals=journals,
@@ -313,21 +315,21 @@ def _record_identities(folders: Sequence[RunFolder], identities: Mapping[str, st
 def _record_start(
     journal: Journal, folder: RunFolder, start: _Start, setup: MeasurementSetup, observer: RunObserver
 ) -> None:
-    job, state = start.job, start.state
-    remaining = job.plan.steps[state.resume_index(job.plan) :]
+    job, progress = start.job, start.progress
+    remaining = job.plan.steps[progress.resume_index(job.plan) :]
     journal.record(
-        "run_resumed" if state.last_s else "run_started",
+        "run_resumed" if progress.last_s else "run_started",
         procedure=job.plan.procedure.procedure,
         station=job.station.file.station,
         next_step=remaining[0].number if remaining else None,
         options=job.options,
         operator=operator_name(),
-        **({"unit": state.unit, "power_ons": state.power_ons} if state.power_ons else {}),
+        **({"unit": progress.unit, "power_ons": progress.power_ons} if progress.power_ons else {}),
     )
     for name, description in job.past_due().items():
         journal.record("past_due", instrument=name, found=description, operator=operator_name())
         observer.noted(f"Warning: {description}")
-    if changed := update_input_hashes(folder) if state.last_s else []:
+    if changed := update_input_hashes(folder) if progress.last_s else []:
         description = (
             f"Changed since the run began: {listed(changed)}. All dwells are evaluated with the changes."
         )

@@ -28,11 +28,11 @@ class UnitRun:
     plan: Plan  #: with the unit's positions
     setup: MeasurementSetup  #: how frames become biases
     folder: RunFolder
-    state: ResumeState
+    progress: ResumeState
     outcome: RunOutcome  #: its dwells, and how the run ended for it
 
     def __post_init__(self) -> None:
-        self.outcome.finished, self.outcome.skipped = self.state.finished, self.state.skipped
+        self.outcome.finished, self.outcome.skipped = self.progress.finished, self.progress.skipped
 
     def write_dwells(self) -> None:
         """Write the table of its dwells."""
@@ -55,7 +55,7 @@ class RunContext:
     operator: Operator
     commands: CommandQueue  #: commands not yet executed
     guard: Guard  #: gets a heartbeat at each tick
-    state: ResumeState  #: progress; the run keeps it up to date
+    progress: ResumeState  #: kept up to date by the run
     outcome: RunOutcome  #: how the run ends
     units: Mapping[str, UnitRun]  #: all units by number, including dropped ones
     unit_journals: Mapping[str, Journal]  #: of the units that are not dropped when the run starts

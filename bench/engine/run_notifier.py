@@ -28,13 +28,15 @@ _MAX_FLAGGED_IN_A_ROW = 3
 class RunNotifier(RunObserver):
     """Sends messages about a run."""
 
-    def __init__(self, messenger: Messenger, plan: Plan, state: ResumeState) -> None:
+    def __init__(self, messenger: Messenger, plan: Plan, progress: ResumeState) -> None:
         self._messenger = messenger
         self._plan = plan
-        self._state = state
-        self._unit = state.unit
+        self._progress = progress
+        self._unit = progress.unit
         self._remaining_s = (
-            plan.duration_s - plan.steps[state.resume_index(plan)].start_s if not state.is_over(plan) else 0.0
+            plan.duration_s - plan.steps[progress.resume_index(plan)].start_s
+            if not progress.is_over(plan)
+            else 0.0
         )
         self._hold_reason = ""
         self._is_hold_sent = False
@@ -114,12 +116,12 @@ class RunNotifier(RunObserver):
         unsafe = [f"{each.what}: {each.problem}" for each in outcome.safe_state if each.problem]
         lines = [outcome.reason] if outcome.reason else []
         lines += [f"The bench is NOT in its safe state: {text}" for text in unsafe]
-        lines.append(f"{len(self._state.finished)} of {self._plan.dwell_count} dwells measured.")
+        lines.append(f"{len(self._progress.finished)} of {self._plan.dwell_count} dwells measured.")
         lines += [outcome.skipped_text] if outcome.skipped_text else []
         self._send("ends", "\n".join(lines), about=outcome.ended, ended=outcome.ended)
 
     def _send(self, event: Event, reason: str, about: str, **details: Any) -> None:
-        dwells = self._plan.dwell_count - len(self._state.finished) - len(self._state.skipped)
+        dwells = self._plan.dwell_count - len(self._progress.finished) - len(self._progress.skipped)
         message = Message(
             event=event,
             why=reason,

@@ -76,7 +76,7 @@ class StoredCompensation:
     def _decide(self, status: InsStatus, appeared: bool) -> Generator[None, None, bool]:
         """Ask whether to clear the stored compensation; returns the answer."""
         run, unit = self._run, self._unit
-        answers_by_checksum = unit.run.state.stored_compensation_answers
+        answers_by_checksum = unit.run.progress.stored_compensation_answers
         in_use = status.compensation_in_use
         checksum = UNKNOWN_CHECKSUM if in_use is None else f"{in_use:08x}"
         ins = unit.live.ins

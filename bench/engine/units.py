@@ -48,7 +48,7 @@ class Units:
         """Units that take part in the step in progress: not set aside, and not done with its dwell."""
         dwell = self._bench.state.run_position.dwell
         present = (unit for unit in self.running if unit not in self._set_aside_reasons)
-        return [unit for unit in present if dwell not in unit.run.state.finished]
+        return [unit for unit in present if dwell not in unit.run.progress.finished]
 
     @property
     def have_restarted(self) -> bool:
@@ -65,7 +65,7 @@ class Units:
         """Event outputs of the chamber that supply only dropped units; these are not switched on again."""
         stations = self._bench.station.units
         used_events = {
-            each.file.unit.power_event for each in stations if each.number not in self._run.state.dropped
+            each.file.unit.power_event for each in stations if each.number not in self._run.progress.dropped
         }
         return set(self._bench.station.power_events) - used_events
 
@@ -127,7 +127,7 @@ class Units:
 
     def _is_in_dwell(self, unit: MeasuredUnit) -> bool:
         dwell = self._bench.state.run_position.dwell
-        return bool(dwell) and dwell not in unit.run.state.finished
+        return bool(dwell) and dwell not in unit.run.progress.finished
 
     def _set_aside(self, unit: MeasuredUnit, reason: str, *, may_flag: bool = False) -> bool:
         """Stop measuring a unit in the dwell in progress; returns False if the dwell can't be repeated.
@@ -217,7 +217,7 @@ class Units:
                 unit.recorder.disturb(reason)
                 unit.finish_dwell()
         if is_over:
-            run.state.finish(dwell)
+            run.progress.finish(dwell)
             if len(run.units) > 1:
                 run.journal.record("dwell_over", dwell=dwell)
         return is_over
@@ -228,7 +228,7 @@ class Units:
 
     def repeats(self, dwell: int) -> int:
         """Number of times that every unit has repeated a dwell because of invalid data."""
-        return min(unit.run.state.repeats[dwell] for unit in self.running)
+        return min(unit.run.progress.repeats[dwell] for unit in self.running)
 
     @property
     def is_recording(self) -> bool:
@@ -251,7 +251,7 @@ class Units:
         measuring = self.measuring
         if dwell and self.end_captures():
             for unit in measuring:
-                unit.run.state.repeats[dwell] += counts
+                unit.run.progress.repeats[dwell] += counts
             self._run.journal.record("dwell_given_up", dwell=dwell, why=reason, counts=counts)
             self._run.observers.noted(f"dwell {dwell} is repeated: {reason}")
 
@@ -260,8 +260,8 @@ class Units:
         self._take_back(*self._set_aside_reasons)
         self.end_captures()
         self._run.journal.record("dwell_skipped", dwell=dwell)
-        for state in (self._run.state, *(unit.run.state for unit in self.running)):
-            state.skip(dwell)
+        for progress in (self._run.progress, *(unit.run.progress for unit in self.running)):
+            progress.skip(dwell)
         self._run.observers.noted(f"dwell {dwell} is skipped")
 
     def repeat_or_flag(self, unit: MeasuredUnit, reason: str) -> None:
@@ -288,7 +288,7 @@ class Units:
     def _drop(self, unit: MeasuredUnit, reason: str) -> None:
         run, number = self._run, unit.run.number
         run.journal.record("unit_dropped", unit=number, why=reason)
-        run.state.dropped[number] = reason
+        run.progress.dropped[number] = reason
         self._waiting.pop(unit, None)
         self._set_aside_reasons.pop(unit, None)
         self.running.remove(unit)

@@ -175,9 +175,9 @@ def use_cut_journal(run: Path) -> Callable[[Path, bytes], None]:
             for each in entries
             if each.get("event") == "dwell_finished" and _has_marks(each)  # others are measured again
         }
-        if resumption.state.finished != finished:
+        if resumption.progress.finished != finished:
             raise WrongResultError(
-                f"dwells {resumption.state.finished} are finished, the journal says {finished}"
+                f"dwells {resumption.progress.finished} are finished, the journal says {finished}"
             )
         plan = resumption.job.plan
         with Path(os.devnull).open("w") as nowhere, _unseen(nowhere, plan) as view:
@@ -188,7 +188,7 @@ def use_cut_journal(run: Path) -> Callable[[Path, bytes], None]:
             raise WrongResultError(f"resumed, the run {outcome.ended}: {outcome.reason}")
         measured = {row.dwell for row in read_dwells(resumed.dwells)}
         verified = {each.marks.dwell for each in outcome.check_dwells}
-        missing = {*range(1, plan.dwell_count + 1)} - measured - verified - resumption.state.skipped
+        missing = {*range(1, plan.dwell_count + 1)} - measured - verified - resumption.progress.skipped
         if missing:
             raise WrongResultError(f"the dwells {missing} are lost")
 

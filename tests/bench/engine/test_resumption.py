@@ -380,7 +380,7 @@ def test_a_flagged_dwell_of_a_finished_run_is_measured_again(finished, undisturb
 
 def test_repeated_dwells_share_the_approach_of_their_plateau(finished):
     resumption = prepare_resumption(finished, repeat=["4", "1", "2"])
-    planned_s = resumption.state.remaining_plan(resumption.job.plan).duration_s
+    planned_s = resumption.progress.remaining_plan(resumption.job.plan).duration_s
     resumed(finished, ["4", "1", "2"])
     assert list(runs_of(finished).items()) == [(3, 1), (1, 2), (2, 2), (4, 2)]
     approached = [entry for entry in entries_of(finished, "approach_started") if entry["kind"] != "go_to"]
@@ -400,8 +400,8 @@ def test_a_killed_repeat_resumes_with_the_dwells_that_are_left(finished, undistu
     with pytest.raises(KilledError):
         resume_run(prepare_resumption(finished, repeat=["1", "3"]), Watcher("turn", 2), ConsentingOperator())
     assert runs_of(finished) == {1: 2, 2: 1, 3: 1, 4: 1}
-    state = prepare_resumption(finished).state
-    assert (state.lost, state.replaced, state.finished) == ({3}, {3}, {1, 2, 4})
+    progress = prepare_resumption(finished).progress
+    assert (progress.lost, progress.replaced, progress.finished) == ({3}, {3}, {1, 2, 4})
     folder, _, _ = resumed(finished)
     assert runs_of(finished) == {1: 2, 2: 1, 3: 3, 4: 1}
     by_dwell = sorted(read_dwells(folder.dwells), key=lambda row: row.dwell)
@@ -413,20 +413,20 @@ def test_the_earlier_measurement_counts_if_its_repeat_is_skipped(finished):
     _, outcome = resume_run(prepare_resumption(finished, repeat=["2"]), Watcher(), operator)
     assert (outcome.ended, outcome.skipped_text) == ("finished", "")
     assert runs_of(finished) == {1: 1, 2: 1, 3: 1, 4: 1}
-    assert prepare_resumption(finished).state.finished == {1, 2, 3, 4}
+    assert prepare_resumption(finished).progress.finished == {1, 2, 3, 4}
 
 
 def test_only_dwells_that_are_over_are_repeated(finished, in_third_dwell):
     for path, dwell in ((finished, "5"), (in_third_dwell, "3")):
         with pytest.raises(DocumentError, match=f"dwell {dwell} was neither measured nor skipped"):
             prepare_resumption(path, repeat=[dwell])
-    assert prepare_resumption(in_third_dwell, repeat=["2"]).state.lost == {2}
+    assert prepare_resumption(in_third_dwell, repeat=["2"]).progress.lost == {2}
 
 
 def test_all_dwells_of_a_plateau_with_a_flagged_one_are_chosen(finished, undisturbed):
     flagged = [replace(row, flags=("a gap",)) if row.dwell == 3 else row for row in undisturbed]
     write_dwells(finished / "dwells.csv", flagged)
-    assert prepare_resumption(finished, repeat=["plateaus"]).state.lost == {3, 4}
+    assert prepare_resumption(finished, repeat=["plateaus"]).progress.lost == {3, 4}
 
 
 #: Ticks until the first dwell.

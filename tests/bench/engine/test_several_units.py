@@ -178,7 +178,7 @@ def test_a_killed_run_resumes_with_all_units(files, whole, tmp_path):
     with pytest.raises(KilledError):
         run_of(job_of(files), path, Watcher("navigate", 6))
     resumption = prepare_resumption(path)
-    assert resumption.state.finished == {1, 2}
+    assert resumption.progress.finished == {1, 2}
     assert "units 1101, 1102, 1103 and 1104" in resumption.describe()
     folder, outcome = resume_run(resumption, Watcher(), ConsentingOperator())
     assert outcome.ended == "finished", outcome.reason
@@ -205,7 +205,7 @@ def test_a_dwell_that_one_unit_has_not_finished_is_measured_again_for_it_alone(f
         last = max(place for place, line in enumerate(lines) if f'"event": "{end}"'.encode() in line)
         journal.write_bytes(b"".join(lines[:last]))
     resumption = prepare_resumption(path)
-    assert resumption.state.finished == {1, 2, 3}
+    assert resumption.progress.finished == {1, 2, 3}
     _, outcome = resume_run(resumption, Watcher(), ConsentingOperator())
     assert outcome.ended == "finished", outcome.reason
     for number in NUMBERS:
@@ -238,7 +238,7 @@ def test_a_flagged_dwell_is_measured_again_on_command_for_its_unit_alone(whole, 
     rows = [replace(row, flags=("a gap",) if row.dwell == 2 else ()) for row in read_dwells(flagged)]
     write_dwells(flagged, rows)
     resumption = prepare_resumption(folder.path, repeat=["flagged"])
-    assert (resumption.state.lost, resumption.state.replaced) == ({2}, {2})
+    assert (resumption.progress.lost, resumption.progress.replaced) == ({2}, {2})
     _, outcome = resume_run(resumption, Watcher(), ConsentingOperator())
     assert outcome.ended == "finished", outcome.reason
     for number in NUMBERS:
@@ -246,7 +246,7 @@ def test_a_flagged_dwell_is_measured_again_on_command_for_its_unit_alone(whole, 
         assert again == ([2] if number == "1103" else [])
         if number != "1103":
             assert dwells_of(folder, number) == dwells_of(whole[0], number)
-    assert prepare_resumption(folder.path, repeat=["1"]).state.lost == {1}
+    assert prepare_resumption(folder.path, repeat=["1"]).progress.lost == {1}
 
 
 @pytest.fixture(scope="module")
