@@ -188,15 +188,8 @@ def print_end(
 
     is_finished, resume = outcome.ended == "finished", _resume_text(folder, outcome)
     safe_state = "\n".join(each.text for each in outcome.safe_state)
-    contradicting = outcome.contradicting_dwell
     if not is_finished:
-        # The flag of that dwell was printed when it was measured.
-        flagged = f"failed: dwell {contradicting} contradicts the station file, see its flag above."
-        ending = outcome.ending if contradicting is None else flagged
-        console.print(f"The run {ending}", soft_wrap=True, style="bold red")
-        if not outcome.is_station_wrong:  # otherwise the text is long, and follows at the end
-            console.print(resume, soft_wrap=True)
-        console.print(safe_state, soft_wrap=True)
+        _print_failure(console, outcome, resume, safe_state)
     if not folder.journal.exists():
         raise RunFolderError(
             f"{folder.path}: the run folder has disappeared, and no report was written. Rename it back, or "
@@ -208,19 +201,9 @@ def print_end(
     is_flagged = any(dwell.flags for unit in units for dwell in unit.results.dwells)
     repeatable = [name for name, exists in (("flagged", is_flagged), ("skipped", skipped)) if exists]
     outcome.release()
-    free_memory()  # reused by the modules imported next
-
-    from gyrobench.bench.report.journal_sections import durations_section, step_durations
-    from gyrobench.bench.report.run_findings import signs_sentence
-    from gyrobench.bench.report.run_report import write_report
-    from gyrobench.bench.report.terminal.tables import section_view
-    from gyrobench.bench.report.units_report import write_units_report
-    from gyrobench.bench.runs.journal import read_journal
-    from gyrobench.bench.runs.provenance import watermark_of
-
+    free_memory()  # reused by the modules of the report
     try:
-        units_report = write_units_report(folder) if outcome.units else None
-        contents = units_report.units if units_report else [write_report(folder).content]
+        _print_report(console, folder, station_name, has_units=bool(outcome.units))
     except RunFolderError:  # for instance a full disk
         if is_finished:
             console.print(
@@ -229,27 +212,9 @@ def print_end(
                 soft_wrap=True,
             )
         raise
-    if units_report:
-        console.print(section_view(units_report.comparison))
-    else:
-        print_tables(console, folder)
-    if word := watermark_of(folder.path):
-        console.print(f"{word}: {_EMULATED_BENCH}", soft_wrap=True, style="bold yellow")
-    # By text, as several units often have the same.
-    doubts: dict[str, list[str]] = {}
-    notes: dict[str, list[str]] = {}
-    for content in contents:
-        number = content.name if units_report else ""
-        for doubt in content.doubts.items():
-            doubts.setdefault(" ".join(doubt), []).append(number)
-        notes.setdefault(signs_sentence(content.facts, content.station, station_name), []).append(number)
-    for style, numbers_by_text in (("bold red", doubts), ("bold yellow", notes)):
-        for text, numbers in numbers_by_text.items():
-            if text:
-                console.print(with_micro_sign(of_units(numbers, text)), style=style)
     if skipped:
         console.print(skipped, style="bold yellow")
-    console.print(section_view(durations_section(step_durations(read_journal(folder.journal)))))
+    _print_durations(console, folder)
     if is_finished:
         console.print(safe_state, soft_wrap=True)
     figures = "" if outcome.units else f"Figures  {folder.figures}\n"
@@ -265,6 +230,56 @@ def print_end(
     if shortcoming:
         console.print(shortcoming, soft_wrap=True, style="bold red")
         raise typer.Exit(EXIT_NOT_FINISHED)
+
+
+def _print_failure(console: Console, outcome: RunOutcome, resume: str, safe_state: str) -> None:
+    contradicting = outcome.contradicting_dwell
+    # The flag of that dwell was printed when it was measured.
+    flagged = f"failed: dwell {contradicting} contradicts the station file, see its flag above."
+    ending = outcome.ending if contradicting is None else flagged
+    console.print(f"The run {ending}", soft_wrap=True, style="bold red")
+    if not outcome.is_station_wrong:  # otherwise the text is long, and follows at the end
+        console.print(resume, soft_wrap=True)
+    console.print(safe_state, soft_wrap=True)
+
+
+def _print_report(console: Console, folder: RunFolder, station_name: str | Path, *, has_units: bool) -> None:
+    """Write the report of a run, and print its tables and what is doubtful in it."""
+    from gyrobench.bench.report.run_findings import signs_sentence
+    from gyrobench.bench.report.run_report import write_report
+    from gyrobench.bench.report.terminal.tables import section_view
+    from gyrobench.bench.report.units_report import write_units_report
+    from gyrobench.bench.runs.provenance import watermark_of
+
+    if has_units:
+        report = write_units_report(folder)
+        contents = report.units
+        console.print(section_view(report.comparison))
+    else:
+        contents = [write_report(folder).content]
+        print_tables(console, folder)
+    if word := watermark_of(folder.path):
+        console.print(f"{word}: {_EMULATED_BENCH}", soft_wrap=True, style="bold yellow")
+    # By text, as several units often have the same.
+    doubts: dict[str, list[str]] = {}
+    notes: dict[str, list[str]] = {}
+    for content in contents:
+        number = content.name if has_units else ""
+        for doubt in content.doubts.items():
+            doubts.setdefault(" ".join(doubt), []).append(number)
+        notes.setdefault(signs_sentence(content.facts, content.station, station_name), []).append(number)
+    for style, numbers_by_text in (("bold red", doubts), ("bold yellow", notes)):
+        for text, numbers in numbers_by_text.items():
+            if text:
+                console.print(with_micro_sign(of_units(numbers, text)), style=style)
+
+
+def _print_durations(console: Console, folder: RunFolder) -> None:
+    from gyrobench.bench.report.journal_sections import durations_section, step_durations
+    from gyrobench.bench.report.terminal.tables import section_view
+    from gyrobench.bench.runs.journal import read_journal
+
+    console.print(section_view(durations_section(step_durations(read_journal(folder.journal)))))
 
 
 def _resume_text(folder: RunFolder, outcome: RunOutcome) -> str:
