@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -90,15 +90,13 @@ def held_out_test(problem: Problem, errors_dph: FloatArray, deviations_dph: Floa
     sigma_dph = noise_dph * np.where(is_outlier, np.abs(deviations_sigma), 1.0)
     p_values = []
     for gyro, is_measured in enumerate(~np.isnan(errors_dph).T):
-        regressors = time_polynomial[is_measured], np.column_stack([up_body, rate[:, gyro]])[is_measured]
-        arguments = (
-            sigma_dph[is_measured, gyro],
-            campaign.common_errors_dph[gyro, held_out][is_measured],
-            deviations_dph[:, is_measured, gyro],
-            constants[is_measured],
-            regressors,
-        )
-        p_values.append(_p_values(problem, gyro, errors_dph[is_measured, gyro], *arguments))
+        common_dph = campaign.common_errors_dph[gyro, held_out][is_measured]
+        drawn_dph = deviations_dph[:, is_measured, gyro]
+        covariance = np.diag(sigma_dph[is_measured, gyro] ** 2) + common_dph @ common_dph.T
+        covariance += drawn_dph.T @ drawn_dph / len(drawn_dph)
+        regressors = [time_polynomial[is_measured], np.column_stack([up_body, rate[:, gyro]])[is_measured]]
+        errors = errors_dph[is_measured, gyro], covariance
+        p_values.append(_p_values(problem, gyro, *errors, constants[is_measured], regressors))
     test_count = sum(map(len, p_values))
     dwells, axes = campaign.dwell[held_out], campaign.quantity.axes
     return HeldOutTest(
@@ -154,21 +152,17 @@ def _p_values(
     problem: Problem,
     gyro: int,
     errors_dph: FloatArray,
-    sigma_dph: FloatArray,
-    common_dph: FloatArray,
-    deviations_dph: FloatArray,
+    covariance: FloatArray,
     constants: FloatArray,
     regressors: Sequence[FloatArray],
 ) -> list[float]:
     """p-values of those tests of one gyro for which its k held-out values suffice.
 
-    ``common_dph`` (k, c): as of :attr:`Campaign.common_errors_dph`. ``constants`` (k, r): flags of the power
-    cycles that were not searched. ``regressors``: columns (k, c) for one test each.
+    ``covariance`` (k, k): of the errors. ``constants`` (k, r): flags of the power cycles that were not
+    searched. ``regressors``: columns (k, c) for one test each.
     """
     if not len(errors_dph):
         return []
-    covariance = np.diag(sigma_dph**2) + common_dph @ common_dph.T
-    covariance += deviations_dph.T @ deviations_dph / len(deviations_dph)
     covariance_root = np.linalg.cholesky(covariance)
     steps = np.tri(len(errors_dph))[:, _CONSECUTIVE : len(errors_dph) - _CONSECUTIVE + 1]
     whitened = [
@@ -220,6 +214,20 @@ _MIN_SIZE, _MAX_SIZE = 0.5, 2.0
 #: which held-out dwells can confirm anything.
 _MAX_ERROR, _MAX_HELD_OUT_NOISE = 5.0, 2.0
 _SIZE_ITERATIONS = 30
+
+
+def are_effects_confirmed(problem: Problem, before_dph: FloatArray, after_dph: FloatArray) -> bool:
+    """Whether the held-out dwells confirm effects, see :func:`is_confirmed`.
+
+    ``problem``: of the dwells searched. ``before_dph``, ``after_dph`` (n, 3): measured minus predicted bias
+    in all dwells, without and with the effects; NaN if not measured.
+    """
+    of_held_out = replace(problem, searched=~problem.searched)
+    before, after = (
+        of_held_out.whitened(np.nan_to_num(each[~problem.searched]).T[..., None])[..., 0].T
+        for each in (before_dph, after_dph)
+    )
+    return is_confirmed(before, after, problem.correlation_factor)
 
 
 def is_confirmed(before: FloatArray, after: FloatArray, correlation_factor: float = 1.0) -> bool:

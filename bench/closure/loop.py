@@ -16,7 +16,7 @@ from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect
 from gyrobench.bench.closure.evidence import detectable_dph
 from gyrobench.bench.closure.files import holds_search, read_held_out_cycles, read_quantity, read_tables
-from gyrobench.bench.closure.held_out import HeldOutTest, held_out_test, is_confirmed
+from gyrobench.bench.closure.held_out import HeldOutTest, are_effects_confirmed, held_out_test
 from gyrobench.bench.closure.inputs import read_campaign
 from gyrobench.bench.closure.outcome import CandidateResult, Closure, FoundEffect, HeldOutCycle, OtherForm
 from gyrobench.bench.closure.posterior import CLEAN, EXPLAINED
@@ -74,33 +74,20 @@ def _search_and_test(campaign: Campaign, searched: BoolArray, candidates: Sequen
     problem, accepted = selected.search.problem, selected.accepted
     declared, model = (solve_with(problem, each) for each in ((), accepted.candidates))
     declared_draws, model_draws = (draw(problem, each) for each in ((), accepted.candidates))
-    errors_dph = [measured_minus_model(campaign, searched, each) for each in (declared, model)]
-    before_dph, after_dph = (each[~searched] for each in errors_dph)
-    held_out = held_out_test(
-        after_fit(problem, accepted.candidates),
-        errors_dph[1],
-        model_draws.bias_dph(campaign) - model.bias_dph,
-    )
-    noise_dph = campaign.noise_dph(problem.noise_scale)[~searched]
-    of_held_out = replace(problem, searched=~searched)
-    before_white, after_white = (
-        of_held_out.whitened(np.nan_to_num(each).T[..., None])[..., 0].T for each in (before_dph, after_dph)
-    )
+    before_dph, after_dph = (measured_minus_model(campaign, searched, each) for each in (declared, model))
+    drawn_dph = model_draws.bias_dph(campaign) - model.bias_dph
+    held_out = held_out_test(after_fit(problem, accepted.candidates), after_dph, drawn_dph)
     held_out_part = campaign.part(~searched)
     circular = tuple(
         each.effect.name for each in accepted.candidates if _is_circular(each.effect, held_out_part)
     )
+    can_confirm = bool(accepted.candidates) and not searched.all() and not circular
+    is_confirmed = can_confirm and are_effects_confirmed(problem, before_dph, after_dph)
+    noise_dph = campaign.noise_dph(problem.noise_scale)[~searched]
     return Closure(
         campaign=campaign,
         searched=searched,
-        verdict=_verdict(
-            selected,
-            held_out,
-            is_confirmed=bool(accepted.candidates)
-            and not searched.all()
-            and not circular
-            and is_confirmed(before_white, after_white, problem.correlation_factor),
-        ),
+        verdict=_verdict(selected, held_out, is_confirmed=is_confirmed),
         circular=circular,
         posterior=selected.posterior,
         not_accepted=selected.not_accepted,
@@ -115,10 +102,10 @@ def _search_and_test(campaign: Campaign, searched: BoolArray, candidates: Sequen
         noise_dph=nan_rms(campaign.noise_dph(selected.noise.scales)[searched]),
         confounding=confounding(campaign, searched),
         noise=selected.noise,
-        error_before_dph=nan_rms(before_dph),
-        error_after_dph=nan_rms(after_dph),
-        error_before_sigma_dph=_rms_sigma(before_dph, noise_dph),
-        error_after_sigma_dph=_rms_sigma(after_dph, noise_dph),
+        error_before_dph=nan_rms(before_dph[~searched]),
+        error_after_dph=nan_rms(after_dph[~searched]),
+        error_before_sigma_dph=_rms_sigma(before_dph[~searched], noise_dph),
+        error_after_sigma_dph=_rms_sigma(after_dph[~searched], noise_dph),
         declared_draws=declared_draws,
         model_draws=model_draws,
     )
