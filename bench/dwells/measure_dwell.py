@@ -139,7 +139,6 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
     persistent_flags: tuple[str, ...] = ()
     windows: tuple[RestMotion, ...] = ()
     evidence: SetupEvidence | None = None
-    flags = decoder.flags
     try:
         navigation = decoder.decode(marks, frames, setup)
         dwell = dwell_at_rest(marks, navigation, setup)
@@ -147,9 +146,9 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
             raise SignalMapError(fault)
         noise = setup.noise_in(dwell.windows)
         if fault := turn_fault(dwell, setup, noise):
-            flags.append(fault)
+            decoder.flags.append(fault)
         faults = setup.output_faults(dwell.windows, noise)
-        evidence = None if flags else setup.evidence(dwell, noise, faults, navigation.latitude)
+        evidence = None if decoder.flags else setup.evidence(dwell, noise, faults, navigation.latitude)
         raise_setup_fault(evidence)
         paper = _paper_estimate(dwell, setup.site, noise)
         damping = evidence.velocities.damping if evidence else None
@@ -160,24 +159,24 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
                 estimate.information, dwell.position, setup.prior, turn_angles(dwell, setup, noise)
             )
             estimate = replace(estimate, information=None)
-        if not flags and all(fault.may_be_noise for fault in faults):
+        if not decoder.flags and all(fault.may_be_noise for fault in faults):
             windows = tuple(RestMotion.of(window.thinned(EPOCH_S)) for window in dwell.windows)
-        flags += estimated.disturbances
+        decoder.flags += estimated.disturbances
         if evidence and (drift := drift_fault(evidence.velocities)):
             persistent_flags = (*persistent_flags, drift)
-        flags += persistent_flags
+        decoder.flags += persistent_flags
     except MeasurementError as error:
         decoder.fail(error)
     return MeasuredDwell(
-        _row(marks, decoder.temperatures, estimate, paper, flags),
-        estimate,
-        joint_information,
-        windows,
-        decoder.counts,
-        persistent_flags,
-        decoder.setup_fault,
-        evidence,
-        decoder.are_signs_tested,
+        row=_row(marks, decoder, estimate, paper),
+        estimate=estimate,
+        joint_information=joint_information,
+        windows=windows,
+        counts=decoder.counts,
+        persistent_flags=persistent_flags,
+        setup_fault=decoder.setup_fault,
+        evidence=evidence,
+        are_signs_tested=decoder.are_signs_tested,
     )
 
 
@@ -300,12 +299,9 @@ def _uncertainties(estimate: StateSpaceEstimate) -> dict[str, Any]:
 
 
 def _row(
-    marks: DwellMarks,
-    temperatures: DwellTemperatures,
-    estimate: StateSpaceEstimate | None,
-    paper: BiasEstimate | None,
-    flags: list[str],
+    marks: DwellMarks, decoder: _DwellDecoder, estimate: StateSpaceEstimate | None, paper: BiasEstimate | None
 ) -> DwellRow:
+    temperatures = decoder.temperatures
     return DwellRow(
         unit=marks.unit,
         run=marks.run,
@@ -330,7 +326,7 @@ def _row(
         fit_ratio=estimate.fit.ratio if estimate else math.nan,
         fit_p_value=estimate.fit.p_value if estimate else math.nan,
         other=() if marks.neighbours_on is None else ((NEIGHBOURS_ON, marks.neighbours_on),),
-        flags=tuple(flags),
+        flags=tuple(decoder.flags),
     )
 
 
@@ -393,31 +389,31 @@ def measure_check_dwell(marks: DwellMarks, frames: FrameBlock, setup: Measuremen
     If the dwell can't be used, it has a flag with the reason.
     """
     decoder = _DwellDecoder(list(marks.disturbances))
-    navigation, alignment_c, flags = None, NOT_MEASURED, decoder.flags
+    navigation, alignment_c = None, NOT_MEASURED
     try:
         data = decoder.decode(marks, frames, setup)
         alignment_c = _mean_alignment_c(data, marks.span[0], decoder.temperatures)
         dwell = dwell_at_rest(marks, data, setup)
         navigation = _navigation(dwell, setup)
         faults = setup.output_faults(dwell.windows, navigation.noise)
-        if not flags:
+        if not decoder.flags:
             raise_setup_fault(setup.evidence(dwell, navigation.noise, faults, data.latitude))
-        flags += [fault.text for fault in faults]
+        decoder.flags += [fault.text for fault in faults]
         (window,) = navigation.dwell.windows
         fit = navigation_fit(window, setup.error_model(navigation.noise))
         if fit.p_value < _MIN_FIT_P_VALUE:
-            flags.append(lack_of_fit_text(fit))
+            decoder.flags.append(lack_of_fit_text(fit))
     except MeasurementError as error:
         decoder.fail(error)
     return CheckDwell(
-        marks,
-        navigation,
-        decoder.temperatures,
-        alignment_c,
-        decoder.counts,
-        tuple(flags),
-        decoder.setup_fault,
-        decoder.are_signs_tested,
+        marks=marks,
+        navigation=navigation,
+        temperatures=decoder.temperatures,
+        alignment_c=alignment_c,
+        counts=decoder.counts,
+        flags=tuple(decoder.flags),
+        setup_fault=decoder.setup_fault,
+        are_signs_tested=decoder.are_signs_tested,
     )
 
 
