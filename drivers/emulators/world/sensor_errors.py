@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from gyrobench.drivers.emulators.world.world_file import (
     OverTemperature,
     PerAxis,
     PerPair,
+    WorldFile,
 )
 
 ARCSEC = math.radians(1.0) / 3600.0
@@ -104,8 +106,61 @@ def _fill(column: FloatArray, value: OverTemperature, unit: float) -> None:
     column[: len(coefficients)] = np.array(coefficients) * unit
 
 
+class AddedErrors(NamedTuple):
+    """Errors in n seconds that are not functions of temperature alone, shapes (n, 3)."""
+
+    gyro_dph: FloatArray  #: Biases of the gyros.
+    scale_factor_ppm: FloatArray  #: Scale factors of the gyros.
+    accelerometer_ug: FloatArray  #: Biases of the accelerometers.
+
+    def last(self, seconds: int) -> AddedErrors:
+        """Those of the last seconds."""
+        return AddedErrors(*(each[-seconds:] for each in self))
+
+
+class InertialSensors:
+    """The gyros and accelerometers of a unit."""
+
+    def __init__(self, file: WorldFile) -> None:
+        self._gyros = gyro_errors(file.gyro)
+        triads = self._gyros, accelerometer_errors(file.accelerometer)
+        self._polynomials = np.array([triad.polynomials for triad in triads])
+        self._walks = np.array([triad.random_walk for triad in triads])
+        self._pulses = np.array([triad.pulse for triad in triads])
+        self._remainders = np.zeros((2, 3))
+        self._reference_c = file.reference_temperature_c
+        rate_coefficients = file.gyro.scale_factor_asymmetry_ppm, file.gyro.scale_factor_ppm_per_dps
+        self._half_asymmetry_ppm, self._ppm_per_dps = np.array(rate_coefficients) * [[0.5], [1.0]]
+        self._scale_varies = bool(np.any(rate_coefficients))
+        self.power_on_bias = np.zeros(3)  #: Of the gyros, rad/s, in addition to that by temperature.
+
+    def gyro_bias(self, optics_c: FloatArray) -> FloatArray:
+        """Biases (3,) of the gyros at their temperatures (3,), without added errors, rad/s."""
+        return self._gyros.at(optics_c - self._reference_c)[0] + self.power_on_bias
+
+    def measure(
+        self, rotation: FloatArray, velocity: FloatArray, count: int, dt: float, temperature_c: FloatArray,
+        normal: FloatArray, added: AddedErrors, compensated_dph: FloatArray,
+    ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+        """Increments measured in ``count`` samples of each of n seconds; parameters as of the kernel."""
+        measured: tuple[FloatArray, FloatArray] = _measure(
+            rotation, velocity, self._polynomials, temperature_c, self._reference_c, self.power_on_bias,
+            added.gyro_dph, compensated_dph, normal, count, dt, self._walks, self._pulses, self._remainders,
+        )  # fmt: skip
+        if self._scale_varies or np.count_nonzero(added.scale_factor_ppm):
+            true = np.resize(rotation, (len(normal) * count, 3))  # at rest, the second is repeated
+            ppm = np.repeat(added.scale_factor_ppm, count, axis=0)
+            ppm += (
+                self._half_asymmetry_ppm * np.sign(true) + self._ppm_per_dps * np.degrees(np.abs(true)) / dt
+            )
+            measured = np.ascontiguousarray(measured[0] + PPM * ppm * true), measured[1]
+        if np.count_nonzero(added.accelerometer_ug):
+            measured = measured[0], measured[1] + np.repeat(added.accelerometer_ug * (MICRO_G * dt), count, 0)
+        return measured
+
+
 @compiled
-def measure(
+def _measure(
     rotation: FloatArray, velocity: FloatArray, polynomials: FloatArray, temperature_c: FloatArray,
     reference_c: float, gyro_bias: FloatArray, added_dph: FloatArray, compensated_dph: FloatArray,
     normal: FloatArray, count: int, dt: float, walks: FloatArray, pulses: FloatArray, remainders: FloatArray,

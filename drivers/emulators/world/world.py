@@ -15,15 +15,7 @@ import numpy as np
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, FloatArray
 from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, InertialUnit
 from gyrobench.drivers.emulators.world.normal_numbers import NormalNumbers
-from gyrobench.drivers.emulators.world.sensor_errors import (
-    ARCSEC,
-    MICRO_G,
-    PPM,
-    BiasWander,
-    accelerometer_errors,
-    gyro_errors,
-    measure,
-)
+from gyrobench.drivers.emulators.world.sensor_errors import ARCSEC, AddedErrors, BiasWander, InertialSensors
 from gyrobench.drivers.emulators.world.strapdown import table_attitude, true_increments
 from gyrobench.drivers.emulators.world.table_axis import AxisParameters, TableAxis
 from gyrobench.drivers.emulators.world.thermal import (
@@ -172,21 +164,13 @@ class World:
         self.on_epochs: Callable[[Epochs], None] | None = None
         #: Readings of faulty temperature sensors, by index in :meth:`temperatures_c`.
         self.broken_sensors: dict[int, float] = {}
-        self._gyro = gyro_errors(file.gyro)
-        triads = self._gyro, accelerometer_errors(file.accelerometer)
-        self._polynomials = np.array([triad.polynomials for triad in triads])
-        self._walks = np.array([triad.random_walk for triad in triads])
-        self._pulses = np.array([triad.pulse for triad in triads])
+        self._sensors = InertialSensors(file)
         self._wander = BiasWander(file.gyro, np.random.default_rng(seed_of(2)))
         self._wander_dph = np.zeros((1, 3))
-        self._power_on_bias, self._power_on_ppm = np.zeros(3), np.zeros(3)
+        self._power_on_ppm = np.zeros(3)
         self._scale_random = NormalNumbers(seed_of(3))
-        rate_coefficients = file.gyro.scale_factor_asymmetry_ppm, file.gyro.scale_factor_ppm_per_dps
-        self._half_asymmetry_ppm, self._ppm_per_dps = np.array(rate_coefficients) * [[0.5], [1.0]]
-        self._scale_varies = bool(np.any(rate_coefficients))
         self._sample = start_s * SAMPLE_RATE_HZ
         self._powered_on_sample = self._sample
-        self._remainders = np.zeros((2, 3))
         self._resting: tuple[FloatArray, FloatArray, FloatArray] | None = None
         self._resting_from_s: tuple[float, float] | None = None
         self._undeclared = UndeclaredBias(file.undeclared_effects)
@@ -198,7 +182,7 @@ class World:
         on = on and not self._has_lost_supply
         if on and not self.thermal.powered:
             spread = self.file.gyro.power_on_repeatability_dph * DPH_TO_RADPS
-            self._power_on_bias = self._random.standard_normal(3) * spread
+            self._sensors.power_on_bias = self._random.standard_normal(3) * spread
             spread_ppm = self.file.gyro.scale_factor_repeatability_ppm
             self._power_on_ppm = self._scale_random.standard_normal(3) * spread_ppm
             self._powered_on_sample = self._sample
@@ -224,12 +208,11 @@ class World:
 
     def true_gyro_bias(self) -> FloatArray:
         """True gyro biases at the present time, rad/s, shape (3,)."""
-        bias, _ = self._gyro.at(self.thermal.optics_c - self.file.reference_temperature_c)
-        return bias + self._power_on_bias + self.undeclared_bias()
+        return self._sensors.gyro_bias(self.thermal.optics_c) + self.undeclared_bias()
 
     def undeclared_bias(self) -> FloatArray:
         """Part of :meth:`true_gyro_bias` caused by undeclared effects, rad/s, shape (3,)."""
-        return np.asarray(self._undeclared_dph[-1] * DPH_TO_RADPS)
+        return np.asarray(self._added.gyro_dph[-1] * DPH_TO_RADPS)
 
     def attitude(self) -> FloatArray:
         """True ``C_nb``, shape (3, 3), at the present time."""
@@ -289,8 +272,7 @@ class World:
             course = ThermalCourse(*(each[-1:] for each in course))
         if not self.file.undeclared_effects:
             none = np.zeros((len(duty), 3))
-            self._undeclared_dph, self._undeclared_ppm = none + self._wander_dph, none + self._power_on_ppm
-            self._undeclared_ug = none
+            self._added = AddedErrors(none + self._wander_dph, none + self._power_on_ppm, none)
             return
         sample = self._sample + SAMPLE_RATE_HZ * np.arange(float(len(duty)))[:, np.newaxis]
         on_s = (sample - self._powered_on_sample) * _DT_S
@@ -305,9 +287,11 @@ class World:
             compressor_duty=duty,
             neighbours_k=self._neighbours_k[-len(duty) :, np.newaxis],
         )
-        self._undeclared_dph = self._undeclared.added_dph(now) + self._wander_dph
-        self._undeclared_ppm = self._undeclared.added_scale_factor_ppm(now) + self._power_on_ppm
-        self._undeclared_ug = self._undeclared.added_ug(now)
+        self._added = AddedErrors(
+            self._undeclared.added_dph(now) + self._wander_dph,
+            self._undeclared.added_scale_factor_ppm(now) + self._power_on_ppm,
+            self._undeclared.added_ug(now),
+        )
 
     def _step_samples(
         self, seconds: int, count: int, resting: tuple[FloatArray, FloatArray, FloatArray] | None
@@ -348,24 +332,11 @@ class World:
         self, normal: FloatArray, count: int, resting: tuple[FloatArray, FloatArray, FloatArray] | None
     ) -> tuple[FloatArray, FloatArray]:
         rotation, velocity = self._ideal_increments(len(normal) * count) if resting is None else resting[:2]
-        compensation = self.unit.compensation
-        measured: tuple[FloatArray, FloatArray] = measure(
-            rotation, velocity, self._polynomials, self.thermal.course.nodes_c[-len(normal) :],
-            self.file.reference_temperature_c, self._power_on_bias, self._undeclared_dph[-len(normal) :],
-            _NONE_DPH if compensation is None else compensation.bias_dph,
-            normal, count, _DT_S, self._walks, self._pulses, self._remainders,
+        seconds, compensation = len(normal), self.unit.compensation
+        measured = self._sensors.measure(
+            rotation, velocity, count, _DT_S, self.thermal.course.nodes_c[-seconds:], normal,
+            self._added.last(seconds), _NONE_DPH if compensation is None else compensation.bias_dph,
         )  # fmt: skip
-        if self._scale_varies or np.count_nonzero(self._undeclared_ppm):
-            true = np.resize(rotation, (len(normal) * count, 3))  # at rest, the second is repeated
-            ppm = np.repeat(self._undeclared_ppm[-len(normal) :], count, axis=0)
-            ppm += (
-                self._half_asymmetry_ppm * np.sign(true)
-                + self._ppm_per_dps * np.degrees(np.abs(true)) / _DT_S
-            )
-            measured = np.ascontiguousarray(measured[0] + PPM * ppm * true), measured[1]
-        if np.count_nonzero(self._undeclared_ug):
-            added = np.repeat(self._undeclared_ug[-len(normal) :] * (MICRO_G * _DT_S), count, axis=0)
-            measured = measured[0], measured[1] + added
         return measured if compensation is None else compensation.correct_increments(*measured, _DT_S)
 
     def _at_rest(self) -> tuple[FloatArray, FloatArray, FloatArray] | None:
