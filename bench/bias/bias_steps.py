@@ -136,12 +136,13 @@ def _backward(
     """
     columns, size = rows.shape[2], STATES + _GYROS
     width = columns + size
-    info, responses = np.zeros((size, size)), np.zeros((size, width))
+    # Side by side, as both are multiplied by the transposed transition.
+    both, propagated = np.zeros((size, width + size)), np.empty((STATES, width + size))
+    responses, info = both[:, :width], both[:, width:]
     for i in range(size):
         responses[i, columns + i] = 1.0
     infos, all_responses = np.empty((len(saved), size, size)), np.empty((len(saved), size, width))
     carried, gain_response, index = np.empty(size), np.empty(width), 0
-    propagated, propagated_info = np.empty((STATES, width)), np.empty((STATES, size))
     for k in range(len(rows) - 1, -2, -1):
         if index < len(saved) and saved[index] == k:
             # Numba takes seconds to compile the assignment of a whole array.
@@ -176,32 +177,20 @@ def _backward(
                 info[h, h] += gain[j] * carried[j]
             info[h, h] += scale * scale
         transition, response = transitions[k], bias_response[k]
-        # Both are multiplied by the transposed transition of state and biases; the information, which is
-        # symmetric, twice.
         for i in range(STATES, size):
             for j in range(STATES):
-                factor = response[j, i - STATES]
-                for c in range(width):
-                    responses[i, c] += factor * responses[j, c]
-                for c in range(size):
-                    info[i, c] += factor * info[j, c]
+                for c in range(width + size):
+                    both[i, c] += response[j, i - STATES] * both[j, c]
         for i in range(STATES):
-            for c in range(width):
+            for c in range(width + size):
                 propagated[i, c] = 0.0
-            for c in range(size):
-                propagated_info[i, c] = 0.0
             for j in range(STATES):
-                factor = transition[j, i]
-                for c in range(width):
-                    propagated[i, c] += factor * responses[j, c]
-                for c in range(size):
-                    propagated_info[i, c] += factor * info[j, c]
+                for c in range(width + size):
+                    propagated[i, c] += transition[j, i] * both[j, c]
         for i in range(STATES):
-            for c in range(width):
-                responses[i, c] = propagated[i, c]
-            for c in range(size):
-                info[i, c] = propagated_info[i, c]
-        for i in range(size):
+            for c in range(width + size):
+                both[i, c] = propagated[i, c]
+        for i in range(size):  # the information, which is symmetric, is multiplied from both sides
             for j in range(STATES):
                 carried[j] = info[i, j]
             for c in range(STATES):
