@@ -105,6 +105,15 @@ class Campaign:
         return self if self.part_of is None else self.part_of[0]
 
     @property
+    def in_whole(self) -> BoolArray:
+        """Mask of the dwells of this campaign in :attr:`whole`."""
+        return self.all_dwells if self.part_of is None else self.part_of[1]
+
+    def of_whole(self, whole: Campaign) -> Campaign:
+        """The dwells of this campaign in a changed :attr:`whole`."""
+        return whole if self.part_of is None else whole.part(self.in_whole)
+
+    @property
     def sources(self) -> list[Path]:
         """Paths of the tables and runs that it was read from."""
         return [Path(table.name) for table in self.tables]
@@ -155,8 +164,7 @@ class Campaign:
                 dwells = (whole.start_s, whole.end_s, whole.gyro_c, whole.rate_c_per_h, held_out)
                 parts[index] = record_of_dwells(*(each[in_part] for each in dwells))
         record = TemperatureRecord.joined(parts)
-        whole = replace(whole, held_out=held_out, record=record)
-        return whole if self.part_of is None else whole.part(self.part_of[1])
+        return self.of_whole(replace(whole, held_out=held_out, record=record))
 
     def part(self, chosen: BoolArray) -> Campaign:
         """Campaign with some of the dwells; the temperature record remains that of all."""
@@ -244,7 +252,7 @@ class Campaign:
     def run_shares(self) -> FloatArray:
         """Share of each dwell in each run, shape (n, runs); a dwell may contain a power-on."""
         if self.part_of is not None:
-            return self.whole.run_shares[self.part_of[1]]
+            return self.whole.run_shares[self.in_whole]
         runs = np.arange(len(self.run_names))
         shares: FloatArray = np.asarray(self.run[:, np.newaxis] == runs, dtype=np.float64)
         for on_s in self.power_on_s:
@@ -259,7 +267,7 @@ class Campaign:
     def set_point_path_c(self) -> FloatArray:
         """See :func:`gyrobench.bench.closure.temperature_record.set_point_path`."""
         if self.part_of is not None:
-            return self.whole.set_point_path_c[self.part_of[1]]
+            return self.whole.set_point_path_c[self.in_whole]
         return set_point_path(self.start_s, self.end_s, self.set_c, self.air_c)
 
     @cached_property
@@ -272,7 +280,7 @@ class Campaign:
             return self.forecast_above_optics_c
         if self.part_of is not None:
             whole_c = self.whole.above_optics_c
-            return None if whole_c is None else whole_c[self.part_of[1]]
+            return None if whole_c is None else whole_c[self.in_whole]
         readings = np.stack([self.gyro_c, self.rate_c_per_h, self.board_c], axis=2)
         network_c = electronics_above_optics(
             self.start_s, self.end_s, self.case_c, readings, self.up_body, ~self.held_out

@@ -49,9 +49,8 @@ def read_campaign(*paths: Path, quantity: Quantity = GYRO_BIAS) -> Campaign:
         return join_tables(sources)
     [source] = sources
     cycles = tuple(np.unique(source.campaign.whole.cycle).tolist())
-    table = Table(source.name, cycles)
-    campaign = replace(source.campaign.whole, tables=(table,))
-    return campaign if source.campaign.part_of is None else campaign.part(source.campaign.part_of[1])
+    whole = replace(source.campaign.whole, tables=(Table(source.name, cycles),))
+    return source.campaign.of_whole(whole)
 
 
 def _read_source(path: Path, quantity: Quantity) -> TableToJoin:
@@ -342,7 +341,7 @@ def _on_common_clock(
         end_s=whole.end_s + shift_s,
         record=replace(whole.record, time_s=whole.record.time_s + shift_s),
     )
-    return shifted if campaign.part_of is None else shifted.part(campaign.part_of[1])
+    return campaign.of_whole(shifted)
 
 
 def _highest(used: Sequence[IntArray]) -> float:
@@ -379,7 +378,7 @@ def _concatenate(parts: Sequence[Campaign], tables: Sequence[Table]) -> Campaign
         ),
         tables=tuple(tables),
     )
-    is_good = np.concatenate([each.all_dwells if each.part_of is None else each.part_of[1] for each in parts])
+    is_good = np.concatenate([each.in_whole for each in parts])
     return joined if is_good.all() else joined.part(is_good)
 
 

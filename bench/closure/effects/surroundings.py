@@ -141,8 +141,7 @@ def _lagging_power(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
     mean_w = _lagging_power_over(whole, np.ones_like(not_held_out), *values)
     if not_held_out.any():
         mean_w[not_held_out] = _lagging_power_over(whole, not_held_out, *values)
-    indices = slice(None) if campaign.part_of is None else campaign.part_of[1]
-    return same_for_all_gyros(mean_w[indices, np.newaxis])
+    return same_for_all_gyros(mean_w[campaign.in_whole, np.newaxis])
 
 
 def _lagging_power_over(whole: Campaign, used: BoolArray, tau_s: float, warm_share: float) -> FloatArray:
