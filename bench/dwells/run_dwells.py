@@ -142,30 +142,18 @@ def _recorded_dwells(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock
         yield marks, read_frames(folder, marks)
 
 
-def rotated_dwells(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
-    """Finished, undisturbed dwells with rotations, in order; raises as :func:`measure_recorded`."""
-    for marks in rotated_marks(folder):
-        yield marks, read_frames(folder, marks)
-
-
-def rotated_marks(folder: RunFolder) -> list[DwellMarks]:
-    """Marks of :func:`rotated_dwells`."""
-    return _undisturbed(folder, DwellPurpose.ROTATIONS)
-
-
-def noise_records(folder: RunFolder, setup: MeasurementSetup) -> list[RateRecord]:
-    """Gyro rates of the finished, undisturbed noise records; raises as :func:`measure_recorded`."""
-    return [
-        _rate_record(marks, read_frames(folder, marks), setup)
-        for marks in _undisturbed(folder, DwellPurpose.NOISE)
-    ]
-
-
-def _undisturbed(folder: RunFolder, purpose: DwellPurpose) -> list[DwellMarks]:
+def undisturbed_marks(folder: RunFolder, purpose: DwellPurpose) -> list[DwellMarks]:
+    """:func:`finished_marks` of the undisturbed dwells with a purpose."""
     return [marks for marks in finished_marks(folder) if marks.purpose is purpose and not marks.disturbances]
 
 
-def _rate_record(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> RateRecord:
+def undisturbed_dwells(folder: RunFolder, purpose: DwellPurpose) -> Iterator[tuple[DwellMarks, FrameBlock]]:
+    """The same with their frames; raises as :func:`measure_recorded`."""
+    for marks in undisturbed_marks(folder, purpose):
+        yield marks, read_frames(folder, marks)
+
+
+def rate_record(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> RateRecord:
     """Integrated rates of the gyros over the window of a noise record, split where epochs are missing."""
     increments = increments_from_navigation(setup.decode(frames), setup.site)
     first, end = marks.span

@@ -32,9 +32,9 @@ from gyrobench.bench.dwells.plateau_calibration import PlateauCalibration, calib
 from gyrobench.bench.dwells.run_dwells import (
     flag_rest_of_wrong_setup,
     measure_recorded,
-    noise_records,
-    rotated_dwells,
-    rotated_marks,
+    rate_record,
+    undisturbed_dwells,
+    undisturbed_marks,
 )
 from gyrobench.bench.dwells.run_rotations import RunRotations, spin_record
 from gyrobench.bench.foundations.errors import MeasurementError
@@ -278,8 +278,10 @@ def evaluate_run(
         consistent, rows, rotations_of_run, with_latitude_uncertainty(setup, results.up_rate)
     )
     with_spins = procedure.tests.scale_factor_stability is not None
-    records = noise_records(folder, setup) if procedure.tests.allan_variance else []
-    spins = [spin_record(*each, setup) for each in rotated_dwells(folder)] if with_spins else []
+    purposes = DwellPurpose.NOISE, DwellPurpose.ROTATIONS
+    noise, rotated = (undisturbed_dwells(folder, each) for each in purposes)
+    records = [rate_record(*each, setup) for each in noise] if procedure.tests.allan_variance else []
+    spins = [spin_record(*each, setup) for each in rotated] if with_spins else []
     errors = _errors(results.dwells)
     shared = shared_errors(errors, ["accelerometer_slope"])
     characteristics = procedure.tests.evaluate(rows, records, spins, shared, split_errors(errors))
@@ -294,10 +296,10 @@ def evaluate_run(
 
 def _rotations(folder: RunFolder, setup: MeasurementSetup, so_far: RunRotations) -> RunRotations:
     """Rotations of all dwells; measured again from the log if ``so_far`` lacks dwells of the journal."""
-    if so_far.dwells == [marks.dwell for marks in rotated_marks(folder)]:
+    if so_far.dwells == [marks.dwell for marks in undisturbed_marks(folder, DwellPurpose.ROTATIONS)]:
         return so_far
     remeasured = RunRotations()
-    for marks, frames in rotated_dwells(folder):
+    for marks, frames in undisturbed_dwells(folder, DwellPurpose.ROTATIONS):
         remeasured.add(marks, frames, setup)
     return remeasured
 

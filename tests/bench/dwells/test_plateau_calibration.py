@@ -12,6 +12,7 @@ import yaml
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
+from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, CoefficientEstimate, SensorErrors
 from gyrobench.bench.calibration.estimator import calibrate
 from gyrobench.bench.dwells import dwell_output
@@ -21,7 +22,7 @@ from gyrobench.bench.dwells.plateau_calibration import (
     calibrate_plateaus,
     with_temperature_change,
 )
-from gyrobench.bench.dwells.run_dwells import rotated_dwells
+from gyrobench.bench.dwells.run_dwells import undisturbed_dwells
 from gyrobench.bench.dwells.run_results import recompute_run
 from gyrobench.bench.dwells.run_rotations import PlateauRotations, RunRotations
 from gyrobench.bench.exchange.import_map import load_log_map
@@ -168,6 +169,10 @@ def test_the_can_log_of_a_run_gives_the_coefficients_by_an_import_map(folder):
     assert found.is_observed.all()  # and the asymmetry of the gyro with whole turns both ways, which is zero
     away = (found.values - [*truth(*at_c), 0.0, 0.0, 0.0]) / found.sigmas
     assert np.abs(away).max() < 4.0
+
+
+def rotated_dwells(folder):
+    return undisturbed_dwells(folder, DwellPurpose.ROTATIONS)
 
 
 def calibrated(dwells, setup):
