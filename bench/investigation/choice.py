@@ -117,11 +117,11 @@ class LinearizedHypothesis:
             covariance = _covariance(self.design[rows] / self.sigma_dph[rows, np.newaxis], self.precision)
         return np.asarray(target_design @ covariance @ target_design.T)
 
-    def prediction(self, measured: BoolArray, target: BoolArray) -> Prediction:
-        """Predict the ``target`` dwells (n,) from the dwells ``measured`` (n,)."""
+    def prediction(self, target: BoolArray) -> Prediction:
+        """Predict the ``target`` dwells (n,) from those of the fit."""
         rows = np.tile(target, 3)
         noise = np.diag(self.sigma_dph[rows] ** 2)
-        return Prediction(self.design[rows] @ self.values, self.covariance(measured, target) + noise)
+        return Prediction(self.design[rows] @ self.values, self.covariance(self.measured, target) + noise)
 
 
 def linearize(

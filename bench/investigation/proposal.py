@@ -321,31 +321,28 @@ def _profile_variances(
     ]
     variances, predictions = [], []
     for each, variance in _linearize_rivals(forecast, [*new, *rows], rivals):
-        offset = np.arange(len(each.sigma_dph) // 3) - len(each.sigma_dph) // 3 + len(rows)
-        is_new = (offset < 0) & (offset >= -len(new))
-        is_measured = is_new if only_new else offset < 0
-        variances.append(np.diag(averaging @ each.covariance(is_measured, offset >= 0) @ averaging.T))
+        is_profile = np.arange(len(each.measured)) >= len(each.measured) - len(rows)
+        is_new = ~(each.measured | is_profile)
+        is_measured = is_new if only_new else ~is_profile
+        variances.append(np.diag(averaging @ each.covariance(is_measured, is_profile) @ averaging.T))
         if new and not only_new:
-            predictions.append(_prediction(forecast, each, offset < -len(new), is_new, variance))
+            predictions.append(_prediction(forecast, each, is_new, variance))
     return np.array(variances), predictions
 
 
 def _prediction(
-    forecast: Forecast, linear: LinearizedHypothesis, measured: BoolArray, is_new: BoolArray, variance: float
+    forecast: Forecast, linear: LinearizedHypothesis, is_new: BoolArray, variance: float
 ) -> Prediction:
     """Prediction of new dwells, including the variance of what a rival can't predict."""
-    prediction = linear.prediction(measured, is_new)
+    prediction = linear.prediction(is_new)
     covariance = prediction.covariance + variance * np.eye(len(prediction.mean_dph))
     return Prediction(prediction.mean_dph, covariance, forecast.correlation_factor)
 
 
 def _predictions(forecast: Forecast, new: Sequence[DwellRow], rivals: Sequence[Rival]) -> list[Prediction]:
     """Prediction of each rival for new dwells at their temperatures."""
-    predictions = []
-    for each, variance in _linearize_rivals(forecast, new, rivals):
-        is_new = np.arange(len(each.sigma_dph) // 3) >= len(each.sigma_dph) // 3 - len(new)
-        predictions.append(_prediction(forecast, each, ~is_new, is_new, variance))
-    return predictions
+    linear_rivals = _linearize_rivals(forecast, new, rivals)
+    return [_prediction(forecast, each, ~each.measured, variance) for each, variance in linear_rivals]
 
 
 def _linearize_rivals(

@@ -72,7 +72,7 @@ def test_the_declared_model_predicts_the_last_cycle_of_a_unit_without_effects():
         )
         campaign = campaign_of(rows)
         measured = campaign.cycle < campaign.cycle.max()
-        found = linearize(campaign, measured, (), 1.0, 0.005).prediction(measured, ~measured)
+        found = linearize(campaign, measured, (), 1.0, 0.005).prediction(~measured)
         error = campaign.bias_dph[~measured].T.ravel() - found.mean_dph
         squares += float(error @ np.linalg.solve(found.covariance, error))
         count += len(error)
