@@ -239,6 +239,8 @@ def _command_all(context: StepContext, command: Callable[[MeasuredUnit], Ticks |
     A failed command is repeated as often as the step allows; then its unit is dropped, or the error raised.
     """
     waiting = {unit: ticks for unit in context.units.measuring if (ticks := command(unit)) is not None}
+    while any(context.bench.is_reopening(unit.live.name) for unit in waiting):
+        yield
     for remaining_tries in range(context.retries, -1, -1):
         retried = []
         for unit, error in _exchange_all(context, waiting).items():

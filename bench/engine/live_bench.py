@@ -237,6 +237,8 @@ class LiveBench:
     def leave_out(self, unit: LiveUnit) -> None:
         """Stop measuring a dropped unit, and close its bus."""
         unit.end_capture()
+        self.instruments.end_reopening(unit.name)
+        self._reopening.discard(unit.name)
         unit.ins.close()
         self.units = [each for each in self.units if each is not unit]
         self._failing = [name for name in self._failing if name != unit.name]
@@ -306,7 +308,13 @@ class LiveBench:
     def _reopen(self) -> None:
         """Reopen an instrument that does not answer, as an unplugged adapter requires."""
         for instrument in sorted(self._reopening):
-            self._try_reopen(instrument)
+            if self.instruments.is_reopening(instrument):
+                self._try_reopen(instrument)
+            else:  # an exchange has taken the result
+                self._reopening.discard(instrument)
+                self._pause_tries(instrument, self.clock.now(), is_open=True)
+            if instrument not in self._reopening:  # it has the time of a pause to answer
+                self._next_reopen_s = self.clock.now() + self._reopen_pause_s
         waiting = [each for each in self._failing if each not in self._reopening]
         if not waiting:
             return
@@ -328,7 +336,9 @@ class LiveBench:
         is_open = False
         try:
             is_open = self.instruments.try_reopen(instrument)
-            if not is_open:
+            if is_open:
+                self._causes.pop(instrument, None)
+            else:
                 self._reopening.add(instrument)
         except ConnectionFailedError as error:
             self._causes[instrument] = capitalised(error.message)

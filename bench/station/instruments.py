@@ -14,7 +14,7 @@ from urllib.parse import urlencode
 
 import can
 
-from gyrobench.bench.foundations.clock import Clock
+from gyrobench.bench.foundations.clock import Clock, Deadline
 from gyrobench.bench.foundations.errors import (
     ConnectionFailedError,
     DocumentError,
@@ -47,6 +47,8 @@ CHECK_SUPPLY = (
 )
 
 _OPENING_TIME_S = 15.0
+#: Time limit of a thread that opens a port and waits for an answer, in opening times.
+_REOPENING_TIMES = 2.0
 #: A reply to a request from before the line was opened arrives within this time.
 _LATE_REPLY_S = 1.0
 
@@ -112,7 +114,8 @@ class Outputs:
         self._emulation = emulation or Emulation()
         self._drivers: dict[str, Any] = {}  # opened so far
         self._identities = dict(identities or {})
-        self._reopenings: dict[str, Future[Any]] = {}  # by threads that have begun, of any instrument
+        #: By threads that have begun, of any instrument, and when they are abandoned.
+        self._reopenings: dict[str, tuple[Future[Any], Deadline]] = {}
         #: Whether :meth:`try_reopen` uses a thread: emulators inside this process share one simulated bench.
         self.reopens_in_thread = not (clock.is_virtual or any(station.file.emulated_instruments()))
 
@@ -175,10 +178,14 @@ class Outputs:
         Raises ConnectionFailedError if it can't be opened, does not answer, or has another identity than
         before: adapters that were reconnected may have exchanged their names.
         """
-        outcome = self._reopenings.pop(instrument, None)
+        self._reopen(instrument, Deadline(self.clock, _opening_time_s(self.clock)))
+
+    def _reopen(self, instrument: str, deadline: Deadline) -> None:
+        """As :meth:`reopen`; ``deadline`` limits the wait for a thread that has begun."""
+        outcome, _ = self._reopenings.pop(instrument, (None, None))
         try:
             if outcome is not None:
-                opened = await_call(self.clock, _opening_time_s(self.clock), instrument, outcome)
+                opened = await_call(deadline, instrument, outcome)
             else:
                 opened = self._within_time_limit(instrument, *self._reopening(instrument))
         except ConnectionFailedError:
@@ -190,18 +197,31 @@ class Outputs:
     def try_reopen(self, instrument: str) -> bool:
         """Reopen as :meth:`reopen`, in a thread: returns False until it has ended; call again until then.
 
-        An exchange with table or chamber before that waits for the thread. Table and chamber must also answer
-        a reading. If :attr:`reopens_in_thread` is False, reopens at once.
+        An exchange with table or chamber before that waits for the thread and takes its result. Table and
+        chamber must also answer a reading. If :attr:`reopens_in_thread` is False, reopens at once.
         """
-        if self.reopens_in_thread:
-            if instrument not in self._reopenings:
-                self._reopenings[instrument] = begin_call(
-                    instrument, *self._reopening(instrument, must_answer=True)
-                )
-            if not self._reopenings[instrument].done():
-                return False
-        self.reopen(instrument)
+        if not self.reopens_in_thread:
+            self.reopen(instrument)
+            return True
+        if instrument not in self._reopenings:
+            outcome = begin_call(instrument, *self._reopening(instrument, must_answer=True))
+            limit_s = _REOPENING_TIMES * _opening_time_s(self.clock)
+            self._reopenings[instrument] = outcome, Deadline(self.clock, limit_s)
+        outcome, deadline = self._reopenings[instrument]
+        if not (outcome.done() or deadline.expired()):
+            return False
+        self._reopen(instrument, deadline)
         return True
+
+    def is_reopening(self, instrument: str) -> bool:
+        """Whether a thread of :meth:`try_reopen` has begun whose result has not been taken."""
+        return instrument in self._reopenings
+
+    def end_reopening(self, instrument: str) -> None:
+        """Wait no longer for such a thread: what it opens later is closed."""
+        outcome, _ = self._reopenings.pop(instrument, (None, None))
+        if outcome is not None and not outcome.cancel() and outcome.exception() is None:
+            self._replace(instrument, outcome.result())
 
     def _reopening(
         self, instrument: str, must_answer: bool = False
@@ -234,9 +254,7 @@ class Outputs:
     def close(self) -> None:
         """Close the ports; table and chamber keep their state."""
         for instrument in list(self._reopenings):
-            outcome = self._reopenings.pop(instrument)
-            if not outcome.cancel() and outcome.exception() is None:
-                self._replace(instrument, outcome.result())
+            self.end_reopening(instrument)
         for driver in list(self._drivers.values()):
             driver.close()
 

@@ -33,7 +33,8 @@ def call_within(
     """
     if clock.is_virtual:
         return action()
-    return await_call(clock, limit_s, instrument, begin_call(instrument, action, discard), meanwhile)
+    outcome = begin_call(instrument, action, discard)
+    return await_call(Deadline(clock, limit_s), instrument, outcome, meanwhile)
 
 
 def begin_call(
@@ -59,18 +60,17 @@ def begin_call(
 
 
 def await_call(
-    clock: Clock,
-    limit_s: float,
+    deadline: Deadline,
     instrument: str,
     outcome: Future[_ResultT],
     meanwhile: Callable[[], object] = lambda: None,
 ) -> _ResultT:
     """Return the result of a call that was begun; waits and raises as :func:`call_within`."""
-    deadline = Deadline(clock, limit_s)
     while not wait([outcome], timeout=min(_POLL_S, deadline.remaining_s())).done:
         if deadline.expired() and outcome.cancel():
             raise ConnectionFailedError(
-                instrument, f"its port did not respond within {limit_s:g} s. Check cable, adapter and power."
+                instrument,
+                f"its port did not respond within {deadline.duration_s:g} s. Check cable, adapter and power.",
             )
         meanwhile()
     return outcome.result()

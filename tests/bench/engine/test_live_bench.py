@@ -3,24 +3,30 @@
 import math
 import os
 import re
+import threading
 import tty
 from contextlib import closing, contextmanager
 from itertools import cycle
+from threading import Event
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from gyrobench.bench.engine.actions import StepContext, _command_all
 from gyrobench.bench.engine.interlocks.watch import text_of_trips
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.foundations.clock import VirtualClock, WallClock
-from gyrobench.bench.foundations.errors import NoReplyError, ReplyError
+from gyrobench.bench.foundations.errors import ConnectionFailedError, NoReplyError, ReplyError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.can_log import CanLog, read_can_log
-from gyrobench.bench.station.instruments import Emulation, Instruments
+from gyrobench.bench.station.instruments import RATE_TABLE, Emulation, Instruments
 from gyrobench.bench.station.station import Station
+from gyrobench.drivers.chamber import ChamberReading
 from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
 from gyrobench.drivers.frames import concatenate
-from tests.bench.engine.stations import served_station
+from gyrobench.drivers.rate_table import TableReading
+from tests.bench.engine.stations import changed_station, served_station
 from tests.drivers.ins.test_text_buses import Slcan
 
 
@@ -266,6 +272,133 @@ def test_a_silent_instrument_whose_port_is_gone_is_reported_with_the_present_pro
         problem = r"limit is \d+ s\. Can't open emulator://table: .* Check the station file's port and the"
         assert all(re.search(problem, text) for text in texts)
         assert not bench.silent
+
+
+@pytest.fixture
+def threaded(tmp_path, monkeypatch):
+    """A started bench without emulators; its table's port opens when ``answers`` is set."""
+    changes = {
+        "port: emulator://table": "port: none",
+        "port: emulator://chamber": "port: neither",
+        "interface: emulator": "interface: virtual",
+        "  bitrate: 500000\n": "",
+        "clock: virtual": "clock: wall",
+    }
+    station, clock = Station(changed_station(tmp_path, changes)), WallClock(speed=20.0)
+    reading, answers, opened = TableReading((0.0, 0.0), (0.0, 0.0), is_servoed=True, faults=()), Event(), []
+    chamber = SimpleNamespace(read=lambda: ChamberReading(20.0, alarms=()), close=str)
+
+    def table(*_):
+        assert answers.wait(60)
+        opened.append(SimpleNamespace(read=lambda: reading, stop=str, close=str))
+        return opened[-1]
+
+    monkeypatch.setattr("gyrobench.bench.station.instruments.open_table", table)
+    monkeypatch.setattr("gyrobench.bench.station.instruments.open_chamber", lambda *_: chamber)
+    answers.set()
+    with Instruments(station, clock, Emulation("ideal", 0)) as instruments:
+        bench = LiveBench(station, instruments, clock, [], lambda *_: None)
+        bench.start()
+        yield bench, answers, opened
+
+
+def test_a_port_whose_reopening_an_exchange_awaited_is_not_reopened_again(threaded):
+    bench, answers, opened = threaded
+    answers.clear()
+    bench.handle_failure(NoReplyError(RATE_TABLE, "no reply"))
+    bench.tick()
+    assert bench.is_reopening(RATE_TABLE)
+    answers.set()
+    bench.instruments.table.stop()
+    while bench.silent or bench.is_reopening(RATE_TABLE):
+        bench.tick()
+    assert len(opened) == 2
+
+
+def test_a_port_that_opens_late_is_not_reopened_before_it_is_asked(threaded):
+    """Its opening takes longer than the longest pause between two attempts."""
+    bench, answers, opened = threaded
+    answers.clear()
+    bench.handle_failure(NoReplyError(RATE_TABLE, "no reply"))
+    end_s = bench.clock.now() + 8.0
+    while bench.clock.now() < end_s:
+        bench.tick()
+    (thread,) = (each for each in threading.enumerate() if each.name == "limited: rate table")
+    answers.set()
+    thread.join(60)
+    while bench.silent:
+        bench.tick()
+    assert len(opened) == 2
+
+
+def test_a_silent_ins_whose_port_is_open_again_is_not_reported_with_the_earlier_problem(
+    threaded, monkeypatch
+):
+    bench, _, _ = threaded
+    (unit,), problems = bench.units, [ConnectionFailedError("INS", "can't open can0")]
+    bus = SimpleNamespace(shutdown=str, recv=lambda _: None)
+
+    def open_bus(*_):
+        if problems:
+            raise problems.pop()
+        return bus
+
+    monkeypatch.setattr("gyrobench.bench.station.instruments._open_ins_bus", open_bus)
+    unit.state.powered()
+    texts = []
+    while unit.ins._bus is not bus:
+        bench.tick()
+        texts.append(text_of_trips(bench.trips()))
+    assert any("Can't open can0" in text for text in texts[:-1])
+    assert "an't open can0" not in text_of_trips(bench.trips())
+
+
+def test_a_command_waits_until_the_bus_of_its_unit_is_open_again(threaded, monkeypatch):
+    bench, _, _ = threaded
+    (unit,), opens, failed = bench.units, Event(), []
+    bus = SimpleNamespace(shutdown=str, recv=lambda _: None)
+
+    def open_bus(*_):
+        assert opens.wait(60)
+        return bus
+
+    def poll(measured):
+        measured.live.ins.poll()
+        yield
+
+    monkeypatch.setattr("gyrobench.bench.station.instruments._open_ins_bus", open_bus)
+    unit.ins.close()
+    bench.reopen(unit.name)
+    measured = type("Measured", (), {"live": unit})()
+    units = SimpleNamespace(measuring=[measured], fail=lambda *each: failed.append(each))
+    ticks = _command_all(StepContext(SimpleNamespace(bench=bench), units), poll)
+    next(ticks)
+    opens.set()
+    for _ in ticks:
+        bench.tick()
+    assert not failed
+    assert unit.ins._bus is bus
+
+
+def test_the_bus_of_a_unit_that_is_dropped_while_it_is_reopened_stays_closed(threaded, monkeypatch):
+    bench, _, _ = threaded
+    (unit,), opens, closed = bench.units, Event(), []
+    bus = SimpleNamespace(shutdown=lambda: closed.append(True), is_shut_down=False)
+
+    def open_bus(*_):
+        assert opens.wait(60)
+        return bus
+
+    monkeypatch.setattr("gyrobench.bench.station.instruments._open_ins_bus", open_bus)
+    bench.reopen(unit.name)
+    (thread,) = (each for each in threading.enumerate() if each.name == f"limited: {unit.name}")
+    bench.leave_out(unit)
+    opens.set()
+    thread.join(60)
+    bench._reopen()
+    assert closed
+    assert not bench.silent
+    assert not bench.is_reopening(unit.name)
 
 
 @pytest.mark.long

@@ -121,6 +121,28 @@ def test_a_port_that_hangs_is_opened_by_one_thread_until_its_result_is_taken(rea
     assert (len(opened), closed) == (2, [0, 1])
 
 
+def test_a_thread_that_hangs_is_abandoned_and_the_port_opened_by_another_one(real_ports, monkeypatch):
+    ends, opened = threading.Event(), []
+
+    def table(*_):
+        opened.append(SimpleNamespace(read=list, stop=str, close=ends.set))
+        assert len(opened) > 1 or ends.wait(60)
+        return opened[-1]
+
+    monkeypatch.setattr("gyrobench.bench.station.instruments.open_table", table)
+    with Outputs(real_ports, clock := WallClock(speed=1000.0)) as outputs:
+        monkeypatch.setattr("gyrobench.bench.station.instruments._OPENING_TIME_S", 0.01)
+        assert not outputs.try_reopen(RATE_TABLE)
+        clock.sleep(21.0)
+        with pytest.raises(ConnectionFailedError, match=r"did not respond within 20 s"):
+            outputs.try_reopen(RATE_TABLE)
+        monkeypatch.setattr("gyrobench.bench.station.instruments._OPENING_TIME_S", 60.0)
+        while not outputs.try_reopen(RATE_TABLE):
+            clock.sleep(1.0)
+        outputs.table.stop()
+    assert len(opened) == 2
+
+
 def test_a_port_that_opens_and_does_not_answer_is_closed_again_by_the_thread(real_ports, monkeypatch):
     closed = threading.Event()
 
