@@ -55,7 +55,9 @@ class NewestFrames:
         self, frames: FrameBlock, identifier: int, mask: np.uint64
     ) -> dict[int, tuple[float, bytes]]:
         """Newest frames of a multiplexed message by page, with those that have just arrived."""
-        pages = dict(self.pages.get(identifier, {}))
+        # Without stale ones: data at the bits of a multiplexer that a page lacks look like many pages.
+        oldest_s, previous = self.stamp_s - STALE_S, self.pages.get(identifier, {})
+        pages = {page: row for page, row in previous.items() if row[0] >= oldest_s}
         of_message = frames.take(frames.rows_with_id(identifier))
         selected = of_message.data.view(np.uint64)[:, 0] & mask
         for page in reversed(dict.fromkeys(selected[::-1].tolist())):  # in the order of their last frames

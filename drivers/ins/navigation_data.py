@@ -350,7 +350,7 @@ def _times(readout: BlockReadout, groups: _Groups, position: FloatArray, restart
     """
     period_s = readout.map.epoch_period_s
     if readout.map.time_s is not None:
-        timed = np.flatnonzero(groups.time_rows >= 0)
+        timed = np.flatnonzero(np.isin(groups.time_rows, readout.rows_with(readout.signals["time_s"])))
         timed_s = readout.time_s(groups.time_rows[timed])
         timed, timed_s = timed[np.isfinite(timed_s)], timed_s[np.isfinite(timed_s)]
     else:

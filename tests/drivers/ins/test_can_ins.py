@@ -21,11 +21,12 @@ from gyrobench.drivers.ins.can_bus import open_bus
 from gyrobench.drivers.ins.can_ins import CanIns
 from gyrobench.drivers.ins.command_map import CommandMap, TermIndices
 from gyrobench.drivers.ins.compensation import TERMS, Compensation
-from gyrobench.drivers.ins.dbc_codec import DbcCodec
+from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
 from gyrobench.drivers.ins.ins_status import STALE_S, InsStatus, NewestFrames
 from gyrobench.drivers.ins.navigation_data import decode_navigation
 from gyrobench.drivers.ins.readout import InsMode
 from gyrobench.drivers.ins.signal_map import bind_signals
+from tests.drivers.ins.test_dbc_codec import MULTIPLEXED
 
 POLYNOMIAL = Compensation(
     np.array([[0.0, 0.0], [0.5, -0.25], [0.0, 0.0]]), np.full(3, -20.0), np.full(3, 70.0)
@@ -215,6 +216,16 @@ def test_the_newest_frame_of_each_page_of_a_multiplexed_message_counts(in_pages,
     newest.forget("GYRO_OPTICS_TEMPERATURE")
     forgotten = InsStatus(newest, 0.0, signal_map, bind_signals(signal_map, codec))
     assert np.isnan(forgotten.optics_c).all()
+
+
+def test_data_where_other_pages_have_a_second_multiplexer_do_not_add_pages_for_ever(tmp_path):
+    (tmp_path / "mux.dbc").write_text(MULTIPLEXED)
+    codec = DbcCodec(load_dbc(tmp_path / "mux.dbc"))
+    newest, identifier = NewestFrames(codec), codec.arbitration_id("MUX")
+    for number in range(200):
+        frame = FrameBlock.from_columns([0.1 * number], [identifier], 8, [[1, number, 0, 0, 0, 0, 0, 0]])
+        newest.take(frame, 0.1 * number)
+    assert len(newest.pages[identifier]) <= STALE_S / 0.1 + 1
 
 
 def test_nothing_is_known_before_the_first_frame_and_after_a_silence(

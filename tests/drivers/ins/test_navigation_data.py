@@ -12,6 +12,7 @@ from gyrobench.drivers.ins.attitude import EulerSequence, attitude_matrices
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
 from gyrobench.drivers.ins.navigation_data import EpochCounts, decode_increments, decode_navigation
 from gyrobench.drivers.ins.readout import Alignment, InsMode
+from tests.drivers.ins.conftest import make_frames
 
 HEADING_ID, VELOCITY_ID, TIME_ID, STATUS_ID = 0x007, 0x004, 0x001, 0x010
 
@@ -50,6 +51,21 @@ def test_temperatures_on_several_pages_of_a_multiplexed_message_are_all_read(in_
     expected = np.stack([20 + np.arange(10) * 0.1, np.full(10, 21), np.full(10, 22)], axis=1)
     assert found.optics_c == pytest.approx(expected)
     assert found.spread_k[:, :3] == pytest.approx(np.zeros((10, 3)))
+
+
+def test_a_time_on_one_page_of_a_multiplexed_message_is_not_that_of_the_frames_of_another(
+    codec_with, recording, make_signal_map
+):
+    codec = codec_with({"TIME_S :": "TIME_S m1 :", "TIME_NS :": "PAGE M :"})
+    whole = recording(0, 100)
+    is_time = whole.arbitration_id == codec.arbitration_id("SYSTEM_TIME")
+    times_s = whole.timestamp_s[is_time]
+    first = make_frames(codec, "SYSTEM_TIME", times_s, {"PAGE": 1, "TIME_S": 100 + np.arange(10)})
+    second = make_frames(codec, "SYSTEM_TIME", times_s + 0.5, {"PAGE": 2})
+    block = concatenate([whole.take(~is_time), first, second]).in_order()
+    found = decode_navigation(block, make_signal_map({"time_ns: SYSTEM_TIME.TIME_NS": ""}), codec)
+    assert found.ins_time_s == pytest.approx(100 + 0.1 * np.arange(100))
+    assert found.counts.restarts == 0
 
 
 def test_temperatures_that_are_not_mapped_are_nan(recording, make_signal_map, codec):
