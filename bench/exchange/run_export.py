@@ -221,7 +221,7 @@ def _missing_reason(folder: RunFolder, kind: DataKind) -> str:
             return "" if is_closed else f"no search for effects yet; run `gyrobench close {folder.argument}`"
     names = [f"{table}.csv" for table in _TABLE_NAMES[kind]]
     missing = [name for name in names if not (folder.path / name).exists()]
-    return _TABLE_MISSING.format(missing[0], folder.path) if missing else ""
+    return _TABLE_MISSING.format(missing[0], folder.argument) if missing else ""
 
 
 def _files(kind: DataKind, selection: ExportSelection) -> list[str]:

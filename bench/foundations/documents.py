@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 import re
+import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, field
@@ -166,7 +167,7 @@ def validate(document: Document, model: type[_ModelT], further: Sequence[Documen
     expected_key = next((key for key in USES if key in model.model_fields), None)
     other_key = next((key for key in USES if key in document.data and key not in model.model_fields), None)
     if expected_key and other_key and expected_key not in document.data:
-        use = USES[other_key].format(document.path)
+        use = USES[other_key].format(shlex.quote(str(document.path)))
         kinds = f"a {other_key} file, not a {expected_key} file".replace("_", " ")
         raise document.error([DocumentProblem((other_key,), f"this is {kinds}. {use}")])
     notes: set[tuple[str, str, str]] = set()

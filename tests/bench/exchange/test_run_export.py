@@ -109,8 +109,8 @@ def test_tables_as_csv_are_those_of_the_run(two_dwells, tmp_path):
 
 
 def test_a_run_that_was_cut_off_gives_what_it_holds(two_dwells, tmp_path):
-    shutil.copytree(two_dwells.path, tmp_path / "run")
-    folder = RunFolder(tmp_path / "run")
+    shutil.copytree(two_dwells.path, tmp_path / "a run")
+    folder = RunFolder(tmp_path / "a run")
     for path in (folder.bias_bins, folder.joint, folder.joint_biases):
         path.unlink()
     lines = folder.journal.read_text().splitlines(keepends=True)
@@ -121,7 +121,7 @@ def test_a_run_that_was_cut_off_gives_what_it_holds(two_dwells, tmp_path):
     assert {path.name for path in exported.files} == {
         *("dwells.parquet", "telemetry.parquet", "can.blf", "export.json")
     }
-    assert "gyrobench bins" in exported.missing[DataKind.BINS]
+    assert f"gyrobench bins '{folder.path}'" in exported.missing[DataKind.BINS]
     assert json.loads((tmp_path / "out" / "export.json").read_text())["origin"]["ended"] is None
 
 

@@ -58,13 +58,13 @@ def test_a_missing_dbc_file_is_reported_with_the_mistakes_of_the_file(changed):
 
 
 def test_a_procedure_in_place_of_a_station_is_named_with_how_to_check_it(tmp_path):
-    path = tmp_path / "three.yaml"
+    path = tmp_path / "of three.yaml"
     path.write_text("description: mine\nprocedure: three\nsteps: [power_off]\n")
     with pytest.raises(DocumentError) as caught:
         Station(path)
     assert str(caught.value) == (
-        f"{path}:2:1: this is a procedure file, not a station file. Run it with: gyrobench run {path} "
-        f"--station STATION, or check it with its bench: gyrobench check STATION --procedure {path}"
+        f"{path}:2:1: this is a procedure file, not a station file. Run it with: gyrobench run '{path}' "
+        f"--station STATION, or check it with its bench: gyrobench check STATION --procedure '{path}'"
     )
 
 
