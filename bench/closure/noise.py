@@ -19,7 +19,7 @@ from gyrobench.bench.closure.candidates import Candidate, stack
 from gyrobench.bench.closure.effects.effect import same_for_all_gyros
 from gyrobench.bench.closure.problem import SCALE_C, Problem, declared_problem
 from gyrobench.bench.closure.quantity import Quantity
-from gyrobench.bench.closure.validation import LackOfFit, gyro_correlation, lack_of_fit, repeats_p_value
+from gyrobench.bench.closure.validation import LackOfFit, gyro_correlation, lack_of_fit
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.navigation.positions import AXES
@@ -32,9 +32,9 @@ MEDIAN_ABS_NORMAL = 0.6745
 _MAX_OUTLIER_SHARE = 0.1
 #: Scatter without structure is noise up to this ratio to the stated uncertainties.
 _MAX_SCALE = 1.7
-#: The same if repeats scatter as much as all dwells; and for one gyro, and its reciprocal for less scatter,
-#: if another one scatters as stated. The p-value below which the scatter of two gyros differs.
-_MAX_OTHER_SCALE, _OTHER_P = 5.0, 1e-3
+#: The same for one gyro, and its reciprocal for less scatter, if another one scatters as stated, and the
+#: p-value below which the scatter of two gyros differs.
+_MAX_GYRO_SCALE, _OTHER_P = 5.0, 1e-3
 #: p-values below which scatter is larger than stated, and below which it has structure.
 _LARGER_P, _STRUCTURE_P = 1e-2, 1e-2
 #: Two noise estimates agree if their scales, and their correlation factors, differ by less than these shares.
@@ -237,11 +237,9 @@ def _with_scales(noise: CampaignNoise, model: _Model) -> tuple[CampaignNoise, bo
         tests.append(lack_of_fit(model.fit(alone), model.parameters))
     if min(each.p_any_structure for each in tests) < _STRUCTURE_P:  # an effect also correlates the gyros
         return noise, True
-    is_like_repeats = (
-        test.noise_ratio > _MAX_SCALE and repeats_p_value(problem, model.parameters) >= _STRUCTURE_P
-    )
-    scale = _scale_of(test, _MAX_OTHER_SCALE if is_like_repeats else _MAX_SCALE)
-    return replace(noise, scales=scales * scale, correlation_factor=problem.correlation_factor), False
+    return replace(
+        noise, scales=scales * _scale_of(test), correlation_factor=problem.correlation_factor
+    ), False
 
 
 def _gyro_scales(problem: Problem, parameters: int) -> FloatArray:
@@ -266,12 +264,12 @@ def _gyro_scales(problem: Problem, parameters: int) -> FloatArray:
         differs[gyro] = p_value < _OTHER_P
     common = np.average(variances[~differs], weights=np.maximum(dof[~differs], 0.0))
     scales = np.where(differs, np.sqrt(variances / common), 1.0)
-    return np.where((scales > 1.0 / _MAX_OTHER_SCALE) & (scales < _MAX_OTHER_SCALE), scales, 1.0)
+    return np.where((scales > 1.0 / _MAX_GYRO_SCALE) & (scales < _MAX_GYRO_SCALE), scales, 1.0)
 
 
-def _scale_of(test: LackOfFit, max_scale: float) -> float:
+def _scale_of(test: LackOfFit) -> float:
     """Ratio of the noise to the stated uncertainties; 1 unless the scatter is larger."""
-    is_larger = test.p_noise < _LARGER_P and 1.0 < test.noise_ratio < max_scale
+    is_larger = test.p_noise < _LARGER_P and 1.0 < test.noise_ratio < _MAX_SCALE
     return test.noise_ratio if is_larger else 1.0
 
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gyrobench.bench.bias.statistics import chi2_p_value, f_p_value, indicator_columns
+from gyrobench.bench.bias.statistics import chi2_p_value, f_p_value
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, solve_with
 from gyrobench.bench.closure.effects.effect import same_for_all_gyros
@@ -29,9 +29,6 @@ _MAX_TIME_KNOTS = 40
 _TEMPERATURE_KNOT_C = 4.0
 _MAX_TEMPERATURE_KNOTS = 24
 _PREVIOUS_DWELL = "the previous dwell"
-#: Width of the temperatures of repeats, K, rate from which on a temperature rises or falls, and fewest
-#: degrees of freedom of the scatter of repeats.
-_CELL_C, _RAMP_C_PER_H, _MIN_REPEATS = 10.0, 6.0, 20
 #: Fewest degrees of freedom of a correlation, and the largest one.
 _MIN_CORRELATION_DOF, _MAX_CORRELATION = 6, 0.9999
 
@@ -93,26 +90,6 @@ def lack_of_fit(problem: Problem, parameters: int) -> LackOfFit:
         noise_ratio=float(np.sqrt(problem.chi2 / dof)),
         correlated=gyro_correlation(problem).strongest,
     )
-
-
-def repeats_p_value(problem: Problem, parameters: int) -> float:
-    """P-value of the lack of fit against the scatter of repeats; 0 if these are too few.
-
-    Repeats are dwells in one position within 10 K, on ramps in one direction. What depends on these three
-    alone is the same in all of them.
-    """
-    campaign = problem.campaign.part(problem.searched)
-    direction = np.rint(campaign.rate_c_per_h.mean(axis=1) / _RAMP_C_PER_H).clip(-1.0, 1.0)
-    cells = np.column_stack([campaign.up_body, np.floor(campaign.gyro_c.mean(axis=1) / _CELL_C), direction])
-    index = np.unique(np.rint(cells), axis=0, return_inverse=True)[1].tolist()
-    columns = _in_all_dwells(same_for_all_gyros(indicator_columns(index)), problem)
-    reduction, rank = problem.chi2_reduction(columns)
-    dof = problem.dof - parameters - rank
-    if not rank or dof < _MIN_REPEATS:
-        return 0.0
-    repeat_variance = max((problem.chi2 - reduction) / dof, problem.min_residual_variance)
-    factor = problem.correlation_factor
-    return f_p_value(rank / factor, dof / factor, reduction / rank / repeat_variance)
 
 
 class GyroCorrelation(NamedTuple):
