@@ -164,8 +164,7 @@ class Search:
         """The most probable set of effects without objections, and the probabilities of all sets.
 
         Compared are the sets of the search by BIC, and all sets with one effect added to the most probable
-        one or exchanged in it, significant or not. Of about equally probable sets the simplest is selected,
-        and of its forms the most probable one.
+        one or exchanged in it, significant or not. Of about equally probable sets the simplest is selected.
         """
         best, evidences = self.best(), self.evidences
         for _ in range(_MAX_EXCHANGES):
@@ -183,9 +182,6 @@ class Search:
             is_simpler = each.parameter_count < selected.parameter_count
             if is_simpler and is_as_probable and not self._has_objection(each):
                 selected = each
-        forms = [each for each in self._best_by_forms.values() if each.names == selected.names]
-        allowed = (each for each in forms if not self._has_objection(each))
-        selected = max([selected, *allowed], key=lambda each: evidences.weights(each)[0])
         return selected, replace(posterior, more_general=self._find_more_general(selected, fitted, posterior))
 
     def _find_more_general(

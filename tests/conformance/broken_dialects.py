@@ -192,20 +192,26 @@ class ChamberThatTriesForever(Chamber):
 
 @mistake("chamber", "it_answers_again_after_a_silence")
 class ChamberThatGivesUp(Chamber):
-    _has_failed = False
+    def __init__(self, *args):
+        super().__init__(*args)
+        self._has_failed, self._ask, self._text.ask = False, self._text.ask, self._ask_once
 
-    def _ask(self, query):
+    def _ask_once(self, query):
         if self._has_failed:
             raise RefusedError("chamber", "has failed before")
         self._has_failed = True
-        reply = super()._ask(query)
+        reply = self._ask(query)
         self._has_failed = False
         return reply
 
 
 @mistake("chamber", "a_late_reply_is_not_taken_for_that_of_another_request")
 class ChamberThatTakesAnyReply(Chamber):
-    def _ask(self, query):
+    def __init__(self, *args):
+        super().__init__(*args)
+        self._text.ask = self._take_any
+
+    def _take_any(self, query):
         self._line.write(query.encode() + b"\r")
         return self._text.receive(query)
 
@@ -213,7 +219,7 @@ class ChamberThatTakesAnyReply(Chamber):
 @mistake("chamber", "disturbed_replies_give_values_or_errors_of_the_bench")
 class ChamberThatTrustsReplies(Chamber):
     def read(self):
-        return ChamberReading(float(self._ask("PVAR1?").decode()), alarms=())
+        return ChamberReading(float(self._text.ask("PVAR1?").decode()), alarms=())
 
 
 @mistake("chamber", "another_device_on_the_line_is_an_error")

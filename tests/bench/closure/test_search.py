@@ -3,7 +3,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.candidates import fit_hypothesis
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect, Form
@@ -18,7 +17,7 @@ from gyrobench.bench.closure.posterior import TIE_ODDS
 from gyrobench.bench.closure.problem import declared_problem
 from gyrobench.bench.closure.search import EFFECT_SIGNIFICANCE, MAY_CORRECT_LAWS, Search
 from tests.bench.closure.conftest import EQUIPPED, among
-from tests.bench.closure.thermal_bench import SIGMA_DPH, measure
+from tests.bench.closure.thermal_bench import SIGMA_DPH
 
 CLEAN_SEEDS = range(8)
 TRIANGLE = ((-20.0, 0.2, 0.0), (60.0, 0.2, 0.0), (20.0, 0.2, 0.0))
@@ -312,14 +311,3 @@ def test_each_effect_of_the_best_set_is_significant(search, among):
 def test_effects_with_missing_inputs_are_not_fitted(search):
     one, _ = search({"bias_jump": 3.0}, sensors=())
     assert one.single_effects.keys().isdisjoint({"chamber_state", "thermal_gradient"})
-
-
-def test_of_the_forms_of_an_effect_the_most_probable_one_is_selected():
-    """With so weak an effect the fit with the smallest BIC has another form."""
-    measured = measure({"attitude_thermal": 1.2}, seed=20, cycles=1, headings_deg=(0.0, 90.0))
-    data = declared_problem(campaign_of(measured.rows), np.ones(len(measured.rows), bool))
-    laws = [each for each in all_effects() if each.name in ("attitude_thermal", "g_sensitivity")]
-    selected, posterior = Search(data, laws).most_probable()
-    [found] = selected.candidates
-    [(probability, _)] = posterior.other_forms(selected.names, found)
-    assert probability < 0.5
