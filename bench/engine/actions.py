@@ -47,7 +47,6 @@ from gyrobench.bench.procedure.steps import (
     Wait,
 )
 from gyrobench.bench.station.instruments import CHECK_SUPPLY
-from gyrobench.drivers.ins.attitude import EulerSequence
 from gyrobench.drivers.ins.can_ins import POLL_PERIOD_S
 from gyrobench.drivers.ins.readout import Alignment, InsMode
 
@@ -74,7 +73,9 @@ class StepContext:
     """State that the actions share."""
 
     def __init__(self, run: RunContext, units: Units) -> None:
-        self.run, self.bench, self.units = run, run.bench, units
+        self.run = run
+        self.bench = run.bench
+        self.units = units
         self.retries = 0  #: How often a failed exchange of the step in progress is repeated.
         #: Turns until the next position: the table goes to angles from which they stay within its limits.
         self.next_turns_deg: Sequence[TurnOrMove] = ()
@@ -219,7 +220,7 @@ def _align(step: Align, context: StepContext) -> Ticks:
     bench = context.bench
     for unit in context.units.measuring:
         unit.recorder.begin()
-    yield from _command_all(context, lambda unit: _choose_euler_sequence(step, unit))
+    yield from _command_all(context, lambda unit: unit.live.choose_euler_sequence(step.euler_sequence))
     yield from _command_all(context, lambda unit: unit.live.ins.enter_stepwise(InsMode.ALIGN))
     begin_s = bench.clock.now()
     yield
@@ -239,8 +240,7 @@ def _command_all(context: StepContext, command: Callable[[MeasuredUnit], Ticks |
     A failed command is repeated as often as the step allows; then its unit is dropped, or the error raised.
     """
     waiting = {unit: ticks for unit in context.units.measuring if (ticks := command(unit)) is not None}
-    while any(context.bench.is_reopening(unit.live.name) for unit in waiting):
-        yield
+    yield from _await_ports(context.bench, [unit.live.name for unit in waiting])
     for remaining_tries in range(context.retries, -1, -1):
         retried = []
         for unit, error in _exchange_all(context, waiting).items():
@@ -480,7 +480,12 @@ def _prepare_retry(context: StepContext, errors: Sequence[InstrumentError]) -> T
         if isinstance(error, ConnectionFailedError):
             context.bench.reopen(error.instrument)
     yield from _pause(context.bench, _RETRY_PAUSE_S)
-    while any(context.bench.is_reopening(error.instrument) for error in errors):
+    yield from _await_ports(context.bench, [error.instrument for error in errors])
+
+
+def _await_ports(bench: LiveBench, instruments: Sequence[str]) -> Ticks:
+    """Wait until no thread opens a port of these instruments."""
+    while any(map(bench.is_reopening, instruments)):
         yield
 
 
@@ -491,14 +496,3 @@ def _read_table(context: StepContext) -> Ticks:
     while context.bench.readings.table_s < begin_s:
         yield
         context.bench.read_table()
-
-
-def _choose_euler_sequence(step: Align, unit: MeasuredUnit) -> Ticks | None:
-    """Select the Euler sequence that is regular in this position, if the INS supports it."""
-    if not unit.live.ins.supports("set_euler_sequence"):
-        return None
-    y_is_vertical = unit.live.state.position in ("y_up", "y_down")
-    automatic = EulerSequence.PRY_231 if y_is_vertical else EulerSequence.RPY_321
-    sequence = automatic if step.euler_sequence == "automatic" else EulerSequence(step.euler_sequence)
-    is_set = unit.live.status().euler_sequence is sequence
-    return None if is_set else unit.live.ins.set_euler_sequence_stepwise(sequence)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
@@ -15,6 +15,7 @@ from gyrobench.bench.navigation.table_axes import Angles
 from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.frames import FrameBlock, concatenate
+from gyrobench.drivers.ins.attitude import EulerSequence
 from gyrobench.drivers.ins.can_ins import CanIns
 from gyrobench.drivers.ins.ins_status import InsStatus
 from gyrobench.drivers.ins.readout import InsMode
@@ -124,6 +125,19 @@ class LiveUnit:
         """State of the INS with the frames that have arrived by now."""
         self.poll()
         return self.ins.status()
+
+    def choose_euler_sequence(self, declared: str) -> Iterator[None] | None:
+        """Begin to select the Euler sequence that is regular in this position, or the one declared.
+
+        None if it is selected already, or the INS has only one.
+        """
+        if not self.ins.supports("set_euler_sequence"):
+            return None
+        y_is_vertical = self.state.position in ("y_up", "y_down")
+        regular = EulerSequence.PRY_231 if y_is_vertical else EulerSequence.RPY_321
+        sequence = regular if declared == "automatic" else EulerSequence(declared)
+        is_set = self.status().euler_sequence is sequence
+        return None if is_set else self.ins.set_euler_sequence_stepwise(sequence)
 
     def forget(self) -> None:
         """Discard what the INS sent before its supply was switched on."""

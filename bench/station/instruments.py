@@ -5,16 +5,16 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping
-from concurrent.futures import Future
 from dataclasses import dataclass
 from functools import partial
+from operator import methodcaller
 from pathlib import Path
 from typing import Any, Self, TypeVar, cast
 from urllib.parse import urlencode
 
 import can
 
-from gyrobench.bench.foundations.clock import Clock, Deadline
+from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import (
     ConnectionFailedError,
     DocumentError,
@@ -31,7 +31,7 @@ from gyrobench.bench.station.absent_instruments import AbsentInstrument, disconn
 from gyrobench.bench.station.instrument_sections import DialectSection
 from gyrobench.bench.station.station import Station
 from gyrobench.bench.station.station_file import load_station_file
-from gyrobench.bench.station.time_limit import await_call, begin_call, call_within
+from gyrobench.bench.station.time_limit import LimitedCall, call_within, opening_time_s
 from gyrobench.drivers.chamber import Chamber, ChamberDialect, ChamberReading, running_profile
 from gyrobench.drivers.chamber.software_ramp import SoftwareRamp
 from gyrobench.drivers.ins.can_bus import close_bus, open_bus
@@ -46,13 +46,10 @@ CHECK_SUPPLY = (
     "Check the supply's wiring, whether the output is inverted, and unit.power_event of the station"
 )
 
-_OPENING_TIME_S = 15.0
-#: Time limit of a thread that opens a port and waits for an answer, in opening times.
-_REOPENING_TIMES = 2.0
 #: A reply to a request from before the line was opened arrives within this time.
 _LATE_REPLY_S = 1.0
 
-
+_close_driver = methodcaller("close")
 _OpenedT = TypeVar("_OpenedT")
 
 
@@ -114,8 +111,7 @@ class Outputs:
         self._emulation = emulation or Emulation()
         self._drivers: dict[str, Any] = {}  # opened so far
         self._identities = dict(identities or {})
-        #: By threads that have begun, of any instrument, and when they are abandoned.
-        self._reopenings: dict[str, tuple[Future[Any], Deadline]] = {}
+        self._reopenings: dict[str, LimitedCall[Any]] = {}  # that have begun, of any instrument
         #: Whether :meth:`try_reopen` uses a thread: emulators inside this process share one simulated bench.
         self.reopens_in_thread = not (clock.is_virtual or any(station.file.emulated_instruments()))
 
@@ -178,14 +174,14 @@ class Outputs:
         Raises ConnectionFailedError if it can't be opened, does not answer, or has another identity than
         before: adapters that were reconnected may have exchanged their names.
         """
-        self._reopen(instrument, Deadline(self.clock, _opening_time_s(self.clock)))
+        self._reopen(instrument, opening_time_s(self.clock))
 
-    def _reopen(self, instrument: str, deadline: Deadline) -> None:
-        """As :meth:`reopen`; ``deadline`` limits the wait for a thread that has begun."""
-        outcome, _ = self._reopenings.pop(instrument, (None, None))
+    def _reopen(self, instrument: str, limit_s: float | None = None) -> None:
+        """As :meth:`reopen`; a thread that has begun is awaited for ``limit_s``, by default for its limit."""
+        opening = self._reopenings.pop(instrument, None)
         try:
-            if outcome is not None:
-                opened = await_call(deadline, instrument, outcome)
+            if opening is not None:
+                opened = opening.result(limit_s)
             else:
                 opened = self._within_time_limit(instrument, *self._reopening(instrument))
         except ConnectionFailedError:
@@ -204,13 +200,12 @@ class Outputs:
             self.reopen(instrument)
             return True
         if instrument not in self._reopenings:
-            outcome = begin_call(instrument, *self._reopening(instrument, must_answer=True))
-            limit_s = _REOPENING_TIMES * _opening_time_s(self.clock)
-            self._reopenings[instrument] = outcome, Deadline(self.clock, limit_s)
-        outcome, deadline = self._reopenings[instrument]
-        if not (outcome.done() or deadline.expired()):
+            # Twice the time of opening, as the instrument must also answer.
+            opening, limit_s = self._reopening(instrument, must_answer=True), 2.0 * opening_time_s(self.clock)
+            self._reopenings[instrument] = LimitedCall(self.clock, limit_s, instrument, *opening)
+        if not self._reopenings[instrument].is_over:
             return False
-        self._reopen(instrument, deadline)
+        self._reopen(instrument)
         return True
 
     def is_reopening(self, instrument: str) -> bool:
@@ -218,10 +213,10 @@ class Outputs:
         return instrument in self._reopenings
 
     def end_reopening(self, instrument: str) -> None:
-        """Wait no longer for such a thread: what it opens later is closed."""
-        outcome, _ = self._reopenings.pop(instrument, (None, None))
-        if outcome is not None and not outcome.cancel() and outcome.exception() is None:
-            self._replace(instrument, outcome.result())
+        """Wait no longer for such a thread: what it opens is closed."""
+        if opening := self._reopenings.pop(instrument, None):
+            opening.abandon()
+            self._drivers.pop(instrument, None)  # closed by the thread
 
     def _reopening(
         self, instrument: str, must_answer: bool = False
@@ -311,11 +306,7 @@ class Outputs:
     def _within_time_limit(
         self, instrument: str, open_it: Callable[[], _OpenedT], discard: Callable[[_OpenedT], None]
     ) -> _OpenedT:
-        return call_within(self.clock, _opening_time_s(self.clock), instrument, open_it, discard)
-
-
-def _close_driver(driver: RateTable | Chamber | CanIns) -> None:
-    driver.close()
+        return call_within(self.clock, opening_time_s(self.clock), instrument, open_it, discard)
 
 
 class Instruments(Outputs):
@@ -480,11 +471,6 @@ def _open_ins_bus(station: Station, clock: Clock, emulation: Emulation, bench: S
     )
 
 
-def _opening_time_s(clock: Clock) -> float:
-    """Time limit for opening a port: in real time, expressed on the run's clock."""
-    return _OPENING_TIME_S * clock.speed
-
-
 @contextlib.contextmanager
 def _open_silent_line(
     instrument: str, section: DialectSection, station: Station, clock: Clock, emulation: Emulation
@@ -496,7 +482,7 @@ def _open_silent_line(
     baudrate, parity = section.baudrate or defaults.baudrate, section.parity or defaults.parity
     line = SerialLine(instrument, defaults.complete_url(url), clock, baudrate, parity)
     try:
-        line.await_silence(_LATE_REPLY_S, _opening_time_s(clock) / 2.0)
+        line.await_silence(_LATE_REPLY_S, opening_time_s(clock) / 2.0)
         yield line
     except BaseException:
         line.close()

@@ -6,14 +6,20 @@ import contextlib
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, InvalidStateError, wait
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 from gyrobench.bench.foundations.clock import Clock, Deadline
 from gyrobench.bench.foundations.errors import ConnectionFailedError
 
 _POLL_S = 0.25
+_OPENING_TIME_S = 15.0
 
 _ResultT = TypeVar("_ResultT")
+
+
+def opening_time_s(clock: Clock) -> float:
+    """Time limit for opening a port: in real time, expressed on the run's clock."""
+    return _OPENING_TIME_S * clock.speed
 
 
 def call_within(
@@ -33,44 +39,60 @@ def call_within(
     """
     if clock.is_virtual:
         return action()
-    outcome = begin_call(instrument, action, discard)
-    return await_call(Deadline(clock, limit_s), instrument, outcome, meanwhile)
+    return LimitedCall(clock, limit_s, instrument, action, discard).result(meanwhile=meanwhile)
 
 
-def begin_call(
-    instrument: str, action: Callable[[], _ResultT], discard: Callable[[_ResultT], None]
-) -> Future[_ResultT]:
-    """Call ``action`` in a separate thread; ``discard`` receives the result if the future was cancelled."""
-    outcome: Future[_ResultT] = Future()
+class LimitedCall(Generic[_ResultT]):
+    """A call in a separate thread with a time limit; parameters as of :func:`call_within`."""
 
-    def perform() -> None:
+    def __init__(
+        self,
+        clock: Clock,
+        limit_s: float,
+        instrument: str,
+        action: Callable[[], _ResultT],
+        discard: Callable[[_ResultT], None],
+    ) -> None:
+        self._clock, self._deadline, self._instrument = clock, Deadline(clock, limit_s), instrument
+        self._discard = discard
+        self._outcome: Future[_ResultT] = Future()
+        threading.Thread(
+            target=self._perform, args=(action,), name=f"limited: {instrument}", daemon=True
+        ).start()
+
+    def _perform(self, action: Callable[[], _ResultT]) -> None:
         try:
             result = action()
         except BaseException as error:  # noqa: BLE001 - raised again in the waiting thread
             with contextlib.suppress(InvalidStateError):
-                outcome.set_exception(error)
+                self._outcome.set_exception(error)
             return
         try:
-            outcome.set_result(result)
+            self._outcome.set_result(result)
         except InvalidStateError:  # cancelled: too late
-            discard(result)
+            self._discard(result)
 
-    threading.Thread(target=perform, name=f"limited: {instrument}", daemon=True).start()
-    return outcome
+    @property
+    def is_over(self) -> bool:
+        """Whether it has ended, or its time is over."""
+        return self._outcome.done() or self._deadline.expired()
 
+    def result(
+        self, limit_s: float | None = None, meanwhile: Callable[[], object] = lambda: None
+    ) -> _ResultT:
+        """Wait for the result, for at most ``limit_s`` from now if given; raises as :func:`call_within`."""
+        deadline = self._deadline if limit_s is None else Deadline(self._clock, limit_s)
+        while not wait([self._outcome], timeout=min(_POLL_S, deadline.remaining_s())).done:
+            if deadline.expired() and self._outcome.cancel():
+                raise ConnectionFailedError(
+                    self._instrument,
+                    f"its port did not respond within {deadline.duration_s:g} s. Check cable, adapter and "
+                    "power.",
+                )
+            meanwhile()
+        return self._outcome.result()
 
-def await_call(
-    deadline: Deadline,
-    instrument: str,
-    outcome: Future[_ResultT],
-    meanwhile: Callable[[], object] = lambda: None,
-) -> _ResultT:
-    """Return the result of a call that was begun; waits and raises as :func:`call_within`."""
-    while not wait([outcome], timeout=min(_POLL_S, deadline.remaining_s())).done:
-        if deadline.expired() and outcome.cancel():
-            raise ConnectionFailedError(
-                instrument,
-                f"its port did not respond within {deadline.duration_s:g} s. Check cable, adapter and power.",
-            )
-        meanwhile()
-    return outcome.result()
+    def abandon(self) -> None:
+        """Discard the result, present or future."""
+        if not self._outcome.cancel() and self._outcome.exception() is None:
+            self._discard(self._outcome.result())

@@ -131,12 +131,12 @@ def test_a_thread_that_hangs_is_abandoned_and_the_port_opened_by_another_one(rea
 
     monkeypatch.setattr("gyrobench.bench.station.instruments.open_table", table)
     with Outputs(real_ports, clock := WallClock(speed=1000.0)) as outputs:
-        monkeypatch.setattr("gyrobench.bench.station.instruments._OPENING_TIME_S", 0.01)
+        monkeypatch.setattr("gyrobench.bench.station.time_limit._OPENING_TIME_S", 0.01)
         assert not outputs.try_reopen(RATE_TABLE)
         clock.sleep(21.0)
         with pytest.raises(ConnectionFailedError, match=r"did not respond within 20 s"):
             outputs.try_reopen(RATE_TABLE)
-        monkeypatch.setattr("gyrobench.bench.station.instruments._OPENING_TIME_S", 60.0)
+        monkeypatch.setattr("gyrobench.bench.station.time_limit._OPENING_TIME_S", 60.0)
         while not outputs.try_reopen(RATE_TABLE):
             clock.sleep(1.0)
         outputs.table.stop()
@@ -198,7 +198,7 @@ def test_a_socketcand_server_that_is_not_there_is_reported_at_once(changed):
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # python-can leaves it open
 def test_a_socketcand_server_that_says_nothing_is_given_up(changed, monkeypatch):
-    monkeypatch.setattr("gyrobench.bench.station.instruments._OPENING_TIME_S", 3.0)
+    monkeypatch.setattr("gyrobench.bench.station.time_limit._OPENING_TIME_S", 3.0)
     with closing(socket.create_server(("127.0.0.1", 0))) as listener:
         station = socketcand_station(changed, listener.getsockname()[1])
         with pytest.raises(ConnectionFailedError, match="INS: its port did not respond"):
