@@ -26,7 +26,6 @@ from gyrobench.bench.runs.index.store import UNITS, RunFiles, RunStore, open_sto
 from gyrobench.bench.runs.index.tables import (
     RUN_TABLES,
     SCHEMAS,
-    VERSION,
     RunRecord,
     arrow_table,
     parse_units,
@@ -193,7 +192,7 @@ class RunIndex:
         return dict(self.query("SELECT path, CASE problem WHEN '' THEN fingerprint END FROM files").rows)
 
     def _is_usable(self) -> bool:
-        """Whether an index exists that has the columns of this version."""
+        """Whether an index exists that has the columns of :data:`SCHEMAS`."""
         if not self.path.exists():
             return False
         if not _is_duckdb(self.path):
@@ -201,7 +200,7 @@ class RunIndex:
                 f"{self.path}: not an index of runs. Choose another file with --index, or remove this one"
             )
         try:
-            return self.query("SELECT max(number) FROM version").rows == [(VERSION,)]
+            return all(self.query(f"FROM {name} LIMIT 0").columns == SCHEMAS[name].names for name in SCHEMAS)
         except DocumentError:
             return False
 
@@ -288,7 +287,6 @@ def _make_tables(connection: duckdb.DuckDBPyConnection) -> None:
         connection.register("columns", columns)
         connection.execute(f"CREATE TABLE {name} AS SELECT * FROM columns")  # noqa: S608 - ours
         connection.unregister("columns")
-    connection.execute(f"CREATE TABLE version AS SELECT {VERSION} AS number")
     connection.commit()
 
 

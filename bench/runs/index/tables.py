@@ -256,9 +256,6 @@ def _naive_utc(time: datetime) -> datetime:
     return time.astimezone(UTC).replace(tzinfo=None) if time.tzinfo else time
 
 
-#: Increased with every change of the columns; an index of another version is rebuilt.
-VERSION = 2
-
 _TEXT, _NUMBER, _COUNT = pa.string(), pa.float64(), pa.int64()
 _TYPES = {"str": _TEXT, "float": _NUMBER, "float | None": _NUMBER, "int": _COUNT, "int | None": _COUNT}
 _OTHER_TYPES = {"bool": pa.bool_(), "datetime": pa.timestamp("us")}

@@ -168,6 +168,17 @@ def test_an_index_is_rebuilt_from_the_folders_and_no_other_file_is_replaced(inde
     assert letter.read_text() == "Dear all"
 
 
+@pytest.mark.parametrize(
+    "change", ["ALTER TABLE dwells DROP COLUMN case_c", "ALTER TABLE runs ADD x INT", "DROP TABLE bins"]
+)
+def test_an_index_with_other_columns_than_the_tables_is_rebuilt(index, change):
+    assert index.update().read == 0
+    with duckdb.connect(str(index.path)) as connection:
+        connection.execute(change)
+    assert index.update().read == 3
+    assert index.query("SELECT case_c FROM dwells").columns == ["case_c"]
+
+
 def test_a_damaged_index_is_rebuilt_at_once(index, runs):
     content = bytearray(index.path.read_bytes())
     content[12:200] = bytes(188)
