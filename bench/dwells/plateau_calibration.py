@@ -133,19 +133,21 @@ class PlateauCalibration:
             rates = self.rotations.gyro_rate_c_per_h
         return [
             PlateauCoefficientRow(
-                self.number,
-                self.cycle,
-                self.chamber_set_c,
-                self.gyro_c[AXES.index(row.axis[0])] if row.coefficient.startswith("gyro") else self.case_c,
-                row.coefficient,
-                row.axis,
-                math.nan if row.value is None else row.value,
-                math.nan if row.sigma is None else row.sigma,
-                row.unit,
-                "; ".join(text for text in (row.finding, self.finding) if text),
-                sigma,
-                rates[AXES.index(row.axis[0])],
-                self.note,
+                plateau=self.number,
+                cycle=self.cycle,
+                chamber_set_c=self.chamber_set_c,
+                temperature_c=self.gyro_c[AXES.index(row.axis[0])]
+                if row.coefficient.startswith("gyro")
+                else self.case_c,
+                coefficient=row.coefficient,
+                axis=row.axis,
+                value=math.nan if row.value is None else row.value,
+                sigma=math.nan if row.sigma is None else row.sigma,
+                unit=row.unit,
+                finding="; ".join(text for text in (row.finding, self.finding) if text),
+                sigma_with_force=sigma,
+                gyro_rate_c_per_h=rates[AXES.index(row.axis[0])],
+                note=self.note,
             )
             for row, sigma in zip(coefficient_rows(estimate), with_force.tolist(), strict=True)
         ]

@@ -19,6 +19,7 @@ from gyrobench.bench.closure.quantity import GYRO_BIAS
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.tables import calibration_check_table
 from gyrobench.bench.runs.tables.budget_table import ANY_POWER_CYCLE, COMBINED, BudgetRow
+from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow
 from gyrobench.bench.runs.tables.joint_table import JointBiasRow, JointPlateauRow, columns
 from gyrobench.bench.verification.compensation_verification import VERIFICATION_COLUMNS
 from tests.bench.report.made_up_closure import explained
@@ -54,6 +55,7 @@ def values_of_findings():
         ("joint.csv", set(columns(JointPlateauRow)) | {"finding"} | values_of_findings()),
         ("joint_biases.csv", set(columns(JointBiasRow))),
         ("verification.csv", set(calibration_check_table.CHECK_COLUMNS)),
+        ("coefficients.csv", names(PlateauCoefficientRow)),
         ("noise.json", names(NoiseEstimate) | names(ChannelNoise)),
         ("predictions.csv", set(prediction_columns(GYRO_BIAS))),
         ("comparison.csv", set(VERIFICATION_COLUMNS)),

@@ -259,7 +259,7 @@ def test_refuses_a_dwell_number_given_twice():
         ),
         ("unit,run\n", "x:1: the header lacks the columns dwell, cycle"),
         (",".join((*COLUMNS, "unit")) + "\n", "x:1: the header gives unit more than once"),
-        (",".join(COLUMNS) + "\n1,2\n", "x:2: 2 cells where the header has 48"),
+        (",".join(COLUMNS) + "\n1,2\n", f"x:2: 2 cells where the header has {len(COLUMNS)}"),
         (",".join(COLUMNS) + '\n"open', "x:2: not valid CSV"),
     ],
 )
