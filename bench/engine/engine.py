@@ -33,13 +33,11 @@ from gyrobench.bench.procedure.approach import (
 )
 from gyrobench.bench.procedure.plan import PlannedStep, turns_after
 from gyrobench.bench.procedure.steps import Align, AskOperator, GoTo, PowerOn
-from gyrobench.bench.station.interlocks import PassingRule
+from gyrobench.bench.station.interlocks import INS_MAY_BE_OFF, PassingRule
 from gyrobench.bench.station.safe_state import RAMP_PERIOD_S, SafeAction, SafePart, finish_ramp
 
 #: After this number of repeats of a dwell, the INS is switched off and on before the next.
 _REPEATS_UNTIL_POWER_CYCLE = 2
-#: After these trips the INS may have been off, regardless of what it reports.
-_INS_TRIPS = {"ins_silence", "ins_fault"}
 _RAMP_NOTE = "The chamber's set point is being ramped to its safe value; abort ends the ramp."
 
 
@@ -341,7 +339,7 @@ class Engine:
         self._run.journal.record("tripped", interlocks=names, why=reason)
         self._units.discard(self._plan.steps[index].dwell, reason, counts=False)
         self._report_safe(actions)
-        if _INS_TRIPS & set(names):
+        if INS_MAY_BE_OFF & set(names):
             for unit in self._units.running:
                 unit.live.state.state_unknown()
         try:

@@ -14,6 +14,7 @@ from gyrobench.bench.engine.units import Units
 from gyrobench.bench.foundations.errors import InstrumentError, RunStoppedError
 from gyrobench.bench.foundations.operator_name import TERMINAL, describe_source, operator_name
 from gyrobench.bench.foundations.text import listed
+from gyrobench.bench.procedure.steps import span
 
 #: A change of the calendar's offset above this, s, means that it was set, or corrected over a long time.
 _CALENDAR_STEP_S = 1.0
@@ -168,7 +169,7 @@ class Holding:
                 return _Continuation(ITSELF)
             if held_s > max_hold_s:
                 break
-        raise RunStoppedError(f"held for longer than {max_hold_s / 3600.0:g} h: {reason}")
+        raise RunStoppedError(f"held for longer than {span(max_hold_s)}: {reason}")
 
     def _untripped_for_s(self, trips: Sequence[Trip], held_s: float) -> float:
         """Time since the causes of the hold have cleared, s; zero while anything is tripped or unsafe."""

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from gyrobench.bench.engine.bench_state import BenchState, Readings
-from gyrobench.bench.engine.interlocks.checks import CHAMBER_OUT_OF_CONTROL
 from gyrobench.bench.engine.interlocks.watch import SILENT_INSTRUMENT, InterlockWatch, Trip
 from gyrobench.bench.engine.live_unit import BUS_SILENCE_S, LiveUnit, telemetry_row
 from gyrobench.bench.foundations.clock import Clock
@@ -18,6 +17,7 @@ from gyrobench.bench.foundations.errors import ConnectionFailedError, FaultError
 from gyrobench.bench.foundations.text import capitalised
 from gyrobench.bench.navigation.table_axes import Angles
 from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE, Instruments
+from gyrobench.bench.station.interlocks import CHAMBER_OUT_OF_CONTROL
 from gyrobench.bench.station.safe_state import SafeAction, make_safe, repeat
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.chamber import ChamberReading

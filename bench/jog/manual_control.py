@@ -16,6 +16,7 @@ from gyrobench.bench.jog.manual_limits import TABLE_AXES, ManualLimits
 from gyrobench.bench.jog.terminal import CommandError, Display, Interruptions
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE
+from gyrobench.bench.station.interlocks import FORBID_MANUAL_CHAMBER, FORBID_MANUAL_MOTION
 from gyrobench.bench.station.safe_state import RAMP_PERIOD_S, SafeAction, finish_ramp
 from gyrobench.drivers.ins.can_bus import INSTRUMENT
 from gyrobench.drivers.ins.ins_status import InsStatus
@@ -29,9 +30,6 @@ _TRIES = 3
 _MAX_EVENTS = 16
 #: Maximum number of ticks until the table is at rest, and the maximum rate at rest, deg/s.
 _STOP_TICKS, _REST_DPS = 60, 0.01
-#: Interlocks that forbid motion, and those that forbid chamber commands, while tripped.
-_TABLE_TRIPS = {"table_silence", "table_rate", "table_acceleration"}
-_CHAMBER_TRIPS = {"chamber_silence", "chamber_alarm"}
 
 _T = TypeVar("_T")
 
@@ -148,7 +146,7 @@ class ManualControl:
 
     def servo_on(self) -> None:
         """Set the table's limits, clear latched faults and close its servos, unless that is done."""
-        self._require_untripped(_TABLE_TRIPS)
+        self._require_untripped(FORBID_MANUAL_MOTION)
         if not self.bench.state.expected.table_prepared:
             self.bench.prepare_table()
             self._display.print("servos on")
@@ -164,7 +162,7 @@ class ManualControl:
         """Set the chamber's temperature and switch it on; does not wait."""
         ramp = self.limits.ramp_c_per_min if ramp_c_per_min is None else ramp_c_per_min
         self.limits.check_chamber(temperature_c, ramp)
-        self._require_untripped(_CHAMBER_TRIPS)
+        self._require_untripped(FORBID_MANUAL_CHAMBER)
         self.bench.state.chamber_state_unknown()
         # The driver is looked up at each use: reopening a port creates a new one.
         self._retry(lambda: self.bench.instruments.chamber.set_temperature(temperature_c, ramp))
@@ -177,7 +175,7 @@ class ManualControl:
     def chamber_switch(self, on: bool) -> None:
         """Switch the chamber's temperature control."""
         if on:
-            self._require_untripped(_CHAMBER_TRIPS)
+            self._require_untripped(FORBID_MANUAL_CHAMBER)
         self.bench.state.chamber_switching(on)
         self._retry(lambda: self.bench.instruments.chamber.switch(on))
         self.bench.state.chamber_switched(on)
@@ -307,7 +305,7 @@ class ManualControl:
                 self._display.print(f"{axis} axis is close to its limit and is stopped")
                 self.stop()
 
-    def _require_untripped(self, names: set[str]) -> None:
+    def _require_untripped(self, names: frozenset[str]) -> None:
         tripped = sorted(names.intersection(self.tripped))
         if tripped:
             raise CommandError(f"the interlock {', '.join(tripped)} is tripped. Nothing was done.")

@@ -23,6 +23,14 @@ _ACCELERATION_FACTOR = 1.5
 _RAMP_FACTOR, _RAMP_MARGIN_C_PER_MIN = 1.5, 2.0
 _SILENCE_S, _SILENT_READINGS = 30.0, 4
 
+#: Interlocks that trip if the chamber does not control its air: a safe set point is then not enough.
+CHAMBER_OUT_OF_CONTROL = frozenset({"chamber_air", "chamber_sensor"})
+#: Interlocks after whose trip the INS may have been off, regardless of what it reports.
+INS_MAY_BE_OFF = frozenset({"ins_silence", "ins_fault"})
+#: Interlocks that forbid manual motion, and those that forbid manual chamber commands, while tripped.
+FORBID_MANUAL_MOTION = frozenset({"table_silence", "table_rate", "table_acceleration"})
+FORBID_MANUAL_CHAMBER = frozenset({"chamber_silence", "chamber_alarm"})
+
 _WIDEN = "Widen the interlock or narrow the limits"
 _RESUME = "person: an operator has to confirm that the run may resume; automatic: it resumes by itself"
 _RESUME_AFTER = "time without a violation after which the run may resume, s"
@@ -183,7 +191,7 @@ class InsTemperature(NamedTuple):
 
     what: str
     read: Callable[[InsStatus], float]
-    interlock: str
+    keys: tuple[str, str]  #: Of its interlocks.
     level: TemperatureInterlock
     rate: TemperatureRateInterlock
 
@@ -250,9 +258,9 @@ class Interlocks(StrictModel):
     def ins_temperatures(self, signals: SignalMap) -> Iterator[InsTemperature]:
         """Yield the temperatures in a signal map."""
         if signals.case_temperature is not None:
-            yield InsTemperature(
-                "case", lambda ins: ins.case_c, "case", self.case_temperature, self.case_rate
-            )
+            keys = "case_temperature", "case_rate"
+            yield InsTemperature("case", lambda ins: ins.case_c, keys, self.case_temperature, self.case_rate)
+        keys = "gyro_temperature", "gyro_rate"
         for part, mapped in (
             ("optics", signals.gyro_optics_temperature),
             ("electronics", signals.gyro_electronics_temperature),
@@ -260,7 +268,7 @@ class Interlocks(StrictModel):
             for index, axis in enumerate("xyz" if mapped is not None else ""):
                 read = _gyro_temperature(f"{part}_c", index)
                 name = f"{part} of gyro {axis}"
-                yield InsTemperature(name, read, "gyro", self.gyro_temperature, self.gyro_rate)
+                yield InsTemperature(name, read, keys, self.gyro_temperature, self.gyro_rate)
 
     def inside_limits(
         self,

@@ -39,8 +39,6 @@ _REST_DPS = 0.05
 _LAG_FRACTION, _CASE_LAG_S, _UNIT_PERIOD_S = 0.25, 60.0, 15.0
 #: The temperature of a unit that changes by less counts as constant.
 _MIN_CHANGE_C_PER_MIN = 0.1
-#: Interlocks that trip if the chamber does not control its air: a safe set point is then not enough.
-CHAMBER_OUT_OF_CONTROL = frozenset({"chamber_air", "chamber_sensor"})
 #: Minimum window of a rate in periods between readings: two, and a margin for late readings.
 _MIN_PERIODS = 2.5
 
@@ -258,7 +256,7 @@ class _UnitAirCheck:
         self._margin_c = station.file.interlocks.chamber_sensor.margin_c
         self._self_heating_c = max(0.0, thermal.self_heating_c)
         temperatures = list(station.file.interlocks.ins_temperatures(station.file.ins.signals))
-        has_case = bool(temperatures) and temperatures[0].interlock == "case"
+        has_case = station.file.ins.signals.case_temperature is not None
         self._temperatures = [each.read for each in (temperatures[:1] if has_case else temperatures)]
         self._lag_s = _CASE_LAG_S if has_case else max(_CASE_LAG_S, _LAG_FRACTION * thermal.time_constant_s)
         self._rate = RateWindow.for_readings(self._lag_s, station.file.instruments_period_s)
@@ -395,7 +393,7 @@ class _WatchedTemperature:
     """A temperature with its newest value and its rate of change."""
 
     def __init__(self, source: InsTemperature, station: Station) -> None:
-        self._read, self._interlock = source.read, source.interlock
+        self._read, (self._level_key, self._rate_key) = source.read, source.keys
         self._description = f"the temperature of the {source.what}"
         self._low_c, self._high_c = source.level.low_c, source.level.high_c
         self._rate_c_per_min = source.rate.limit_or_default_c_per_min(
@@ -415,9 +413,9 @@ class _WatchedTemperature:
         """Yield the violations; ``is_checked``: the value is valid, or has been missing for long."""
         problem = _out_of_range(self._description, self.value_c, self._low_c, self._high_c, "degC")
         if problem and is_checked:
-            yield InterlockFinding(f"{self._interlock}_temperature", problem, _COOL_DOWN)
+            yield InterlockFinding(self._level_key, problem, _COOL_DOWN)
         if problem := _too_fast(self._description, self._rate.per_s(), self._rate_c_per_min):
-            yield InterlockFinding(f"{self._interlock}_rate", problem, f"{_CHECK_SENSOR}.")
+            yield InterlockFinding(self._rate_key, problem, f"{_CHECK_SENSOR}.")
 
 
 class InsChecks:

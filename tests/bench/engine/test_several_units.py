@@ -370,6 +370,7 @@ def test_without_dropping_the_run_holds_for_all(files, tmp_path):
     watcher = Watcher()
     folder, outcome = run_of(job_of(files, held, [2]), tmp_path / "run", watcher)
     assert outcome.ended == "stopped"
+    assert outcome.reason.startswith("held for longer than 60 s: ")
     held = [entry["after"] for entry in read_journal(folder.journal) if entry["event"] == "held"]
     assert held[0] == ["ins_silence"]
     assert not watcher.lost

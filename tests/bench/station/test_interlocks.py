@@ -1,7 +1,16 @@
+import re
+from pathlib import Path
+
 import pytest
 
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.station.interlocks import (
+    CHAMBER_OUT_OF_CONTROL,
+    FORBID_MANUAL_CHAMBER,
+    FORBID_MANUAL_MOTION,
+    INS_MAY_BE_OFF,
+)
 from gyrobench.bench.station.station_file import load_station_file
 
 
@@ -29,8 +38,16 @@ def test_what_may_pass_goes_on_by_itself_and_the_rest_needs_a_person(tmp_path):
         "chamber_air_rate", "case_rate", "gyro_rate", "table_silence", "chamber_silence", "ins_silence",
         "chamber_deviation",
     }  # fmt: skip
-    assert len(rules) == 19
     assert loaded(tmp_path).interlocks.max_hold_s == 24 * 3600.0
+
+
+def test_the_page_explains_every_interlock_and_each_special_rule_names_one(tmp_path):
+    page = (Path(__file__).parents[3] / "docs" / "interlocks.md").read_text(encoding="utf-8")
+    table = page[page.index("| Interlock |") :].partition("\n\n")[0]
+    names = loaded(tmp_path).interlocks.rules().keys()
+    assert names == {name for row in table.splitlines() for name in re.findall("`(.*?)`", row.split("|")[1])}
+    special = CHAMBER_OUT_OF_CONTROL | INS_MAY_BE_OFF | FORBID_MANUAL_MOTION | FORBID_MANUAL_CHAMBER
+    assert special <= names
 
 
 WRONG = {
