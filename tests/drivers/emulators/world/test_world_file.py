@@ -1,5 +1,6 @@
 import re
 from pathlib import Path
+from typing import get_args
 
 import pytest
 from hypothesis import given
@@ -8,6 +9,7 @@ from hypothesis import strategies as st
 from gyrobench.bench.foundations.documents import parse_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document, shipped_names
+from gyrobench.drivers.emulators.world.undeclared_effects import UndeclaredEffect
 from gyrobench.drivers.emulators.world.world_file import WorldFile, load_world
 
 SHIPPED = {
@@ -144,7 +146,16 @@ EFFECTS = {
     "mode_hop": "bias_dph: [0.01, 0, 0], first_reset_c: -10, reset_every_c: 8",
     "loose_clamp": "sensitivity_dph_per_c: [0.001, 0, 0], free_above_c: 30",
     "dither_crossing": "gyros: [x, z], crossing_c: 30, half_width_c: 2, bias_dph: [0.01, 0.01]",
+    "scale_factor_rate": "sensitivity_ppm_per_c_per_h: [0.1, 0, 0]",
+    "scale_factor_drift": "drift_ppm_per_h: [0.1, 0, 0]",
+    "accelerometer_gravity": "sensitivity_ug_per_g: [[1, 0, 0], [0, 0, 0], [0, 0, 0]]",
+    "neighbouring_unit": "sensitivity_dph_per_k: [0.001, 0, 0]",
 }
+
+
+def test_the_examples_have_every_kind_of_effect():
+    kinds = [each.model_fields["kind"].annotation for each in get_args(get_args(UndeclaredEffect)[0])]
+    assert {*EFFECTS} == {kind for literal in kinds for kind in get_args(literal)}
 
 
 @pytest.mark.parametrize("kind", EFFECTS)
@@ -164,7 +175,7 @@ def test_each_shipped_world_is_in_the_table_of_the_page(name):
 def test_each_kind_of_effect_is_explained_with_all_its_keys(kind):
     [effect] = load(with_effects(f"{{kind: {kind}, {EFFECTS[kind]}}}")).undeclared_effects
     [row] = [line for line in WORLDS_PAGE.splitlines() if line.startswith(f"| `{kind}` |")]
-    explained = re.findall("`([a-z_]+)`", row.rsplit("|", 2)[1])
+    explained = re.findall("`([a-z_0-9]+)`", row.rsplit("|", 2)[1])
     assert ["kind", *explained] == [*type(effect).model_fields]
 
 
