@@ -84,9 +84,10 @@ def load(group: str, name: str, kind: type[_ObjectT]) -> _ObjectT:
                 f"{EMULATORS}. Add one there, or use the port of the instrument"
             )
         names, instrument = installed(group), _INSTRUMENTS.get(group, "")
+        similar = did_you_mean(name, names)
+        advice = "" if similar else f". After a change of a package's entry points {group}, install it again"
         raise DocumentError(
-            f"no {noun} {name!r}{instrument} is installed{did_you_mean(name, names)}; "
-            f"installed: {', '.join(names)}"
+            f"no {noun} {name!r}{instrument} is installed{similar}; installed: {', '.join(names)}{advice}"
         )
     if len(matches) > 1:
         packages = " and ".join(sorted(map(_package, matches)))

@@ -1,11 +1,13 @@
 import sys
 from importlib.metadata import EntryPoint
+from pathlib import Path
 
 import pytest
 
 from gyrobench.bench.foundations import packages
 from gyrobench.bench.foundations.errors import DocumentError, MissingPackageError
 from gyrobench.bench.foundations.packages import CHAMBERS, EMULATORS, RATE_TABLES, installed, load, require
+from gyrobench.drivers import chamber, emulators, rate_table
 from gyrobench.drivers.chamber import ChamberDialect, watlow_f4
 from gyrobench.drivers.emulators.dialect import ChamberEmulation, TableEmulation
 from gyrobench.drivers.rate_table import TableDialect
@@ -22,13 +24,20 @@ def offered(monkeypatch):
     return offer
 
 
-def test_own_dialects_are_installed_each_with_an_emulator():
-    assert installed(RATE_TABLES) == ["acutrol3000", "ideal_aerosmith"]
-    assert installed(CHAMBERS) == ["thermotron_8800", "watlow_f4", "watlow_f4t"]
-    assert installed(EMULATORS) == sorted(installed(RATE_TABLES) + installed(CHAMBERS))
+def dialects_in(package):
+    """Modules of a package that offer a dialect."""
+    path = Path(package.__file__).parent
+    return {each.stem for each in path.glob("*.py") if "\nDIALECT = " in each.read_text(encoding="utf-8")}
 
 
-@pytest.mark.parametrize("name", ["acutrol3000", "ideal_aerosmith"])
+def test_each_module_with_a_dialect_is_an_entry_point_and_has_an_emulator():
+    missing = "add it to the entry points in pyproject.toml, and install gyrobench again"
+    assert dialects_in(rate_table) <= {*installed(RATE_TABLES)}, missing
+    assert dialects_in(chamber) <= {*installed(CHAMBERS)}, missing
+    assert dialects_in(rate_table) | dialects_in(chamber) == dialects_in(emulators) <= {*installed(EMULATORS)}
+
+
+@pytest.mark.parametrize("name", sorted(dialects_in(rate_table)))
 def test_own_dialects_of_tables_can_be_imported(name):
     assert load(RATE_TABLES, name, TableDialect).max_axes >= 1
     assert callable(load(EMULATORS, name, TableEmulation).make)
@@ -49,6 +58,10 @@ def test_an_unknown_name_is_reported_with_the_installed_ones():
         "installed: ther",
     ):
         load(CHAMBERS, "watlow_f5", ChamberDialect)
+    with pytest.raises(
+        DocumentError, match=r"'movit' .*entry points gyrobench\.rate_tables, install it again"
+    ):
+        load(RATE_TABLES, "movit", TableDialect)
 
 
 def test_a_dialect_without_emulator_is_reported_with_where_to_name_one(monkeypatch):
