@@ -1,12 +1,14 @@
 """What a reader types from the pages works, in the order in which it stands."""
 
+import re
 import shutil
+import textwrap
 
 import pytest
 
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from tests.bench.command_line import gyrobench
-from tests.docs.pages import DOCS, blocks, pages
+from tests.docs.pages import DOCS, ROOT, blocks, pages
 
 #: Pages with commands that a reader types as they stand.
 TYPED = [page for page in pages() if any(block.language == "console" for block in blocks(page))]
@@ -85,3 +87,10 @@ def test_procedures_shown_on_a_page_are_right(page, tmp_path):
             path = tmp_path / f"{number}.yaml"
             path.write_text(block.text, encoding="utf-8")
             load_procedure(path)
+
+
+def test_the_step_of_the_page_stands_so_in_the_code():
+    page = (DOCS / "extend/step.md").read_text(encoding="utf-8")
+    examples = re.findall(r"^   ```python\n(.*?)^   ```$", page, re.MULTILINE | re.DOTALL)
+    for example, module in zip(examples, ("procedure/steps.py", "engine/actions.py"), strict=True):
+        assert textwrap.dedent(example) in (ROOT / "bench" / module).read_text(encoding="utf-8")
