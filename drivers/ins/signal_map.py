@@ -8,7 +8,7 @@ temperature at an end of its field's range, or outside the DBC's range, is satur
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Any, Literal
@@ -107,9 +107,9 @@ class SequenceMap(StrictModel):
 class EulerMap(StrictModel):
     """Euler angles: roll about body y (forward), pitch about body x (right), yaw about the vertical."""
 
-    roll: Source = Field(description="signal of roll")
-    pitch: Source = Field(description="signal of pitch")
-    yaw: Source = Field(description="signal of yaw or heading")
+    roll: Annotated[Source, Dimension.ANGLE] = Field(description="signal of roll")
+    pitch: Annotated[Source, Dimension.ANGLE] = Field(description="signal of pitch")
+    yaw: Annotated[Source, Dimension.ANGLE] = Field(description="signal of yaw or heading")
     sequence: Annotated[
         SequenceMap,
         BeforeValidator(_from_sequence_name, json_schema_input_type=_SequenceName | SignalName | SequenceMap),
@@ -124,10 +124,10 @@ class EulerMap(StrictModel):
 class QuaternionMap(StrictModel):
     """A unit quaternion that transforms body vectors to the navigation frame."""
 
-    w: Source = Field(description="signal of w")
-    x: Source = Field(description="signal of x")
-    y: Source = Field(description="signal of y")
-    z: Source = Field(description="signal of z")
+    w: Annotated[Source, Dimension.NUMBER] = Field(description="signal of w")
+    x: Annotated[Source, Dimension.NUMBER] = Field(description="signal of x")
+    y: Annotated[Source, Dimension.NUMBER] = Field(description="signal of y")
+    z: Annotated[Source, Dimension.NUMBER] = Field(description="signal of z")
     frames: Literal["rfu_to_enu", "frd_to_ned"] = Field(
         description="body axes and navigation axes of the transformation"
     )
@@ -138,7 +138,9 @@ class AttitudeMap(StrictModel):
 
     euler: EulerMap | None = Field(None, description="attitude as Euler angles")
     quaternion: QuaternionMap | None = Field(None, description="attitude as a unit quaternion")
-    valid: Source | None = Field(None, description="signal that is zero where the attitude is invalid")
+    valid: Annotated[Source | None, Dimension.NUMBER] = Field(
+        None, description="signal that is zero where the attitude is invalid"
+    )
 
     @model_validator(mode="after")
     def _check_one_form(self) -> AttitudeMap:
@@ -175,11 +177,17 @@ class IncrementsMap(StrictModel):
     """
 
     period_s: float = Field(gt=0.0, le=1.0, description="time between samples, s")
-    angle: AxesMap | None = Field(None, description="increments of angle")
-    rate: AxesMap | None = Field(None, description="angular rates, in place of increments")
-    velocity: AxesMap | None = Field(None, description="increments of velocity: integral of specific force")
-    specific_force: AxesMap | None = Field(None, description="specific forces, in place of increments")
-    counter: Source | None = Field(
+    angle: Annotated[AxesMap | None, Dimension.ANGLE] = Field(None, description="increments of angle")
+    rate: Annotated[AxesMap | None, Dimension.ANGULAR_RATE] = Field(
+        None, description="angular rates, in place of increments"
+    )
+    velocity: Annotated[AxesMap | None, Dimension.SPEED] = Field(
+        None, description="increments of velocity: integral of specific force"
+    )
+    specific_force: Annotated[AxesMap | None, Dimension.ACCELERATION] = Field(
+        None, description="specific forces, in place of increments"
+    )
+    counter: Annotated[Source | None, Dimension.NUMBER] = Field(
         None, description="counter of samples; without it lost samples show by the arrival of the others"
     )
 
@@ -203,40 +211,50 @@ class MappedQuantity:
 class SignalMap(StrictModel):
     """Signals of the INS's output."""
 
-    time_s: Source | None = Field(
+    time_s: Annotated[Source | None, Dimension.TIME] = Field(
         None, description="time on the clock of the INS; sent with every epoch if there is no epoch counter"
     )
-    time_ns: Source | None = Field(None, description="nanoseconds, added to time_s")
-    epoch_counter: Source | None = Field(None, description="counter of epochs")
+    time_ns: Annotated[Source | None, Dimension.TIME] = Field(
+        None, description="nanoseconds, added to time_s"
+    )
+    epoch_counter: Annotated[Source | None, Dimension.NUMBER] = Field(None, description="counter of epochs")
     epoch_period_s: float = Field(gt=0.0, le=10.0, description="time between epochs, s")
     epoch_messages: list[str] | None = Field(
         None, description="messages of one epoch in the order in which they are sent; default: by identifier"
     )
-    velocity_east: Source = Field(description="velocity East")
-    velocity_north: Source = Field(description="velocity North")
-    velocity_up: Source | None = Field(None, description="velocity Up")
-    latitude: Source | None = Field(None, description="latitude that the INS uses; has to be the station's")
+    velocity_east: Annotated[Source, Dimension.SPEED] = Field(description="velocity East")
+    velocity_north: Annotated[Source, Dimension.SPEED] = Field(description="velocity North")
+    velocity_up: Annotated[Source | None, Dimension.SPEED] = Field(None, description="velocity Up")
+    latitude: Annotated[Source | None, Dimension.ANGLE] = Field(
+        None, description="latitude that the INS uses; has to be the station's"
+    )
     attitude: AttitudeMap = Field(description="attitude of the body axes")
-    gyro_optics_temperature: AxesMap | None = Field(None, description="temperatures of the gyros' optics")
-    gyro_electronics_temperature: AxesMap | None = Field(
+    gyro_optics_temperature: Annotated[AxesMap | None, Dimension.TEMPERATURE] = Field(
+        None, description="temperatures of the gyros' optics"
+    )
+    gyro_electronics_temperature: Annotated[AxesMap | None, Dimension.TEMPERATURE] = Field(
         None, description="temperatures of the gyros' electronics"
     )
-    case_temperature: Source | None = Field(None, description="temperature of the case")
+    case_temperature: Annotated[Source | None, Dimension.TEMPERATURE] = Field(
+        None, description="temperature of the case"
+    )
     increments: IncrementsMap | None = Field(None, description="output of gyros and accelerometers")
     mode: ModeMap | None = Field(None, description="mode of the INS; other values count as booting")
     alignment: AlignmentMap | None = Field(
         None, description="progress of alignment; other values count as none"
     )
-    compensation: Source | None = Field(None, description="not zero where a compensation is in use")
-    compensation_in_use: SignalName | None = Field(
+    compensation: Annotated[Source | None, Dimension.NUMBER] = Field(
+        None, description="not zero where a compensation is in use"
+    )
+    compensation_in_use: Annotated[SignalName | None, Dimension.NUMBER] = Field(
         None, description="checksum of the compensation in use, 0 for none"
     )
-    compensation_loaded: SignalName | None = Field(
+    compensation_loaded: Annotated[SignalName | None, Dimension.NUMBER] = Field(
         None,
         description="checksum of the loaded compensation: CRC-32 of all numbers as little-endian "
         "32-bit floats, gyro by gyro in the order of their indices",
     )
-    identity: dict[str, SignalName] = Field(
+    identity: Annotated[dict[str, SignalName], Dimension.NUMBER] = Field(
         default_factory=dict, description="numbers that identify the INS, by name, such as serial_number"
     )
 
@@ -255,63 +273,30 @@ class SignalMap(StrictModel):
 
     def quantities(self) -> dict[str, MappedQuantity]:
         """All mapped quantities by path, such as ``attitude.euler.roll``."""
-        quantities: dict[str, MappedQuantity] = {}
-
-        def add(source: SignalSource | SignalName | None, dimension: Dimension, *location: str) -> None:
-            if source is not None:
-                source = SignalSource(signal=source) if isinstance(source, str) else source
-                quantities[".".join(location)] = MappedQuantity(location, source, dimension)
-
-        measured: dict[tuple[str, ...], tuple[Any, Dimension]] = {
-            (name,): (getattr(self, name), dimension) for name, dimension in _DIMENSIONS.items()
-        }
-        if self.increments is not None:
-            for name, dimension in _INCREMENT_DIMENSIONS.items():
-                measured["increments", name] = getattr(self.increments, name), dimension
-        for path, (mapped, dimension) in measured.items():
-            if isinstance(mapped, AxesMap):
-                for axis in "xyz":
-                    add(getattr(mapped, axis), dimension, *path, axis)
-            else:
-                add(mapped, dimension, *path)
-        euler, quaternion = self.attitude.euler, self.attitude.quaternion
-        if euler is not None:
-            for name in ("roll", "pitch", "yaw"):
-                add(getattr(euler, name), Dimension.ANGLE, "attitude", "euler", name)
-            add(euler.sequence.signal, Dimension.NUMBER, "attitude", "euler", "sequence")
-        if quaternion is not None:
-            for name in "wxyz":
-                add(getattr(quaternion, name), Dimension.NUMBER, "attitude", "quaternion", name)
-        add(self.attitude.valid, Dimension.NUMBER, "attitude", "valid")
-        for name, coded in (("mode", self.mode), ("alignment", self.alignment)):
-            source = SignalSource(signal=coded.signal, bits=coded.bits) if coded else None
-            add(source, Dimension.NUMBER, name)
-        for name in ("compensation", "compensation_in_use", "compensation_loaded"):
-            add(getattr(self, name), Dimension.NUMBER, name)
-        for name, signal in self.identity.items():
-            add(signal, Dimension.NUMBER, "identity", name)
-        return quantities
+        return {".".join(map(str, each.location)): each for each in _quantities(self, ())}
 
 
-_DIMENSIONS = {
-    "time_s": Dimension.TIME,
-    "time_ns": Dimension.TIME,
-    "epoch_counter": Dimension.NUMBER,
-    "velocity_east": Dimension.SPEED,
-    "velocity_north": Dimension.SPEED,
-    "velocity_up": Dimension.SPEED,
-    "latitude": Dimension.ANGLE,
-    "gyro_optics_temperature": Dimension.TEMPERATURE,
-    "gyro_electronics_temperature": Dimension.TEMPERATURE,
-    "case_temperature": Dimension.TEMPERATURE,
-}
-_INCREMENT_DIMENSIONS = {
-    "angle": Dimension.ANGLE,
-    "rate": Dimension.ANGULAR_RATE,
-    "velocity": Dimension.SPEED,
-    "specific_force": Dimension.ACCELERATION,
-    "counter": Dimension.NUMBER,
-}
+def _quantities(
+    mapped: Any, location: tuple[str, ...], dimension: Dimension | None = None
+) -> Iterator[MappedQuantity]:
+    """Yield the quantities of a part of the map; a key has the dimension with which it is annotated."""
+    if isinstance(mapped, ModeMap | AlignmentMap | SequenceMap):
+        bits = None if isinstance(mapped, SequenceMap) else mapped.bits
+        mapped = mapped.signal and SignalSource(signal=mapped.signal, bits=bits)
+        dimension = Dimension.NUMBER
+    if isinstance(mapped, str) and dimension is not None:
+        mapped = SignalSource(signal=mapped)
+    if isinstance(mapped, SignalSource):
+        if dimension is None:
+            raise TypeError(f"the key {'.'.join(location)} is annotated with no Dimension")
+        yield MappedQuantity(location, mapped, dimension)
+    elif isinstance(mapped, dict):
+        for name, signal in mapped.items():
+            yield from _quantities(signal, (*location, name), dimension)
+    elif isinstance(mapped, StrictModel):
+        for name, field in type(mapped).model_fields.items():
+            own = next((each for each in field.metadata if isinstance(each, Dimension)), dimension)
+            yield from _quantities(getattr(mapped, name), (*location, name), own)
 
 
 @dataclass(frozen=True)

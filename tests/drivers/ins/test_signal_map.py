@@ -12,7 +12,7 @@ from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.drivers import ins
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
 from gyrobench.drivers.ins.readout import BlockReadout
-from gyrobench.drivers.ins.signal_map import SignalMap, bind_signals, check_signals
+from gyrobench.drivers.ins.signal_map import SignalMap, SignalSource, bind_signals, check_signals
 from gyrobench.drivers.ins.units import Dimension
 
 
@@ -23,6 +23,15 @@ def test_every_mapped_quantity_has_its_path_and_dimension(signal_map):
     assert quantities["gyro_optics_temperature.z"].source.signal == "GYRO_OPTICS_TEMPERATURE.Z"
     assert quantities["identity.serial_number"].location == ("identity", "serial_number")
     assert len(quantities) == 25
+
+
+def test_a_key_without_a_dimension_is_an_error_not_an_unknown_quantity(signal_map):
+    class LargerMap(SignalMap):
+        supply: SignalSource
+
+    larger = LargerMap.model_validate({**dict(signal_map), "supply": {"signal": "SUPPLY.CURRENT"}})
+    with pytest.raises(TypeError, match="supply is annotated with no Dimension"):
+        larger.quantities()
 
 
 def test_an_epoch_is_complete_with_velocity_attitude_and_counter(signal_map, make_signal_map):
