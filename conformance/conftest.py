@@ -59,7 +59,8 @@ def _under_test(config: pytest.Config, group: str) -> list[str]:
     available = sorted({name for names in by_group.values() for name in names})
     if unknown := sorted(set(selected) - set(available)):
         raise pytest.UsageError(
-            f"--dialect {unknown[0]}: no installed package offers it; installed: {', '.join(available)}"
+            f"--dialect {unknown[0]}: no installed package offers it; installed: {', '.join(available)}. "
+            "After a change of a package's entry points, install it again"
         )
     return [name for name in by_group[group] if name in selected or not selected]
 

@@ -61,6 +61,7 @@ def test_a_dialect_that_no_package_offers_is_named(tmp_path):
     done, _ = suite(tmp_path, "--dialect", "acme_glacier")
     assert done.returncode != 0
     assert "--dialect acme_glacier: no installed package offers it; installed: acutrol3000" in done.stdout
+    assert "entry points, install it again" in done.stdout
 
 
 def test_a_wrong_key_of_the_dialect_ends_the_suite_with_what_is_allowed(tmp_path):
