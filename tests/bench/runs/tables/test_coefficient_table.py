@@ -21,7 +21,7 @@ from gyrobench.bench.runs.tables.coefficient_table import (
 
 def row(plateau, temperature_c, coefficient, finding="", note=""):
     return PlateauCoefficientRow(
-        plateau, 1, 60.0, temperature_c, coefficient, "x", 1.0, 0.1, "ppm", finding, math.nan, 0.0, note
+        plateau, 1, 60.0, temperature_c, coefficient, "x", 1.0, 0.1, "ppm", finding, math.nan, 0.0, note=note
     )
 
 
