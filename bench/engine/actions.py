@@ -6,9 +6,7 @@ between and enforces the step's time limit.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator, Sequence
 from functools import cache, singledispatch
-from typing import TypeVar
 
 import numpy as np
 
@@ -17,20 +15,17 @@ from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.live_unit import BUS_SILENCE_S
 from gyrobench.bench.engine.measured_unit import MeasuredUnit
 from gyrobench.bench.engine.operator import ask_operator
-from gyrobench.bench.engine.run_context import RunContext
 from gyrobench.bench.engine.soak import until_settled
-from gyrobench.bench.engine.units import Units
+from gyrobench.bench.engine.step_context import StepContext, Ticks
 from gyrobench.bench.foundations.errors import (
-    ConnectionFailedError,
     FaultError,
-    InstrumentError,
     InvalidDwellError,
     RefusedError,
     RunStoppedError,
     SignalMapError,
 )
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.bench.navigation.table_axes import Angles, TurnOrMove
+from gyrobench.bench.navigation.table_axes import Angles
 from gyrobench.bench.procedure.rotation_steps import RotatingStep
 from gyrobench.bench.procedure.steps import (
     Align,
@@ -47,11 +42,7 @@ from gyrobench.bench.procedure.steps import (
     Wait,
 )
 from gyrobench.bench.station.instruments import CHECK_SUPPLY
-from gyrobench.drivers.ins.can_ins import POLL_PERIOD_S
 from gyrobench.drivers.ins.readout import Alignment, InsMode
-
-Ticks = Iterator[None]
-_T = TypeVar("_T")
 
 _POSITION_TOLERANCE_DEG = 0.002
 #: A servo may be off position by overshoot for this long after its motion is complete.
@@ -65,20 +56,6 @@ _MAX_NOTICE_S = 4.0
 _MAX_SENDS_OFF_S = 30.0
 #: Period of the bias estimates of the dwell in progress.
 _ESTIMATE_PERIOD_S = 30.0
-#: Pause before a failed exchange is tried again.
-_RETRY_PAUSE_S = 2.0
-
-
-class StepContext:
-    """State that the actions share."""
-
-    def __init__(self, run: RunContext, units: Units) -> None:
-        self.run = run
-        self.bench = run.bench
-        self.units = units
-        self.retries = 0  #: How often a failed exchange of the step in progress is repeated.
-        #: Turns until the next position: the table goes to angles from which they stay within its limits.
-        self.next_turns_deg: Sequence[TurnOrMove] = ()
 
 
 @singledispatch
@@ -97,7 +74,7 @@ def _power_on(step: PowerOn, context: StepContext) -> Ticks:
         yield from _switch_off(context)
     for unit in units.running:
         unit.live.forget()
-    yield from _with_retries(context, lambda: bench.instruments.power_unit(True, units.dropped_events))
+    yield from context.with_retries(lambda: bench.instruments.power_unit(True, units.dropped_events))
     switched_s = bench.clock.now()
     yield
     yield from units.for_all(lambda unit: _wait_until_sending(unit, bench))
@@ -107,7 +84,7 @@ def _power_on(step: PowerOn, context: StepContext) -> Ticks:
         unit.live.state.powered()
         if bench.station.file.unit.power == "always_on":
             unit.note("the INS is always on: its time since power-on is not known and counts from this step")
-    yield from _pause(bench, step.settle_s)
+    yield from context.pause(step.settle_s)
     for unit in units.running:
         if fault := latitude_fault(unit.live.status().latitude, bench.station.site):
             raise SignalMapError(f"{unit.live.name}: {fault}")
@@ -120,7 +97,7 @@ def _ask_for_power_cycle(context: StepContext) -> Ticks:
         for _ in _ask(context, "Switch the INS off and on, then answer.", ["on", "stop"]):
             working = [each for each in working if each.live.has_started()]
             yield
-        for _ in _pause(context.bench, _MAX_NOTICE_S):
+        for _ in context.pause(_MAX_NOTICE_S):
             if not (working := [each for each in working if each.live.has_started()]):
                 break
             yield
@@ -142,11 +119,11 @@ def _switch_off(context: StepContext) -> Ticks:
     """Switch the supplies off, and wait until each INS is silent, unless it is always on."""
     bench, power = context.bench, context.bench.station.file.unit.power
     bench.units_switched_off()
-    yield from _with_retries(context, lambda: bench.instruments.power_unit(False))
+    yield from context.with_retries(lambda: bench.instruments.power_unit(False))
     if power == "always_on":
         return
     begin_s = bench.clock.now()
-    yield from _pause(bench, _POWER_CYCLE_S)
+    yield from context.pause(_POWER_CYCLE_S)
     yield from context.units.for_all(lambda unit: _wait_until_silent(unit, bench, begin_s))
 
 
@@ -171,10 +148,10 @@ def _set_chamber(step: SetChamber, context: StepContext) -> Ticks:
     bench = context.bench
     bench.state.chamber_state_unknown()
     # The driver is looked up at each use: reopening a port creates a new one.
-    yield from _with_retries(
-        context, lambda: bench.instruments.chamber.set_temperature(step.temperature_c, step.ramp_c_per_min)
+    yield from context.with_retries(
+        lambda: bench.instruments.chamber.set_temperature(step.temperature_c, step.ramp_c_per_min)
     )
-    yield from _with_retries(context, lambda: bench.instruments.chamber.switch(True))
+    yield from context.with_retries(lambda: bench.instruments.chamber.switch(True))
     bench.state.chamber_commanded(step.temperature_c)
     commanded_s = bench.clock.now()
     yield
@@ -190,7 +167,7 @@ def _set_chamber(step: SetChamber, context: StepContext) -> Ticks:
 def _chamber_off(step: ChamberOff, context: StepContext) -> Ticks:  # noqa: ARG001
     bench = context.bench
     bench.state.chamber_switching(False)
-    yield from _with_retries(context, lambda: bench.instruments.chamber.switch(False))
+    yield from context.with_retries(lambda: bench.instruments.chamber.switch(False))
     bench.state.chamber_switched(False)
     yield
 
@@ -198,9 +175,9 @@ def _chamber_off(step: ChamberOff, context: StepContext) -> Ticks:  # noqa: ARG0
 @perform.register
 def _soak(step: Soak, context: StepContext) -> Ticks:
     if step.for_s is not None:
-        yield from _pause(context.bench, step.for_s)
+        yield from context.pause(step.for_s)
     else:
-        yield from until_settled(step, context.run, context.units)
+        yield from until_settled(step, context)
     context.bench.check_set_point_reached()
 
 
@@ -212,7 +189,7 @@ def _go_to(step: GoTo, context: StepContext) -> Ticks:
     yield from _move_table(context, table.angles(C_nb, context.next_turns_deg), step.rate_dps)
     for unit in context.units.running:
         unit.live.state.table_moved_to(step.position, step.azimuth_deg)
-    yield from _pause(context.bench, step.settle_s)
+    yield from context.pause(step.settle_s)
 
 
 @perform.register
@@ -220,11 +197,11 @@ def _align(step: Align, context: StepContext) -> Ticks:
     bench = context.bench
     for unit in context.units.measuring:
         unit.recorder.begin()
-    yield from _command_all(context, lambda unit: unit.live.choose_euler_sequence(step.euler_sequence))
-    yield from _command_all(context, lambda unit: unit.live.ins.enter_stepwise(InsMode.ALIGN))
+    yield from context.command_all(lambda unit: unit.live.choose_euler_sequence(step.euler_sequence))
+    yield from context.command_all(lambda unit: unit.live.ins.enter_stepwise(InsMode.ALIGN))
     begin_s = bench.clock.now()
     yield
-    yield from _pause(bench, (step.duration_s or 0.0) - (bench.clock.now() - begin_s))
+    yield from context.pause((step.duration_s or 0.0) - (bench.clock.now() - begin_s))
     if step.until_fine:
         yield from context.units.for_all(_wait_until_fine)
 
@@ -232,44 +209,6 @@ def _align(step: Align, context: StepContext) -> Ticks:
 def _wait_until_fine(unit: MeasuredUnit) -> Ticks:
     while unit.live.status().alignment is not Alignment.FINE:
         yield
-
-
-def _command_all(context: StepContext, command: Callable[[MeasuredUnit], Ticks | None]) -> Ticks:
-    """Command all units at once and wait for their confirmations; ``command`` returns None if none is needed.
-
-    A failed command is repeated as often as the step allows; then its unit is dropped, or the error raised.
-    """
-    waiting = {unit: ticks for unit in context.units.measuring if (ticks := command(unit)) is not None}
-    yield from _await_ports(context.bench, [unit.live.name for unit in waiting])
-    for remaining_tries in range(context.retries, -1, -1):
-        retried = []
-        for unit, error in _exchange_all(context, waiting).items():
-            if remaining_tries and not isinstance(error, FaultError):
-                retried.append(error)
-                waiting[unit] = command(unit) or iter(())
-            else:
-                context.units.fail(unit, error)
-        if waiting:
-            yield from _prepare_retry(context, retried)
-
-
-def _exchange_all(
-    context: StepContext, waiting: dict[MeasuredUnit, Ticks]
-) -> dict[MeasuredUnit, InstrumentError]:
-    """Poll until each command is confirmed or has failed; empties ``waiting`` and returns the errors."""
-    errors: dict[MeasuredUnit, InstrumentError] = {}
-    while waiting:
-        for unit, ticks in list(waiting.items()):
-            try:
-                next(ticks)
-            except StopIteration:
-                del waiting[unit]
-            except InstrumentError as error:
-                del waiting[unit]
-                errors[unit] = error
-        if waiting:
-            context.bench.clock.sleep(POLL_PERIOD_S)
-    return errors
 
 
 @perform.register
@@ -281,13 +220,13 @@ def _navigate(step: Navigate, context: StepContext) -> Ticks:
 
 
 def _begin_windows(context: StepContext) -> Ticks:
-    yield from _read_table(context)
+    yield from context.read_table()
     for unit in context.units.measuring:
         unit.recorder.begin_window()
 
 
 def _end_windows(context: StepContext) -> Ticks:
-    yield from _read_table(context)
+    yield from context.read_table()
     for unit in context.units.measuring:
         unit.recorder.end_window()
 
@@ -313,7 +252,7 @@ def _begin_navigation(context: StepContext) -> Ticks:
         has_begun = unit.live.ins.status().mode is InsMode.NAVIGATE or unit.recorder.has_window
         return None if has_begun else unit.live.ins.enter_stepwise(InsMode.NAVIGATE)
 
-    yield from _command_all(context, enter_navigation)
+    yield from context.command_all(enter_navigation)
 
 
 def _wait_until_navigated(step: Navigate, context: StepContext) -> Ticks:
@@ -350,7 +289,7 @@ def _turn(step: Turn, context: StepContext) -> Ticks:
     yield from _turn_table(context, target, step.rate_dps)
     for unit in context.units.running:
         unit.live.state.turned(step.angle_deg)
-    yield from _pause(context.bench, step.settle_s)
+    yield from context.pause(step.settle_s)
 
 
 def _turn_table(context: StepContext, target: Angles, rate_dps: float) -> Ticks:
@@ -373,7 +312,7 @@ def _rotate(step: RotatingStep, context: StepContext) -> Ticks:
             raise FaultError("rate table", "a rotation needs a position first. Put go_to before it.")
         outer_deg, inner_deg = bench.state.run_position.angles_deg
         yield from _turn_table(context, (outer_deg + move[0], inner_deg + move[1]), rate_dps)
-        yield from _pause(bench, step.settle_s)
+        yield from context.pause(step.settle_s)
         yield from _begin_navigation(context)
         yield from _rest(step, context)
     yield from _switch_increments(context, False)
@@ -382,31 +321,25 @@ def _rotate(step: RotatingStep, context: StepContext) -> Ticks:
 def _switch_increments(context: StepContext, on: bool) -> Ticks:
     def switch(unit: MeasuredUnit) -> Ticks:
         if unit.live.ins.supports("send_increments"):
-            yield from _with_retries(context, lambda: unit.live.ins.send_increments(on))
+            yield from context.with_retries(lambda: unit.live.ins.send_increments(on))
 
     yield from context.units.for_all(switch)
 
 
 def _rest(step: RotatingStep, context: StepContext) -> Ticks:
     yield from _begin_windows(context)
-    yield from _pause(context.bench, step.rest_s)
+    yield from context.pause(step.rest_s)
     yield from _end_windows(context)
 
 
 @perform.register
 def _wait(step: Wait, context: StepContext) -> Ticks:
-    yield from _pause(context.bench, step.duration_s)
+    yield from context.pause(step.duration_s)
 
 
 @perform.register
 def _ask_operator(step: AskOperator, context: StepContext) -> Ticks:
     yield from _ask(context, step.question, step.answers)
-
-
-def _pause(bench: LiveBench, duration_s: float) -> Ticks:
-    end_s = bench.clock.now() + duration_s
-    while bench.clock.now() < end_s - 1e-6:
-        yield
 
 
 def _ask(context: StepContext, question: str, answers: list[str]) -> Ticks:
@@ -435,15 +368,15 @@ class _OffPositionError(FaultError):
 
 def _move_once(context: StepContext, angles: Angles, rate_dps: float) -> Ticks:
     station, instruments = context.bench.station, context.bench.instruments
-    yield from _with_retries(
-        context, lambda: instruments.table.move_to(station.by_axis_number(angles), rate_dps)
+    yield from context.with_retries(
+        lambda: instruments.table.move_to(station.by_axis_number(angles), rate_dps)
     )
     yield
-    while not (yield from _with_retries(context, lambda: instruments.table.in_position())):
+    while not (yield from context.with_retries(lambda: instruments.table.in_position())):
         yield
     complete_s = context.bench.clock.now()
     while True:
-        reading = yield from _with_retries(context, lambda: instruments.table.read())
+        reading = yield from context.with_retries(lambda: instruments.table.read())
         reached = station.table_axes_of(reading.position_deg)
         if np.allclose(reached, angles, rtol=0.0, atol=_POSITION_TOLERANCE_DEG):
             return
@@ -454,45 +387,3 @@ def _move_once(context: StepContext, angles: Angles, rate_dps: float) -> Ticks:
                 f"{angles[0]:.4f}, {angles[1]:.4f} deg. Check its limits and its servo.",
             )
         yield
-
-
-def _with_retries(context: StepContext, exchange: Callable[[], _T]) -> Generator[None, None, _T]:
-    """Return the result of an exchange with an instrument, which is repeated as often as the step allows.
-
-    Every command of the drivers may be repeated: it sets a final state, not a change.
-    """
-    for remaining_tries in range(context.retries, -1, -1):
-        try:
-            return exchange()
-        except FaultError:
-            raise
-        except InstrumentError as error:
-            if not remaining_tries:
-                raise
-            yield from _prepare_retry(context, [error])
-    raise AssertionError("the last try returns or raises")
-
-
-def _prepare_retry(context: StepContext, errors: Sequence[InstrumentError]) -> Ticks:
-    """Record failed exchanges, reopen lost ports, and pause."""
-    for error in errors:
-        context.run.record_retry(error)
-        if isinstance(error, ConnectionFailedError):
-            context.bench.reopen(error.instrument)
-    yield from _pause(context.bench, _RETRY_PAUSE_S)
-    yield from _await_ports(context.bench, [error.instrument for error in errors])
-
-
-def _await_ports(bench: LiveBench, instruments: Sequence[str]) -> Ticks:
-    """Wait until no thread opens a port of these instruments."""
-    while any(map(bench.is_reopening, instruments)):
-        yield
-
-
-def _read_table(context: StepContext) -> Ticks:
-    """Read the table; repeated at each tick until it answers."""
-    begin_s = context.bench.clock.now()
-    context.bench.read_table()
-    while context.bench.readings.table_s < begin_s:
-        yield
-        context.bench.read_table()

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict
 
-from gyrobench.bench.engine.actions import StepContext, perform
+from gyrobench.bench.engine.actions import perform
 from gyrobench.bench.engine.holding import Holding, Ticker
 from gyrobench.bench.engine.interlocks.checks import InterlockFinding
 from gyrobench.bench.engine.interlocks.watch import Trip, TrippedError, text_of_trips, trip_of_error
 from gyrobench.bench.engine.operator import CommandReceivedError, ReceivedCommand, RunCommand
 from gyrobench.bench.engine.run_context import RunContext
+from gyrobench.bench.engine.step_context import StepContext
 from gyrobench.bench.engine.units import Units
 from gyrobench.bench.foundations.clock import Deadline
 from gyrobench.bench.foundations.errors import (

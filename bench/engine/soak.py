@@ -4,25 +4,23 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict, deque
-from collections.abc import Iterator
 
 import numpy as np
 
 from gyrobench.bench.dwells.temperatures import slopes_c_per_h
 from gyrobench.bench.engine.bench_state import Readings
 from gyrobench.bench.engine.measured_unit import MeasuredUnit
-from gyrobench.bench.engine.run_context import RunContext
-from gyrobench.bench.engine.units import Units
+from gyrobench.bench.engine.step_context import StepContext, Ticks
 from gyrobench.bench.foundations.errors import InstrumentError
 from gyrobench.bench.procedure.steps import RATE_SPAN_S, Soak, span
 
 
-def until_settled(step: Soak, run: RunContext, units: Units) -> Iterator[None]:
+def until_settled(step: Soak, context: StepContext) -> Ticks:
     """Wait until no gyro's temperature changes faster than the step's limit, or its time is over.
 
     Yields once a tick. What follows a soak that ended by its time is measured all the same, and noted.
     """
-    bench = run.bench
+    run, bench, units = context.run, context.bench, context.units
     begin_s, polled_s, is_new = bench.clock.now(), -math.inf, False
     histories: dict[MeasuredUnit, _GyroTemperatures] = defaultdict(_GyroTemperatures)
     while (elapsed_s := bench.clock.now() - begin_s) < (step.at_most_s or math.inf):

@@ -13,9 +13,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gyrobench.bench.engine.actions import StepContext, _command_all
 from gyrobench.bench.engine.interlocks.watch import text_of_trips
 from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.engine.step_context import StepContext
 from gyrobench.bench.foundations.clock import VirtualClock, WallClock
 from gyrobench.bench.foundations.errors import ConnectionFailedError, NoReplyError, ReplyError
 from gyrobench.bench.foundations.shipped import find_document
@@ -371,7 +371,7 @@ def test_a_command_waits_until_the_bus_of_its_unit_is_open_again(threaded, monke
     bench.reopen(unit.name)
     measured = type("Measured", (), {"live": unit})()
     units = SimpleNamespace(measuring=[measured], fail=lambda *each: failed.append(each))
-    ticks = _command_all(StepContext(SimpleNamespace(bench=bench), units), poll)
+    ticks = StepContext(SimpleNamespace(bench=bench), units).command_all(poll)
     next(ticks)
     opens.set()
     for _ in ticks:
