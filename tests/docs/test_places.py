@@ -14,11 +14,16 @@ OVERVIEWS = [
 ]
 
 
+def places_on(text):
+    """Modules and folders that a page names by their paths."""
+    return re.findall(
+        r"`((?:bench|conformance|drivers|tests/(?:bench|docs|drivers))/[\w/]+(?:\.py|/))`", text
+    )
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_files_named_on_a_page_exist(page):
-    named = re.findall(
-        r"`((?:bench|drivers|tests/bench)/[\w/]+(?:\.py|/))`", page.read_text(encoding="utf-8")
-    )
+    named = places_on(page.read_text(encoding="utf-8"))
     assert [place for place in named if not (ROOT / place).exists()] == []
 
 
@@ -41,17 +46,12 @@ def defined_in(module):
 
 
 @pytest.mark.parametrize(
-    "page", [ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs/extend").glob("*.md"))], ids=str
+    "page", ["CONTRIBUTING", "docs/extend/dialect", "docs/extend/effect", "docs/extend/step"]
 )
 def test_names_on_a_page_for_contributors_are_defined_beside_the_files_that_it_names(page):
-    text = page.read_text(encoding="utf-8")
-    places = re.findall(r"`((?:bench|drivers|tests)/[\w/]+(?:\.py|/))`", text)
-    folders = {ROOT / place if place.endswith("/") else (ROOT / place).parent for place in places}
+    text = (ROOT / f"{page}.md").read_text(encoding="utf-8")
+    folders = {ROOT / place if place.endswith("/") else (ROOT / place).parent for place in places_on(text)}
     modules = [path for folder in {*folders, ROOT / "bench/cli"} for path in folder.glob("*.py")]
-    files = {
-        path.stem
-        for folder in ("procedures", "docs/examples/laboratory")
-        for path in (ROOT / folder).iterdir()
-    }
-    defined = files.union(*map(defined_in, modules))
+    files = [*(ROOT / "procedures").iterdir(), *(ROOT / "docs/examples/laboratory").iterdir()]
+    defined = {path.stem for path in files}.union(*map(defined_in, modules))
     assert [name for name in re.findall(r"`(_?[A-Za-z]\w+)`", text) if name not in defined] == []
