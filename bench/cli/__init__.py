@@ -40,7 +40,7 @@ from gyrobench.bench.foundations.errors import (
 )
 from gyrobench.bench.foundations.files import require_utf8
 
-#: Commands by task; a command without a group is listed last.
+#: Commands by task; each is the function of its name in the module of its name.
 GROUPS: dict[str, tuple[str, ...]] = {
     "Before a run": ("plan", "check", "jog", "message"),
     "Measure": ("run", "resume", "control", "monitor"),
