@@ -11,7 +11,7 @@ import numpy as np
 
 from gyrobench.bench.engine.bench_state import BenchState, Readings
 from gyrobench.bench.engine.interlocks.watch import SILENT_INSTRUMENT, InterlockWatch, Trip
-from gyrobench.bench.engine.live_unit import BUS_SILENCE_S, LiveUnit, telemetry_row
+from gyrobench.bench.engine.live_unit import BUS_SILENCE_S, LiveUnit
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import ConnectionFailedError, FaultError, InstrumentError, ReplyError
 from gyrobench.bench.foundations.text import capitalised
@@ -383,7 +383,7 @@ class LiveBench:
         self._watch.observe(readings)
         row = self._telemetry_row(readings, polled_s)
         if self._telemetry:
-            self._telemetry.add(telemetry_row(row, None))
+            self._telemetry.add(row)
         for unit, ins in zip(self.units, statuses, strict=True):
             unit.observe(readings if ins is readings.ins else replace(readings, ins=ins), row)
 
@@ -482,15 +482,15 @@ class LiveBench:
         table.prepare()
         self.state.table_prepared()
 
-    def _telemetry_row(self, readings: Readings, polled_s: float) -> tuple[float, ...]:
-        """Values of the bench at this moment; NaN for an instrument that did not answer."""
-        angles = (*self.table_angles(), *self.station.table_axes_of(readings.table.rate_dps))
-        set_c = self.state.commanded_c
-        return (
-            polled_s,
-            math.nan if set_c is None else set_c,
-            readings.chamber.temperature_c if readings.chamber_s >= polled_s else math.nan,
-            *(angles if readings.table_s >= polled_s else (math.nan,) * len(angles)),
-            float(self.state.run_position.step),
-            float(self.state.run_position.dwell),
-        )
+    def _telemetry_row(self, readings: Readings, polled_s: float) -> dict[str, float]:
+        """Known values of the bench at this moment, by the columns of its telemetry."""
+        position, set_c = self.state.run_position, self.state.commanded_c
+        row = {"time_s": polled_s, "step": float(position.step), "dwell": float(position.dwell)}
+        if set_c is not None:
+            row["chamber_set_c"] = set_c
+        if readings.chamber_s >= polled_s:
+            row["chamber_c"] = readings.chamber.temperature_c
+        if readings.table_s >= polled_s:
+            row["outer_deg"], row["inner_deg"] = self.table_angles()
+            row["outer_rate_dps"], row["inner_rate_dps"] = self.station.table_axes_of(readings.table.rate_dps)
+        return row

@@ -11,6 +11,7 @@ from gyrobench.bench.engine.bench_state import Readings, UnitState
 from gyrobench.bench.engine.interlocks.watch import InterlockWatch, Trip
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import InstrumentError, NoReplyError, SignalMapError
+from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.navigation.table_axes import Angles
 from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE
 from gyrobench.bench.station.station import Station
@@ -166,13 +167,13 @@ class LiveUnit:
         self.readings = readings
         self._watch.observe(readings)
 
-    def observe(self, readings: Readings, row: tuple[float, ...]) -> None:
+    def observe(self, readings: Readings, row: dict[str, float]) -> None:
         """Process the bench's readings with this unit's INS status, and the bench's telemetry ``row``."""
         self.begin(readings)
         self._notice_restart(readings)
         self._notice_silent_bus(readings)
         if self._telemetry:
-            self._telemetry.add(telemetry_row(row, readings.ins))
+            self._telemetry.add(row | _telemetry_of(readings.ins))
         if self.capture and readings.chamber_s >= readings.polled_s:
             self.capture.chamber_c.append(readings.chamber.temperature_c)
         if self.capture and readings.table_s >= readings.polled_s:
@@ -293,9 +294,9 @@ class LiveUnit:
             self.capture.add(block)
 
 
-def telemetry_row(bench_row: tuple[float, ...], ins: InsStatus | None) -> tuple[float, ...]:
-    """Telemetry values at one time: of the bench and, among them, of an INS (NaN without one)."""
-    ins_values = (
-        (math.nan,) * 8 if ins is None else (*ins.optics_c, *ins.electronics_c, ins.case_c, float(ins.mode))
-    )
-    return (*bench_row[:-2], *ins_values, *bench_row[-2:])
+def _telemetry_of(ins: InsStatus) -> dict[str, float]:
+    """Values of an INS by the columns of the telemetry."""
+    values = {"case_c": ins.case_c, "ins_mode": float(ins.mode)}
+    for part, temperatures_c in (("gyro", ins.optics_c), ("board", ins.electronics_c)):
+        values |= {f"{part}_{axis}_c": value for axis, value in zip(AXES, temperatures_c, strict=True)}
+    return values

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -54,20 +54,22 @@ class Telemetry:
         self._row_count = self._written_count = 0
         self._needs_gap = bool(parts)
 
-    def add(self, row: tuple[float, ...]) -> None:
-        """Add one row with the values of :data:`TELEMETRY_COLUMNS`."""
+    def add(self, row: Mapping[str, float]) -> None:
+        """Add one row: its time, and known values by their columns. Raises KeyError for another name."""
+        if unknown := row.keys() - TELEMETRY_COLUMNS:
+            raise KeyError(*unknown)
         if self._row_count >= _ROWS_PER_PART:
             self.flush()  # the last attempt failed
         if self._needs_gap:
             self._needs_gap = False
-            self._append((row[0], *[math.nan] * (len(TELEMETRY_COLUMNS) - 1)))
+            self._append({"time_s": row["time_s"]})
         self._append(row)
-        unwritten_s = row[0] - self._values[0, self._written_count]
+        unwritten_s = row["time_s"] - self._values[0, self._written_count]
         if unwritten_s >= self._max_unwritten_s or self._row_count >= _ROWS_PER_PART:
             self.flush()
 
-    def _append(self, row: tuple[float, ...]) -> None:
-        self._values[:, self._row_count] = row
+    def _append(self, row: Mapping[str, float]) -> None:
+        self._values[:, self._row_count] = [row.get(name, math.nan) for name in TELEMETRY_COLUMNS]
         self._row_count += 1
 
     def flush(self) -> None:
@@ -136,7 +138,9 @@ def _read_part(path: Path, columns: Sequence[str] = TELEMETRY_COLUMNS) -> dict[s
         if part.metadata.num_rows > _MAX_PART_ROWS:
             raise RunFolderError(f"{path}: {part.metadata.num_rows} rows; a part has up to {_ROWS_PER_PART}")
         table = part.read(columns=list(columns), use_threads=False)  # starting them takes longer
-        return {name: _floats(table.column(name)) for name in columns}
+        unknown = np.full(part.metadata.num_rows, math.nan)  # a column that an older version did not write
+        known = {"time_s", *table.column_names}
+        return {name: _floats(table.column(name)) if name in known else unknown for name in columns}
     except (OSError, KeyError, ValueError, pa.ArrowException) as error:
         if isinstance(error, RunFolderError):
             raise

@@ -36,8 +36,8 @@ def write_run(folder, values):
     (folder / "journal.jsonl").write_text("")
     write_dwells(folder / "dwells.csv", made_up_rows())
     telemetry = Telemetry(folder / "telemetry")
-    for row in zip(*(values[name] for name in TELEMETRY_COLUMNS), strict=True):
-        telemetry.add(row)
+    for row in zip(*values.values(), strict=True):
+        telemetry.add(dict(zip(values, row, strict=True)))
     telemetry.flush()
 
 

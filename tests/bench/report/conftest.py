@@ -183,8 +183,8 @@ def write_run(folder, rows):
     write_noise(folder.noise, made_up_noise())
     telemetry = Telemetry(folder.telemetry)
     columns = made_up_telemetry(max((row.end_s for row in rows), default=3600.0))
-    for values in zip(*(columns[name] for name in TELEMETRY_COLUMNS), strict=True):
-        telemetry.add(values)
+    for values in zip(*columns.values(), strict=True):
+        telemetry.add(dict(zip(columns, values, strict=True)))
     telemetry.flush()
     folder.procedure.write_text(
         "procedure: six_position_fig7\ndescription: biases in six positions\nassumptions:\n"

@@ -11,7 +11,7 @@ from gyrobench.bench.report.run_findings import run_findings
 from gyrobench.bench.report.run_report import write_report
 from gyrobench.bench.report.temperature_findings import sensors_sentence, temperatures_sentence
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.runs.telemetry import TELEMETRY_COLUMNS, Telemetry
+from gyrobench.bench.runs.telemetry import Telemetry
 from gyrobench.drivers.emulators.world.thermal import ThermalNetwork
 from gyrobench.drivers.emulators.world.world_file import GyroThermal, Thermal
 
@@ -162,8 +162,7 @@ def test_the_sensors_of_a_run_folder_are_tested_by_its_telemetry(tmp_path):
     telemetry = Telemetry(folder.telemetry)
     readings = _readings()
     for index in range(3):
-        row = {name: values[index] for name, values in readings.items()} | {"gyro_z_c": 35.0}
-        telemetry.add(tuple(row.get(name, math.nan) for name in TELEMETRY_COLUMNS))
+        telemetry.add({name: values[index] for name, values in readings.items()} | {"gyro_z_c": 35.0})
     telemetry.flush()
     doubts = write_report(folder).content.doubts
     assert "the sensor of the z gyro read 35.0 degC" in doubts["Temperatures of the gyros."]

@@ -73,7 +73,7 @@ def test_telemetry_is_written_once_there_is_room_again(full_disk):
     telemetry = Telemetry(full_disk / "telemetry")
 
     def add(time_s):
-        telemetry.add((time_s, *range(1, len(TELEMETRY_COLUMNS))))
+        telemetry.add(dict.fromkeys(TELEMETRY_COLUMNS, time_s))
 
     add(0.0)
     telemetry.flush()

@@ -6,7 +6,7 @@ from gyrobench.bench.runs.telemetry import TELEMETRY_COLUMNS, Telemetry, last_re
 
 
 def row(time_s):
-    return (time_s, *range(1, len(TELEMETRY_COLUMNS)))
+    return {name: float(index) for index, name in enumerate(TELEMETRY_COLUMNS)} | {"time_s": time_s}
 
 
 def add(telemetry, times_s):
@@ -99,6 +99,18 @@ def test_a_damaged_part_is_an_error_with_its_name(tmp_path, content):
     (tmp_path / "part-00001.parquet").write_bytes(content)
     with pytest.raises(RunFolderError, match="part-00001"):
         read_telemetry(tmp_path)
+
+
+def test_values_that_a_row_or_an_older_run_lacks_are_unknown(tmp_path, monkeypatch):
+    monkeypatch.setattr("gyrobench.bench.runs.telemetry.TELEMETRY_COLUMNS", ("time_s", "step", "dwell"))
+    telemetry = Telemetry(tmp_path)
+    telemetry.add({"time_s": 1.0, "dwell": 2.0})
+    with pytest.raises(KeyError, match="humidity"):
+        telemetry.add({"time_s": 2.0, "humidity": 0.4})
+    telemetry.flush()
+    readings = read_telemetry(tmp_path, ("time_s", "dwell", "step", "humidity"))
+    assert [values.tolist() for values in readings.values()][:2] == [[1.0], [2.0]]
+    assert np.isnan([readings["step"], readings["humidity"]]).all()
 
 
 def test_an_empty_folder_gives_empty_columns(tmp_path):
