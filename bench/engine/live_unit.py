@@ -37,6 +37,9 @@ BUS_SILENCE_S = 4.0
 #: Maximum age of the last frame of an INS that has started.
 _FRESH_S = 2.0
 
+#: Columns of the telemetry that come from the INS.
+_INS_COLUMNS = (*(f"{part}_{axis}_c" for part in ("gyro", "board") for axis in AXES), "case_c", "ins_mode")
+
 _T = TypeVar("_T")
 
 
@@ -296,7 +299,5 @@ class LiveUnit:
 
 def _telemetry_of(ins: InsStatus) -> dict[str, float]:
     """Values of an INS by the columns of the telemetry."""
-    values = {"case_c": ins.case_c, "ins_mode": float(ins.mode)}
-    for part, temperatures_c in (("gyro", ins.optics_c), ("board", ins.electronics_c)):
-        values |= {f"{part}_{axis}_c": value for axis, value in zip(AXES, temperatures_c, strict=True)}
-    return values
+    values = (*ins.optics_c, *ins.electronics_c, ins.case_c, float(ins.mode))
+    return dict(zip(_INS_COLUMNS, values, strict=True))

@@ -27,6 +27,7 @@ TELEMETRY_COLUMNS = (
     "gyro_x_c", "gyro_y_c", "gyro_z_c", "board_x_c", "board_y_c", "board_z_c", "case_c", "ins_mode",
     "step", "dwell",
 )  # fmt: skip
+_COLUMN_NAMES = frozenset(TELEMETRY_COLUMNS)
 _ROWS_PER_PART = 900
 #: Maximum loss after a kill, in real time and on virtual time, where writing takes a large share of the run.
 _MAX_UNWRITTEN_S, _MAX_UNWRITTEN_VIRTUAL_S = 60.0, 600.0
@@ -56,8 +57,8 @@ class Telemetry:
 
     def add(self, row: Mapping[str, float]) -> None:
         """Add one row: its time, and known values by their columns. Raises KeyError for another name."""
-        if unknown := row.keys() - TELEMETRY_COLUMNS:
-            raise KeyError(*unknown)
+        if not row.keys() <= _COLUMN_NAMES:
+            raise KeyError(*(row.keys() - _COLUMN_NAMES))
         if self._row_count >= _ROWS_PER_PART:
             self.flush()  # the last attempt failed
         if self._needs_gap:
@@ -69,7 +70,7 @@ class Telemetry:
             self.flush()
 
     def _append(self, row: Mapping[str, float]) -> None:
-        self._values[:, self._row_count] = [row.get(name, math.nan) for name in TELEMETRY_COLUMNS]
+        self._values[:, self._row_count] = [*map(row.get, TELEMETRY_COLUMNS)]  # None becomes NaN
         self._row_count += 1
 
     def flush(self) -> None:
