@@ -106,10 +106,12 @@ def _ask_for_power_cycle(context: StepContext) -> Ticks:
 
 
 def _wait_until_sending(unit: MeasuredUnit, bench: LiveBench) -> Ticks:
-    reopened_s = bench.clock.now()
+    reopened_s, noted = bench.clock.now(), ""
     while not unit.live.has_started():
         if bench.clock.now() - reopened_s > _REOPEN_AFTER_S:
             unit.live.check_identifiers()
+            if not noted and (noted := unit.live.ins.describe_foreign_frames()):
+                unit.note(f"the INS has not started; {noted}")
             reopened_s = bench.clock.now()
             bench.reopen(unit.live.name)
         yield

@@ -41,6 +41,8 @@ _FIRST_REOPEN_PAUSE_S, _MAX_REOPEN_PAUSE_S, _REOPEN_RESET_S = 0.5, 5.0, 30.0
 _BRIEF_S = 2.5
 #: Period at which a safe action that failed is repeated.
 _REPEAT_PERIOD_S = 5.0
+#: What to do about errors on a CAN bus.
+CHECK_BUS = "Check bit rate, termination and cable."
 #: The chamber's air counts as at its set point within this difference.
 _REACHED_C = 2.0
 #: Bins of lateness are of equal width in its logarithm; below the first edge a tick counts as on time.
@@ -210,9 +212,12 @@ class LiveBench:
         return [self._with_cause(trip) for trip in trips]
 
     def _with_cause(self, trip: Trip) -> Trip:
-        """Return a trip because of silence with the present problem of the port, if any, as its advice."""
-        instrument = SILENT_INSTRUMENT.get(trip.name, "")
-        cause = self._causes.get(f"{instrument} {trip.unit}".rstrip())
+        """Return a trip because of silence with the present problem of port or bus, if any, as its advice."""
+        instrument = f"{SILENT_INSTRUMENT.get(trip.name, '')} {trip.unit}".rstrip()
+        ins = self.instruments.units.get(instrument)
+        cause = self._causes.get(instrument)
+        if cause is None and ins is not None and (errors := ins.describe_bus_errors()):
+            cause = f"{capitalised(errors)}. {CHECK_BUS}"
         if cause is None:
             return trip
         return replace(trip, findings=tuple(each._replace(advice=cause) for each in trip.findings))

@@ -12,12 +12,12 @@ from gyrobench.bench.dwells.live_estimate import LiveEstimate
 from gyrobench.bench.dwells.measure_dwell import MeasuredDwell, measure_check_dwell, measure_dwell
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.dwells.run_dwells import add_dwell
-from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.engine.live_bench import CHECK_BUS, LiveBench
 from gyrobench.bench.engine.live_unit import LiveUnit
 from gyrobench.bench.engine.run_context import RunContext
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import SignalMapError
-from gyrobench.bench.foundations.text import flag_text
+from gyrobench.bench.foundations.text import counted, flag_text
 from gyrobench.bench.navigation.table_axes import Angles
 from gyrobench.bench.procedure.rotation_steps import counted_moves
 from gyrobench.bench.runs.marks import DwellMarks, WindowMark
@@ -55,6 +55,9 @@ class MeasuredUnit:
         """
         marks, outcome = self.recorder.marks(), self.run.outcome
         frames = self.live.end_capture()
+        if errors := self.recorder.bus_errors:
+            text = f"the CAN adapter reports {counted(errors, 'bus error')} in dwell {marks.dwell}"
+            self.note(f"{text}. {CHECK_BUS}")
         if not marks.purpose.gives_bias:
             return self._finish_raw_dwell(marks, frames)
         measure = measure_check_dwell if marks.purpose is DwellPurpose.CALIBRATION_CHECK else measure_dwell
@@ -162,7 +165,7 @@ class DwellRecorder:
         self._align_begin_s = 0.0
         self._start_s = 0.0
         self._start_azimuth_deg = 0.0
-        self._first_frame = 0
+        self._first_frame = self._errors_before = 0
         self._angles: Angles = (0.0, 0.0)
         self._turn: tuple[int | None, int | None] = (None, None)
         self._windows: list[WindowMark] = []
@@ -172,6 +175,7 @@ class DwellRecorder:
     def begin(self) -> None:
         """Begin a dwell with its alignment."""
         self._unit.begin_capture()
+        self._errors_before = self._unit.ins.error_frames
         self._align_begin_s = self._start_s = self._bench.clock.now()
         self._windows.clear()
         self._disturbances.clear()
@@ -209,6 +213,11 @@ class DwellRecorder:
     def end_turn(self) -> None:
         """End a turn: the table is at rest."""
         self._turn = (self._turn[0], self._unit.captured_frames())
+
+    @property
+    def bus_errors(self) -> int:
+        """Number of error frames since the alignment began."""
+        return self._unit.ins.error_frames - self._errors_before
 
     @property
     def has_window(self) -> bool:

@@ -38,6 +38,8 @@ _MAX_FOREIGN_IDS = 100
 #: Most blocks of frames that are kept to compare counts of epochs; smallest number of counts that is
 #: compared, epochs by which frames of one node may arrive out of order, share of steps back of two nodes.
 _RECENT_BLOCKS, _MIN_COUNTS, _MAX_DISORDER, _TWO_NODES_SHARE = 64, 16, 3.0, 1.0 / 3.0
+#: Classes of errors, bits of the identifier of an error frame from SocketCAN, socketcand and gs_usb.
+_NO_ACKNOWLEDGEMENT, _BUS_OFF, _RESTARTED = 0x20, 0x40, 0x100
 #: Period at which a confirmation is polled.
 POLL_PERIOD_S = 0.05
 
@@ -66,7 +68,8 @@ class CanIns:
         self._own_ids: NDArray[np.uint32] = np.sort(self.codec.arbitration_ids())
         self._is_shared = is_shared
         self._foreign_ids: set[int] = set()  # identifiers of other nodes
-        self._error_frames = 0  # since the last data frame of the DBC
+        self.error_frames = 0  #: Number of error frames since the first bus was opened.
+        self._new_errors, self._error_classes = 0, 0  # since the last data frame of any node
         self.signal_map = signal_map
         self._signals = bind_signals(signal_map, self.codec)
         self._commands = commands or CommandMap()
@@ -118,13 +121,33 @@ class CanIns:
         if len(data_frames):
             self._newest.take(data_frames, self._clock.now())
             self._recent.append(data_frames)
-            self._error_frames = 0
-        else:
-            self._error_frames += int(np.count_nonzero(block.flags & ERROR_FRAME))
+        self._count_errors(block)
         block = ins_frames if self._is_shared else block
         if self.on_frames is not None and len(block):
             self.on_frames(block)
         return block
+
+    def _count_errors(self, block: FrameBlock) -> None:
+        """Count the error frames of a block."""
+        is_error = block.flags & ERROR_FRAME != 0
+        self.error_frames += int(np.count_nonzero(is_error))
+        if len(block.data_frames()):
+            self._new_errors, self._error_classes = 0, 0
+            is_error[: np.flatnonzero(block.flags == 0)[-1]] = False
+        self._new_errors += int(np.count_nonzero(is_error))
+        self._error_classes |= int(np.bitwise_or.reduce(block.arbitration_id[is_error], initial=0))
+
+    def describe_bus_errors(self) -> str:
+        """Describe the error frames that arrived since the last data frame of any node; empty if none."""
+        if self._error_classes & _BUS_OFF and not self._error_classes & _RESTARTED:
+            return (
+                "the adapter is bus-off after too many errors, as with a wrong bit rate or no termination; "
+                "a Linux interface without restart-ms stays so until `ip link set can0 type can restart`"
+            )
+        if self._error_classes & _NO_ACKNOWLEDGEMENT:
+            return "no node acknowledges the adapter's frames, as with an INS that is off or disconnected"
+        errors = counted(self._new_errors, "bus error")
+        return f"the adapter reports {errors}, as with a wrong bit rate" if self._new_errors else ""
 
     @property
     def has_foreign_frames(self) -> bool:
@@ -132,10 +155,9 @@ class CanIns:
         return bool(self._foreign_ids)
 
     def describe_foreign_frames(self) -> str:
-        """Describe the received frames that are not in the DBC, else error frames; empty if none."""
-        if not self._foreign_ids:
-            errors = counted(self._error_frames, "bus error")
-            return f"the adapter reports {errors}, as with a wrong bit rate" if self._error_frames else ""
+        """Describe error frames, else the received frames that are not in the DBC; empty if none."""
+        if (errors := self.describe_bus_errors()) or not self._foreign_ids:
+            return errors
         first = min(self._ids_in_other_format or self._foreign_ids)
         name = f"0x{first & ~EXTENDED_ID:03x}"
         if not self._ids_in_other_format:
@@ -366,6 +388,7 @@ class CanIns:
                 return
             if deadline.expired():
                 last = f"last frame {status.age_s:.1f} s ago" if np.isfinite(status.age_s) else "no frame yet"
+                last += f"; {errors}" if (errors := self.describe_bus_errors()) else ""
                 is_aligning = status.mode is InsMode.ALIGN and status.alignment is not Alignment.FINE
                 advice = "Wait until it is aligned, or check" if is_aligning else "Check its power, the bus,"
                 raise NoReplyError(

@@ -20,7 +20,7 @@ from gyrobench.bench.navigation.attitude import angle_between
 from gyrobench.bench.station.check_result import Check
 from gyrobench.bench.station.instruments import CHECK_SUPPLY, Outputs
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.frames import FrameBlock, concatenate
+from gyrobench.drivers.frames import ERROR_FRAME, FrameBlock, concatenate
 from gyrobench.drivers.ins.can_ins import CanIns
 from gyrobench.drivers.ins.ins_status import InsStatus
 from gyrobench.drivers.ins.navigation_data import NavigationData, decode_navigation
@@ -226,7 +226,7 @@ def _stream_checks(
 ) -> Iterator[Check]:
     received = concatenate(traffic.blocks)
     block = received.data_frames()
-    errors = len(received) - len(block)
+    errors = int(np.count_nonzero(received.flags & ERROR_FRAME))
     data = decode_navigation(block, station.file.ins.signals, ins.codec)
     counts = data.counts
     problems = {

@@ -5,6 +5,7 @@ import signal
 import subprocess
 from types import SimpleNamespace
 
+import can
 import numpy as np
 import pytest
 
@@ -18,6 +19,7 @@ from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.emulators.acl_axis import SoftwareFault
+from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.modbus_rtu import append_crc
 from tests.bench.engine.intervention import Intervention, run_with, short_dwell
 
@@ -181,6 +183,7 @@ def test_the_last_digit_of_a_table_that_reads_thousandths_is_no_motion(step_deg,
         begin_capture=lambda: None,
         begin_window=lambda **_: None,
         captured_frames=lambda: 0,
+        ins=SimpleNamespace(error_frames=0),
     )
     bench = SimpleNamespace(clock=VirtualClock(), table_angles=lambda: (20.0, 0.0))
     bench.state = SimpleNamespace(run_position=RunPosition(), commanded_c=None)
@@ -219,6 +222,22 @@ def test_a_chamber_switched_off_at_its_panel_trips(tmp_path):
     (tripped,) = events(folder, "tripped")
     assert tripped["interlocks"] == ["chamber_command"]
     assert "off although the bench switched it on" in tripped["why"]
+
+
+def test_bus_errors_in_a_dwell_are_noted_and_are_no_data(tmp_path, flag_only):
+    def disturb(bench, clock):
+        error = can.Message(clock.now(), 0x04, is_extended_id=False, is_error_frame=True, data=b"\xff" * 8)
+        for channel in bench.channels.values():
+            for listener in channel.listeners:
+                listener(FrameBlock.from_messages([error] * 7))
+
+    folder, outcome, _ = run_with(tmp_path, "navigate", disturb, flag_only)
+    assert outcome.ended == "finished"
+    (row,) = read_dwells(folder.dwells)
+    assert row.flags == ()
+    notes = [entry["text"] for entry in read_journal(folder.journal) if entry["event"] == "note"]
+    note = "the CAN adapter reports 7 bus errors in dwell 1. Check bit rate, termination and cable."
+    assert note in notes
 
 
 def test_a_pause_discards_the_dwell_and_repeats_it(tmp_path):

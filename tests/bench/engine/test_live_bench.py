@@ -10,9 +10,11 @@ from itertools import cycle
 from threading import Event
 from types import SimpleNamespace
 
+import can
 import numpy as np
 import pytest
 
+from gyrobench.bench.engine.actions import _wait_until_sending
 from gyrobench.bench.engine.interlocks.watch import text_of_trips
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.step_context import StepContext
@@ -24,7 +26,7 @@ from gyrobench.bench.station.instruments import RATE_TABLE, Emulation, Instrumen
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.chamber import ChamberReading
 from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
-from gyrobench.drivers.frames import concatenate
+from gyrobench.drivers.frames import FrameBlock, concatenate
 from gyrobench.drivers.rate_table import TableReading
 from tests.bench.engine.stations import changed_station, served_station
 from tests.drivers.ins.test_text_buses import Slcan
@@ -272,6 +274,29 @@ def test_a_silent_instrument_whose_port_is_gone_is_reported_with_the_present_pro
         problem = r"limit is \d+ s\. Can't open emulator://table: .* Check the station file's port and the"
         assert all(re.search(problem, text) for text in texts)
         assert not bench.silent
+
+
+def test_bus_errors_of_an_ins_that_is_silent_or_does_not_start_are_named():
+    with live_bench() as (bench, _):
+        ins, clock, notes = bench.instruments.ins, bench.clock, []
+        unit = SimpleNamespace(live=bench.units[0], note=notes.append)
+        unit.live.state.powered()
+        bench.instruments.power_unit(False)
+        errors = FrameBlock.from_messages([can.Message(arbitration_id=0x40, is_error_frame=True, dlc=8)])
+        bench.tick()
+        ins._bus._blocks.append(errors)
+        while not bench.trips():
+            bench.tick()
+        assert re.search(
+            r"the limit is 5 s\. The adapter is bus-off after .*\. Check bit rate, ",
+            text_of_trips(bench.trips()),
+        )
+        for _ in _wait_until_sending(unit, bench):
+            bench.tick()
+            if notes or clock.now() > 200.0:
+                break
+        (note,) = notes
+        assert note.startswith("the INS has not started; the adapter is bus-off after too many errors")
 
 
 @pytest.fixture

@@ -563,15 +563,29 @@ def test_closing_twice_is_harmless(driver, buses):
         driver.poll()
 
 
-def test_bus_errors_of_a_silent_ins_are_stated(signal_map, codec):
+@pytest.mark.parametrize(
+    ("identifiers", "expected"),
+    [
+        ([0x88, 0x04], "the adapter reports 2 bus errors, as with a wrong bit rate"),
+        ([None, 0x88], "the adapter reports 1 bus error, as with a wrong bit rate"),
+        ([0x88, None], ""),
+        ([None, 0x04, 0x40], "the adapter is bus-off after too many errors, as with a wrong bit rate or"),
+        ([0x40, 0x100], "the adapter reports 2 bus errors, as with a wrong bit rate"),
+        ([0x24], "no node acknowledges the adapter's frames, as with an INS that is off or disconnected"),
+    ],
+)
+def test_errors_since_the_last_data_frame_are_stated(signal_map, codec, identifiers, expected):
+    """Data frames, here None, of any node show that bit rate and bus are right."""
     clock = VirtualClock()
     driver = CanIns(open_bus("virtual", "errors", clock), signal_map, codec.database, clock)
     with can.Bus("errors", interface="virtual") as other:
-        for is_error in (True, False):
-            other.send(
-                can.Message(arbitration_id=4, data=bytes(8), is_extended_id=False, is_error_frame=is_error)
-            )
-            driver.poll()
-            expected = "the adapter reports 1 bus error, as with a wrong bit rate" if is_error else ""
-            assert driver.describe_foreign_frames() == expected
+        for each in identifiers:
+            is_error = each is not None
+            other.send(can.Message(arbitration_id=each or 0x700, data=bytes(8), is_error_frame=is_error))
+        driver.poll()
+    text = driver.describe_bus_errors()
+    assert text.startswith(expected)
+    assert bool(text) == bool(expected)
+    assert driver.describe_foreign_frames().startswith(expected)
+    assert driver.error_frames == len(identifiers) - identifiers.count(None)
     driver.close()

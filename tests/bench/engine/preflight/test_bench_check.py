@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 from types import SimpleNamespace
 
+import can
 import numpy as np
 import pytest
 
@@ -25,6 +26,7 @@ from gyrobench.bench.station.station import Station
 from gyrobench.drivers import ins
 from gyrobench.drivers.emulators import can_interface
 from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
+from gyrobench.drivers.frames import FrameBlock, concatenate
 from tests.bench.engine.stations import absent_station, changed_station
 
 
@@ -260,6 +262,24 @@ def test_frames_that_are_not_in_the_dbc_file_lead_to_that_file(failures_of, tmp_
     found = failures_of(("  dbc: gyrobench_ins.dbc", "  dbc: own.dbc"))["INS: answers"].found
     assert "frames arrive, such as 0x001, but none that is in the DBC file" in found
     assert found.endswith("Check its power, the DBC file and ins.identifier_offset.")
+
+
+@pytest.mark.parametrize(("kind", "found"), [("is_remote_frame", ""), ("is_error_frame", "error frames")])
+def test_error_frames_fail_and_remote_frames_do_not(failures_of, monkeypatch, kind, found):
+    receive = can_interface.EmulatorBus.recv_block
+
+    def recv_block(bus):
+        block = receive(bus)
+        stamps_s = block.timestamp_s[:1].tolist()
+        others = [
+            can.Message(each_s, 0x700, is_extended_id=False, dlc=8, **{kind: True}) for each_s in stamps_s
+        ]
+        return concatenate([FrameBlock.from_messages(others), block])
+
+    monkeypatch.setattr(can_interface.EmulatorBus, "recv_block", recv_block)
+    failures = failures_of()
+    assert list(failures) == (["INS: frames without gaps"] if found else [])
+    assert all(found in each.found for each in failures.values())
 
 
 def test_a_silent_unit_that_is_always_on_fails(failures_of):
