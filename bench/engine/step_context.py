@@ -10,6 +10,7 @@ from gyrobench.bench.engine.run_context import RunContext
 from gyrobench.bench.engine.units import Units
 from gyrobench.bench.foundations.errors import ConnectionFailedError, FaultError, InstrumentError
 from gyrobench.bench.navigation.table_axes import TurnOrMove
+from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE
 from gyrobench.drivers.ins.can_ins import POLL_PERIOD_S
 
 #: What an action is: it yields once a tick.
@@ -43,6 +44,7 @@ class StepContext:
         Every command of the drivers may be repeated: it sets a final state, not a change.
         """
         for remaining_tries in range(self.retries, -1, -1):
+            yield from self._await_ports((RATE_TABLE, CHAMBER))  # an exchange would block the ticks
             try:
                 return exchange()
             except FaultError:

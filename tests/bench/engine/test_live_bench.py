@@ -405,6 +405,21 @@ def test_a_command_waits_until_the_bus_of_its_unit_is_open_again(threaded, monke
     assert unit.ins._bus is bus
 
 
+def test_a_command_waits_until_the_port_of_its_instrument_is_open_again_between_ticks(threaded):
+    bench, answers, opened = threaded
+    answers.clear()
+    bench.reopen(RATE_TABLE)
+    context = StepContext(SimpleNamespace(bench=bench), None)
+    ticks = context.with_retries(lambda: bench.instruments.table.stop())
+    for _ in range(3):
+        next(ticks)
+        bench.tick()
+    answers.set()
+    for _ in ticks:
+        bench.tick()
+    assert len(opened) == 2
+
+
 def test_the_bus_of_a_unit_that_is_dropped_while_it_is_reopened_stays_closed(threaded, monkeypatch):
     bench, _, _ = threaded
     (unit,), opens, closed = bench.units, Event(), []
