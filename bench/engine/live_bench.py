@@ -267,8 +267,9 @@ class LiveBench:
             self.query(instrument, lambda: self.instruments.reopen(instrument))
 
     def is_reopening(self, instrument: str) -> bool:
-        """Whether a thread opens the port of an instrument; its result is taken at a tick."""
-        return instrument in self._reopening
+        """Whether threads try to reach an instrument until its port is open; ticks take their results."""
+        waits = self.instruments.reopens_in_thread and not self._may_try(instrument)
+        return waits or instrument in self._reopening
 
     def query(self, instrument: str, ask: Callable[[], _T]) -> _T | None:
         """Return an instrument's answer, or None after a failure, which is reported.

@@ -420,6 +420,29 @@ def test_a_command_waits_until_the_port_of_its_instrument_is_open_again_between_
     assert len(opened) == 2
 
 
+def test_a_command_does_not_use_its_retries_up_while_the_port_of_its_instrument_is_lost(
+    threaded, monkeypatch
+):
+    bench, _, _ = threaded
+    problems, tries = [ConnectionFailedError(RATE_TABLE, "can't open it")] * 3, []
+
+    def table(*_):
+        if problems:
+            raise problems.pop()
+        return SimpleNamespace(read=lambda: bench.readings.table, stop=str, close=str)
+
+    def stop():
+        tries.append(len(problems))
+        bench.instruments.table.stop()
+
+    monkeypatch.setattr("gyrobench.bench.station.instruments.open_table", table)
+    bench.handle_failure(NoReplyError(RATE_TABLE, "no reply"))
+    bench.tick()
+    for _ in StepContext(SimpleNamespace(bench=bench), None).with_retries(stop):
+        bench.tick()
+    assert tries == [0]
+
+
 def test_the_bus_of_a_unit_that_is_dropped_while_it_is_reopened_stays_closed(threaded, monkeypatch):
     bench, _, _ = threaded
     (unit,), opens, closed = bench.units, Event(), []
