@@ -198,14 +198,15 @@ class LiveBench:
         If readings are overdue, because this process was stopped or an exchange blocked it, an instrument
         that answered its last poll counts as silent only if it does not answer another one.
         """
-        trips = self._present_trips()
+        trips = self.present_trips()
         is_overdue = self.clock.now() > self._next_reading_s + self.station.file.tick_s
         if trips and is_overdue and all(self._answered_last_poll(trip) for trip in trips):
             self.read_instruments()
-            trips = self._present_trips()
+            trips = self.present_trips()
         return trips
 
-    def _present_trips(self) -> list[Trip]:
+    def present_trips(self) -> list[Trip]:
+        """Return the interlocks that are tripped by the readings so far; exchanges nothing."""
         trips = self._watch.trips(self.clock.now(), self.state.expected)
         for unit in self.units:
             trips += [] if unit.is_set_aside else unit.trips()

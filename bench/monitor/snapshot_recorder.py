@@ -119,7 +119,7 @@ def _attitude_of(bench: LiveBench, position: str, azimuth_deg: float) -> Attitud
 
 def _alarms_of(bench: LiveBench) -> tuple[Alarm, ...]:
     """Alarms of tripped interlocks, and of instruments that do not reply."""
-    tripped = (Alarm(trip.name, trip.text) for trip in bench.trips())
+    tripped = (Alarm(trip.name, trip.text) for trip in bench.present_trips())
     silent = (Alarm(name, f"the {name} does not reply; retrying") for name in bench.silent)
     return (*tripped, *silent)
 
@@ -240,6 +240,8 @@ class SnapshotRecorder(RunObserver):
         self._readings: ThinnedRows[tuple[float, ...]] = ThinnedRows(MAX_MEASURED)
         self._last_reading_s = -math.inf
         self._state, self._reason = RunState.STARTING, ""
+        self._has_ended = False
+        self._alarms_at_end: tuple[Alarm, ...] = ()
         self._question: Question | None = None
         self._unit = ""
         self._left_s = plan.duration_s
@@ -287,7 +289,7 @@ class SnapshotRecorder(RunObserver):
             dwell=self._dwell.current() if self._dwell else None,
             dwells=self._dwells,
             bins=self._bins,
-            alarms=_alarms_of(bench) if is_read else (),
+            alarms=self._alarms_at_end if self._has_ended else _alarms_of(bench) if is_read else (),
             messages=tuple(self._messages),
             units=tuple(
                 _unit_status(bench, number, outcome, self._bins_by_unit.get(number, ()))
@@ -414,7 +416,10 @@ class SnapshotRecorder(RunObserver):
         self._question = None
 
     def ended(self, outcome: RunOutcome) -> None:
-        """Write the last snapshot."""
+        """Write the last snapshot; again with its failure if the evaluation fails, the bench being closed."""
+        if not self._has_ended and self._bench is not None and self._last_reading_s > -math.inf:
+            self._alarms_at_end = _alarms_of(self._bench)
+        self._has_ended = True
         self._state, self._reason = RunState(outcome.ended), outcome.reason
         self._step = self._dwell = None
         self._write()

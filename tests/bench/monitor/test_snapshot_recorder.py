@@ -9,10 +9,12 @@ import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.engine.job import prepare_job
+from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.observers import ObserverGroup, RunObserver
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.resume import prepare_resumption
 from gyrobench.bench.engine.run import resume_run, run_job
+from gyrobench.bench.engine.run_outcome import RunOutcome
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.monitor.charts import profile_chart
 from gyrobench.bench.monitor.run_list import snapshot_from_records
@@ -149,6 +151,18 @@ def test_a_snapshot_that_cant_be_written_ends_no_run(tmp_path, monkeypatch):
     assert recorded.snapshots[-1].state is RunState.FINISHED
     assert not list(tmp_path.rglob("live.json"))
     shutil.rmtree(tmp_path / "run")
+
+
+def test_a_run_whose_evaluation_fails_ends_again_without_an_exchange(tmp_path, monkeypatch):
+    """As on a full disk: bench and logs are closed by then, and the last readings are old."""
+    job = prepare_job("ten_minute_check", "emulated", Emulation("ideal", 0))
+    recorder, outcome = SnapshotRecorder(job.plan), RunOutcome(ended="failed", reason="no space left")
+    run_job(job, tmp_path / "run", recorder, ConsentingOperator())
+    recorder._bench.clock.sleep(1000.0)
+    monkeypatch.delattr(LiveBench, "read_instruments")
+    recorder.ended(outcome)
+    snapshot = read_snapshot(tmp_path / "run" / "live.json")
+    assert (snapshot.state, snapshot.reason, snapshot.alarms) == (RunState.FAILED, "no space left", ())
 
 
 PROCEDURE = """procedure: two_positions
