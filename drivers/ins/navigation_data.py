@@ -168,6 +168,8 @@ def _spread(readout: BlockReadout, path: str, rows: IntArray) -> FloatArray:
 
 #: A counter that is ahead of the arrival times by more epochs than this has been reset.
 _MAX_COUNTER_LEAD = 300.0
+#: A gap in the frames of a counter that wraps after so many epochs hardly ends exactly with the next number.
+_MIN_LONG_COUNT = 4096.0
 _LATE_PERIODS = 2.0
 _TIME_DECIMALS = 9
 _STAMP_DECIMALS = 6
@@ -326,11 +328,13 @@ def _messages_in_order(readout: BlockReadout) -> list[str]:
 def _epoch_steps(numbers: FloatArray, modulus: float, elapsed: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Steps (n,) between epoch numbers (n,), the first being 1, and a mask of the resets of the numbering.
 
-    ``elapsed``, shape (n - 1,), is the number of epochs in each step by arrival time; ignored where it is
-    negative because that clock was set back.
+    ``elapsed``, shape (n - 1,), is the number of epochs in each step by arrival time; ignored where that clock
+    was set: where it is negative, or a long count continues with the next number.
     """
-    elapsed = np.where(elapsed < 0.0, 1.0, elapsed)
-    steps = _unwrap_steps(np.diff(numbers), modulus, elapsed)
+    changes = np.diff(numbers)
+    continues = (changes % modulus == 1.0) & (modulus >= _MIN_LONG_COUNT)
+    elapsed = np.where((elapsed < 0.0) | continues, 1.0, elapsed)
+    steps = _unwrap_steps(changes, modulus, elapsed)
     max_lead = min(_MAX_COUNTER_LEAD, modulus / 4.0)
     is_reset = (steps < 0.0) | (steps - elapsed > max_lead)
     count = len(numbers)

@@ -129,6 +129,18 @@ def test_an_epoch_whose_last_frames_come_late_is_not_lost(recording, signal_map,
     assert found.ins_time_s == pytest.approx(100 + np.arange(50) / 10)
 
 
+@pytest.mark.parametrize("step_s", [-86400.0, -3600.0, 600.0, 3600.0, 86400.0])
+def test_setting_the_clock_of_the_can_interface_is_no_restart_and_loses_no_epoch(
+    recording, signal_map, codec, step_s
+):
+    """As a calendar corrected by NTP: the kernel and socketcand stamp frames with it."""
+    block = recording(0, 50)
+    stamps_s = block.timestamp_s + step_s * (block.timestamp_s > 2.5)
+    found = decode_navigation(block.with_fields(time_s=stamps_s), signal_map, codec)
+    assert replace(found.counts, late=0) == EpochCounts()
+    assert found.ins_time_s == pytest.approx(100 + np.arange(50) / 10)
+
+
 @pytest.mark.parametrize("whole", [0, 3])
 def test_the_halves_of_two_epochs_do_not_make_one(recording, signal_map, codec, whole):
     block = without(recording(0, 50), HEADING_ID, *range(20, 21 + whole))
