@@ -58,6 +58,7 @@ def jog_bench(name: str, commands: Sequence[str], emulation: Emulation, leave: b
 
     folder = Path(tempfile.mkdtemp(prefix="gyrobench-jog-"))
     with ExitStack() as resources:
+        resources.callback(_remove_if_empty, folder)  # nothing was opened
         interruptions = resources.enter_context(Interruptions())
         lock = resources.enter_context(BenchLock(station, folder, clock, JOG_COMMAND))
         instruments = resources.enter_context(Instruments(station, clock, emulation, may_be_absent=True))
@@ -82,6 +83,11 @@ def jog_bench(name: str, commands: Sequence[str], emulation: Emulation, leave: b
     if is_safe:
         shutil.rmtree(folder, ignore_errors=True)
     return succeeded and is_safe
+
+
+def _remove_if_empty(folder: Path) -> None:
+    with suppress(OSError):
+        folder.rmdir()
 
 
 def _await_first_frame(bench: LiveBench) -> None:

@@ -328,8 +328,8 @@ def _messages_in_order(readout: BlockReadout) -> list[str]:
 def _epoch_steps(numbers: FloatArray, modulus: float, elapsed: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Steps (n,) between epoch numbers (n,), the first being 1, and a mask of the resets of the numbering.
 
-    ``elapsed``, shape (n - 1,), is the number of epochs in each step by arrival time; ignored where that clock
-    was set: where it is negative, or a long count continues with the next number.
+    ``elapsed``, shape (n - 1,), is the number of epochs in each step by arrival time; ignored where that
+    clock was set: where it is negative, or a long count continues with the next number.
     """
     changes = np.diff(numbers)
     continues = (changes % modulus == 1.0) & (modulus >= _MIN_LONG_COUNT)

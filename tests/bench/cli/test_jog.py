@@ -1,6 +1,7 @@
 """`gyrobench jog` on emulated benches."""
 
 import subprocess
+import tempfile
 import time
 
 import pytest
@@ -262,7 +263,7 @@ def test_an_instrument_whose_first_reply_is_lost_is_not_left_out(tmp_path):
     assert "Left out" not in run.stdout
 
 
-def test_a_bench_on_which_no_instrument_answers_names_all_of_them(tmp_path):
+def test_a_bench_on_which_no_instrument_answers_names_all_of_them(tmp_path, monkeypatch):
     text = find_document("stations", "quick").read_text().replace("clock: virtual", "clock: wall")
     for emulated, absent in (
         ("emulator://table", "/dev/no_table"),
@@ -272,7 +273,10 @@ def test_a_bench_on_which_no_instrument_answers_names_all_of_them(tmp_path):
         assert emulated in text
         text = text.replace(emulated, absent)
     (tmp_path / "bare.yaml").write_text(text)
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
     run = gyrobench("jog", "bare.yaml", "show", cwd=tmp_path)
     assert run.returncode == EXIT_INSTRUMENT
     for cause in ("rate table: can't open /dev/no_table", "chamber: can't open /dev/no_chamber", "INS: "):
         assert f"\n  {cause}" in run.stderr
+    assert not list((tmp_path / "temporary").iterdir())

@@ -16,6 +16,8 @@ from gyrobench.drivers.emulators.serve import main
 CONTEXT = get_context("forkserver")
 CONTEXT.set_forkserver_preload(["tests.drivers.emulators.loaded"])
 _ROOT = Path(__file__).parents[3]
+#: Time in which a process ends at SIGTERM, s.
+_END_S = 2.0
 
 
 def start(function, *arguments):
@@ -70,7 +72,9 @@ class ForkedProcess:
         return texts
 
     def close(self):
-        """Kill it if it has not ended."""
+        """End it if it has not ended; a server of emulators then removes its folder. Kill it if it stays."""
+        self.terminate()
+        self._process.join(_END_S)
         self.kill()
         self.wait()
         self._process.close()
