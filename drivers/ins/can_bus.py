@@ -48,6 +48,7 @@ _CONNECT_S = 5.0
 #: Most layouts of lines (length, kind and number of data bytes) in one block; a bus has some 40.
 _MAX_LAYOUTS = 200
 _BLANKS = b" \t\r\n"
+_BEL = b"\a"
 
 _NIBBLE = np.full(256, 255, np.uint8)
 _NIBBLE[list(b"0123456789abcdef")] = np.arange(16)
@@ -200,6 +201,7 @@ class _TextBus(can.BusABC):
     _format: _Format
     _thread: threading.Thread | None = None
     lost = 0  #: Frames that arrived while the queue was full.
+    refusals = 0  #: Negative answers (BEL) of an slcan adapter.
     max_queued_bytes = 0  #: Largest size of the queue so far.
 
     def _begin(self, clock: Clock, received: bytes = b"") -> None:
@@ -240,6 +242,7 @@ class _TextBus(can.BusABC):
         self._arrived.set()
 
     def _put(self, lines: bytes) -> None:
+        self.refusals += lines.count(_BEL)
         with self._lock:
             if self._queued_bytes + len(lines) > _MAX_QUEUED_BYTES:
                 self.lost += sum(lines.count(end) for end in self._format.ends)

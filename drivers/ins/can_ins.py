@@ -70,6 +70,7 @@ class CanIns:
         self._foreign_ids: set[int] = set()  # identifiers of other nodes
         self.error_frames = 0  #: Number of error frames since the first bus was opened.
         self._new_errors, self._error_classes = 0, 0  # since the last data frame of any node
+        self._earlier_refusals = 0  # of the bus before the last frame was sent
         self.signal_map = signal_map
         self._signals = bind_signals(signal_map, self.codec)
         self._commands = commands or CommandMap()
@@ -388,7 +389,8 @@ class CanIns:
                 return
             if deadline.expired():
                 last = f"last frame {status.age_s:.1f} s ago" if np.isfinite(status.age_s) else "no frame yet"
-                last += f"; {errors}" if (errors := self.describe_bus_errors()) else ""
+                errors = self.describe_bus_errors() or self._describe_refusal()
+                last += f"; {errors}" if errors else ""
                 is_aligning = status.mode is InsMode.ALIGN and status.alignment is not Alignment.FINE
                 advice = "Wait until it is aligned, or check" if is_aligning else "Check its power, the bus,"
                 raise NoReplyError(
@@ -398,7 +400,14 @@ class CanIns:
                 )
             yield
 
+    def _describe_refusal(self) -> str:
+        """Describe that an slcan adapter has refused what was sent last; empty if it has not."""
+        if getattr(self._bus, "refusals", 0) <= self._earlier_refusals:
+            return ""
+        return "the adapter refuses to send, as in listen-only mode, bus-off, or if no node acknowledges"
+
     def _send(self, command: Command, placeholders: dict[str, float]) -> None:
+        self._earlier_refusals = getattr(self._bus, "refusals", 0)
         try:
             self._bus.send(command.frame(self.codec, placeholders), timeout=_SEND_TIMEOUT_S)
         except (can.CanError, OSError) as error:

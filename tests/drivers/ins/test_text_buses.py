@@ -12,11 +12,14 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.foundations.clock import WallClock
-from gyrobench.bench.foundations.errors import ReplyError
+from gyrobench.bench.foundations.errors import NoReplyError, ReplyError
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.station.station import Station
 from gyrobench.drivers.frames import FrameBlock, concatenate
 from gyrobench.drivers.ins import can_bus
 from gyrobench.drivers.ins.can_bus import block_receiver, close_bus, open_bus
 from gyrobench.drivers.ins.can_ins import CanIns
+from gyrobench.drivers.ins.readout import InsMode
 
 SLCAN = (
     b"t00480102030405060708\rT1ABCDEF02FFee\r\rz\rr1238\rR0000000A0\r\at0050\r"
@@ -314,6 +317,27 @@ def test_frames_that_find_the_queue_full_are_counted_and_reported(adapter, monke
     assert count + bus.lost == sent
     assert 0 < bus.max_queued_bytes <= 5000
     driver.close()
+
+
+@pytest.mark.parametrize(
+    ("answer", "is_refused"), [(b"\a", True), (b"z\r", False), (b"F04\rs1a\rz\r", False)]
+)
+def test_a_command_that_an_slcan_adapter_refuses_says_so(answer, is_refused):
+    adapter, station = Slcan("pty"), Station(find_document("stations", "emulated"))
+    section, clock = station.file.ins, WallClock(speed=50.0)
+    driver = CanIns(adapter.open(), section.signals, station.database(), clock, section.commands)
+    adapter.send(b"\a")  # for a command to close a channel that is closed
+    while not driver._bus.refusals:
+        driver.poll()
+    waiting = driver.enter_stepwise(InsMode.ALIGN)
+    next(waiting)
+    adapter.send(answer)
+    with pytest.raises(NoReplyError, match="no confirmation of 'align'") as raised:
+        for _ in waiting:
+            clock.sleep(0.1)
+    assert ("the adapter refuses to send, as in listen-only mode" in str(raised.value)) == is_refused
+    driver.close()
+    adapter.close()
 
 
 def test_frames_of_other_nodes_are_no_sign_of_life_of_the_ins(signal_map, codec):
