@@ -390,13 +390,13 @@ class CanIns:
             if deadline.expired():
                 last = f"last frame {status.age_s:.1f} s ago" if np.isfinite(status.age_s) else "no frame yet"
                 errors = self.describe_bus_errors() or self._describe_refusal()
-                last += f"; {errors}" if errors else ""
+                problem = f"; {errors}" if errors else ""
                 is_aligning = status.mode is InsMode.ALIGN and status.alignment is not Alignment.FINE
                 advice = "Wait until it is aligned, or check" if is_aligning else "Check its power, the bus,"
                 raise NoReplyError(
                     self.name,
                     f"no {subject} within {_REPLY_TIMEOUT_S:g} s on {self._bus}; {last}, mode "
-                    f"{status.mode_text}. {advice} the DBC and the signal map.",
+                    f"{status.mode_text}{problem}. {advice} the DBC and the signal map.",
                 )
             yield
 
