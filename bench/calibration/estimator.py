@@ -43,7 +43,6 @@ from gyrobench.bench.calibration.information import (
     CalibrationOptions,
     Information,
     gyros_spun_both_ways,
-    integrate_sections,
 )
 from gyrobench.bench.calibration.problem import UNEXPLAINED_P_VALUE, CalibrationProblem, Estimates
 from gyrobench.bench.calibration.section import IncrementSection
@@ -82,20 +81,19 @@ _NOISE = ("angle_random_walk", "velocity_random_walk", "white_angle", "white_vel
 class Calibration(CoefficientEstimate):
     """Coefficients of one unit, with the recordings and assumptions from which they were estimated."""
 
-    noise: SensorNoise  #: As measured at rest or declared.
+    #: Data and assumptions: noise as measured at rest or declared; options as given, with g-sensitivities if
+    #: they are significant.
+    problem: CalibrationProblem
     recordings: tuple[IncrementRecording, ...]
     rotations: tuple[tuple[RecordedRotation, ...], ...]  #: Of each recording.
-    gravity_and_sigma: tuple[float, float]  #: Assumed gravity and its standard uncertainty, m/s^2.
     #: Test that the noise explains the residuals of the velocity. If it does not, the uncertainties are
     #: multiplied by the root of chi2 over its degrees of freedom.
     fit: Chi2Test
-    sections: tuple[IncrementSection, ...]  #: Of each recording, between rests.
-    starts: tuple[FloatArray, ...]  #: Attitude ``C_nb`` (3, 3) at the start of each.
+    starts: tuple[FloatArray, ...]  #: Attitude ``C_nb`` (3, 3) at the start of each section.
     common: FloatArray  #: Shape (46,). Parameters common to all recordings, SI, observed or not.
     trajectories: tuple[Trajectory, ...]  #: Of the sections, at values close to these.
     #: Shapes (n, n). Parts of the covariance due to the uncertainty of gravity, latitude and time.
     site_covariances: Mapping[str, FloatArray]
-    options: CalibrationOptions  #: As given, with g-sensitivities if they are significant.
     #: Contradictions: of the residuals to the noise, of whole turns to rotations, and vibration that the
     #: samples do not resolve; empty for none.
     findings: tuple[str, ...]
@@ -142,16 +140,17 @@ def calibrate(
     _check_size(estimates.values, is_observed)
     spun_axes = sorted({turn.axis for turns in rotations for turn in turns if turn.is_spin})
     offset, contradiction = np.zeros(3), ""
+    checked_problem = problem
     if options.whole_turns is not None and spun_axes:
-        problem, estimates, offset, contradiction = check_turns(problem, estimates, spun_axes)
-    widening, misfit = _widening(problem, estimates, is_observed)
+        checked_problem, estimates, offset, contradiction = check_turns(problem, estimates, spun_axes)
+    widening, misfit = _widening(checked_problem, estimates, is_observed)
     covariance = estimates.covariance * widening**2
     covariance[GYRO_SCALES, GYRO_SCALES] += offset**2
     # Terms that are allowed for without being asked for are not listed.
     listed = [k for k, each in enumerate(options.columns) if options.quadratic or each not in _QUADRATICS]
     coefficients = tuple((*COEFFICIENTS, *OPTIONAL_PARAMETERS)[options.columns[k]] for k in listed)
     both_listed = np.ix_(listed, listed)
-    parts = {**estimates.information.site_parts(site, options), **hidden.covariances}
+    parts = {**problem.site_covariances(estimates.information), **hidden.covariances}
     site_covariances = {name: part[both_listed] for name, part in parts.items()}
     quadratic = _quadratic_note(estimates.values, covariance, options)
     coning = _coning_finding(recordings, np.where(is_observed[:3], np.sqrt(np.diag(covariance)[:3]), np.inf))
@@ -160,18 +159,15 @@ def calibrate(
         covariance=covariance[both_listed] + sum(site_covariances.values()),
         is_observed=is_observed[listed],
         coefficients=coefficients,
-        noise=noise,
+        problem=problem,
         recordings=tuple(recordings),
         rotations=tuple(map(tuple, rotations)),
-        gravity_and_sigma=(gravity, options.gravity_sigma),
         fit=estimates.fit,
-        sections=tuple(problem.sections),
         starts=tuple(estimates.starts),
         common=estimates.common,
         trajectories=tuple(estimates.trajectories),
         site_covariances=site_covariances,
         findings=tuple(filter(None, (contradiction, misfit, coning))),
-        options=options,
         notes=tuple(filter(None, (note, hidden.note, quadratic))),
     )
 
@@ -193,9 +189,9 @@ class _HiddenSensitivity:
     def of(cls, problem: CalibrationProblem, estimates: Estimates) -> _HiddenSensitivity:
         """Effect of sensitivities of the usual size; none if it is small."""
         options = replace(problem.options, g_sensitivity=True)
-        common, site = estimates.common, problem.site
-        trajectories = integrate_sections(problem.sections, estimates.starts, common, site, options)
-        information = Information.of(problem.sections, trajectories, common, problem.noise, site, options)
+        with_sensitivity = replace(problem, options=options)
+        trajectories = with_sensitivity.integrate(estimates.starts, estimates.common)
+        information = with_sensitivity.information(trajectories, estimates.common)
         is_sensitivity = np.zeros(len(information.sizes), dtype=bool)
         is_sensitivity[: len(options.columns)] = [
             each in range(G_SENSITIVITIES.start, G_SENSITIVITIES.stop) for each in options.columns
@@ -230,7 +226,7 @@ def _problem(
 
     def problem(options: CalibrationOptions) -> CalibrationProblem:
         sections = [IncrementSection.between_rests(*each) for each in zip(recordings, rotations, strict=True)]
-        return CalibrationProblem(sections, bias, noise, site, options)
+        return CalibrationProblem(sections, noise, site, options, bias)
 
     rotations = [find_rotations(each) for each in recordings]
     if options.whole_turns is not None and any(
@@ -314,30 +310,29 @@ def _coning_finding(recordings: Sequence[IncrementRecording], sigmas: FloatArray
     )
 
 
-def covariances_by_source(calibration: Calibration, site: Site) -> Mapping[str, FloatArray]:
+def covariances_by_source(calibration: Calibration) -> Mapping[str, FloatArray]:
     """Covariances (21, 21) of the coefficients by source of error; their sum is the calibration's.
 
     The gains minimise the covariance, so a small change of a source's variance changes the covariance as if
     the gains were fixed. The contribution of a source is therefore the derivative of the covariance with
     respect to the logarithm of its variance.
     """
-    larger, options = float(np.sqrt(1.0 + _VARIANCE_STEP)), calibration.options
+    larger, problem = float(np.sqrt(1.0 + _VARIANCE_STEP)), calibration.problem
 
-    fixed = calibration.sections, calibration.trajectories, calibration.common
-
-    def information(noise: str = "", whole_turns: float | None = options.whole_turns) -> Information:
-        changed = {noise: getattr(calibration.noise, noise) * larger} if noise else {}
-        assumed = replace(calibration.noise, **changed), site, replace(options, whole_turns=whole_turns)
-        return Information.of(*fixed, *assumed)
+    def information(problem: CalibrationProblem) -> Information:
+        return problem.information(calibration.trajectories, calibration.common)
 
     def covariance(estimates: Information) -> FloatArray:
         return np.asarray(estimates.solve()[1][:COUNT, :COUNT])
 
-    unchanged = information()  # with the same rounding as the others
-    base = covariance(unchanged)
-    parts = {name: covariance(information(name)) for name in _NOISE}
-    if options.whole_turns is not None:
-        parts["table_return"] = covariance(information(whole_turns=options.whole_turns * larger))
+    unchanged = information(problem)  # with the same rounding as the others
+    base, parts = covariance(unchanged), {}
+    for name in _NOISE:
+        noise = replace(problem.noise, **{name: getattr(problem.noise, name) * larger})
+        parts[name] = covariance(information(replace(problem, noise=noise)))
+    if (turns := problem.options.whole_turns) is not None:
+        options = replace(problem.options, whole_turns=turns * larger)
+        parts["table_return"] = covariance(information(replace(problem, options=options)))
     for name, is_scaled in {"assumed_size": ~unchanged.is_prior, **unchanged.priors}.items():
         if is_scaled.any():
             sizes = np.where(is_scaled, larger, 1.0) * unchanged.sizes
@@ -352,19 +347,19 @@ def covariances_by_source(calibration: Calibration, site: Site) -> Mapping[str, 
     return parts | site_covariances | {"misfit": remainder if calibration.findings else np.zeros_like(base)}
 
 
-def bias_per_asymmetry(calibration: Calibration, site: Site) -> FloatArray:
+def bias_per_asymmetry(calibration: Calibration) -> FloatArray:
     """Change (3, k) of the gyro biases, rad/s, for an asymmetry of 1 in each gyro without an estimate of it.
 
     An asymmetry looks like a bias if rotations in both directions do not separate the two.
     """
-    options = replace(calibration.options, asymmetries=(0, 1, 2))
-    sections, common = calibration.sections, calibration.common
-    trajectories = integrate_sections(sections, calibration.starts, common, site, options)
-    estimates = Information.of(sections, trajectories, common, calibration.noise, site, options)
+    options = replace(calibration.problem.options, asymmetries=(0, 1, 2))
+    problem = replace(calibration.problem, options=options)
+    trajectories = problem.integrate(calibration.starts, calibration.common)
+    estimates = problem.information(trajectories, calibration.common)
     omitted_columns = [
         options.columns.index(ASYMMETRIES.start + axis)
         for axis in range(3)
-        if axis not in (calibration.options.asymmetries or ())
+        if axis not in (calibration.problem.options.asymmetries or ())
     ]
     kept_columns = np.delete(np.arange(len(estimates.sizes)), omitted_columns)
     rows, sizes = estimates.root[:, kept_columns], np.diag(estimates.sizes[kept_columns])

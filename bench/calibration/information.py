@@ -2,29 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from gyrobench.bench.bias.statistics import compress, solve
-from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, OPTIONAL_PARAMETERS
-from gyrobench.bench.calibration.increment_recording import SensorNoise
-from gyrobench.bench.calibration.section import IncrementSection
-from gyrobench.bench.calibration.strapdown import (
-    ASYMMETRIES,
-    ATTITUDE,
-    DELAY,
-    DRIFT,
-    G_SENSITIVITIES,
-    LATITUDE,
-    LEVER_ARMS,
-    PARAMETER_COUNT,
-    QUADRATIC,
-    Trajectory,
-    white_rows,
-)
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT
+from gyrobench.bench.calibration.strapdown import ASYMMETRIES, DELAY, G_SENSITIVITIES, LEVER_ARMS, QUADRATIC
 from gyrobench.bench.foundations.arrays import (
     DPH_TO_RADPS,
     STANDARD_GRAVITY,
@@ -32,7 +18,6 @@ from gyrobench.bench.foundations.arrays import (
     BoolArray,
     FloatArray,
 )
-from gyrobench.bench.navigation.error_model import Site
 
 #: Large drift of a gyro's bias, rad/s^2.
 BIAS_DRIFT = 0.1 * DPH_TO_RADPS / 3600.0
@@ -53,8 +38,6 @@ FORCE_SCALE = 1e-4
 #: Masks of the coefficients that are scale factors of accelerometers, and of gyros.
 IS_FORCE_SCALE = [each.name == "accelerometer_scale_factor" for each in COEFFICIENTS]
 IS_GYRO_SCALE = [each.name == "gyro_scale_factor" for each in COEFFICIENTS]
-#: Prior of the mean of the accelerometers' scale factors if the vertical force is not measured: nearly zero.
-_COMMON_SCALE = 1e-9
 #: Number of rows that are compressed at once, relative to the number of columns.
 _ROWS_PER_COLUMN = 16
 
@@ -108,25 +91,6 @@ def gyros_spun_both_ways(turns: Iterable[tuple[int, float]]) -> tuple[int, ...]:
     return tuple(axis for axis in range(3) if {(axis, True), (axis, False)} <= directions)
 
 
-def integrate_sections(
-    sections: Sequence[IncrementSection],
-    starts: Sequence[FloatArray],
-    common: FloatArray,
-    site: Site,
-    options: CalibrationOptions,
-) -> list[Trajectory]:
-    """Trajectory of each section from its initial attitude (3, 3), corrected for ``common`` (46,)."""
-    gravity, all_columns = options.gravity or site.gravity, range(LATITUDE)
-    columns = [
-        *options.columns,
-        *all_columns[ATTITUDE],
-        *(all_columns[DRIFT] if options.bias_drift else ()),
-        LATITUDE,
-    ]
-    pairs = zip(sections, starts, strict=True)
-    return [section.integrate(start, common, site.latitude, gravity, columns) for section, start in pairs]
-
-
 @dataclass(frozen=True, eq=False)
 class Information:
     """White rows of the problem, linear in the coefficients and all other parameters about assumed values."""
@@ -143,48 +107,6 @@ class Information:
     def is_prior(self) -> BoolArray:
         """Mask (21 + k,) of the parameters with a prior."""
         return np.asarray(np.any(list(self.priors.values()), axis=0))
-
-    @classmethod
-    def of(
-        cls,
-        sections: Sequence[IncrementSection],
-        trajectories: Sequence[Trajectory],
-        common: FloatArray,
-        noise: SensorNoise,
-        site: Site,
-        options: CalibrationOptions,
-    ) -> Information:
-        """Make the rows from the result of :func:`integrate_sections` with the same ``common`` (46,)."""
-        used, blocks = options.columns, []
-        for number, (section, trajectory) in enumerate(zip(sections, trajectories, strict=True)):
-            table = options.whole_turns, options.heading
-            rows, data = white_rows(
-                trajectory, section.lengths_s, section.epochs, noise, site.latitude, *table
-            )
-            section_rows = rows[:, len(used) : -1].reshape(len(rows), -1, 3)
-            rows_by_section = np.zeros((len(rows), section_rows.shape[1], len(sections), 3))
-            rows_by_section[:, :, number] = section_rows
-            parts = rows[:, : len(used)], rows_by_section.reshape(len(rows), -1), rows[:, -1:]
-            block = np.column_stack([*parts, data + rows[:, : len(used)] @ common[used]])
-            blocks.append(block)
-        if not any(section.epochs.has_vertical for section in sections):
-            # If gravity replaces the vertical force, the mean of the scale factors is not observable.
-            mean = np.zeros((1, blocks[0].shape[1]))
-            mean[0, np.flatnonzero(IS_FORCE_SCALE)] = 1.0 / _COMMON_SCALE
-            blocks.append(mean)
-        sizes = np.array([each.size for each in (*COEFFICIENTS, *OPTIONAL_PARAMETERS)])
-        if not all(each.epochs.has_vertical for each in sections):
-            sizes[np.flatnonzero(IS_FORCE_SCALE)] = FORCE_SCALE
-        if options.quadratic is None:
-            sizes[QUADRATIC] = USUAL_QUADRATIC
-        count = 3 * len(sections)
-        drifts = count if options.bias_drift else 0
-        own_sizes = [ATTITUDE_ERROR] * count + [options.bias_drift] * drifts
-        columns = np.array([*used, *[PARAMETER_COUNT] * count, *[DRIFT.start] * drifts])
-        priors = {"bias_drift": np.equal(columns, DRIFT.start)}
-        if options.quadratic is None:
-            priors["quadratic"] = np.isin(columns, range(QUADRATIC.start, QUADRATIC.stop))
-        return cls(blocks, np.array([*sizes[used], *own_sizes]), priors)
 
     @cached_property
     def root(self) -> FloatArray:
@@ -230,20 +152,6 @@ class Information:
         values, covariance = solve(self.root[:, :-1], self.root[:, -1], np.diag(sizes))
         return float(values[-1]), float(np.sqrt(covariance[-1, -1]))
 
-    def site_parts(self, site: Site, options: CalibrationOptions) -> Mapping[str, FloatArray]:
-        """Covariances of coefficients and optional parameters due to assumed gravity, latitude and time.
-
-        The residuals hardly depend on errors of these assumptions.
-        """
-        count = len(options.columns)
-        # An error of gravity acts as an error of all three scale factors.
-        is_scale = np.isin(options.columns, np.flatnonzero(IS_FORCE_SCALE))
-        shifts = {"gravity": is_scale * options.gravity_sigma / (options.gravity or site.gravity)}
-        if options.latitude_sigma:
-            shift, _ = solve(self.root[:, :-2], self.root[:, -2], np.diag(self.sizes))
-            shifts["latitude"] = options.latitude_sigma * shift[:count]
-        if any(options.scales_by_time):
-            is_gyro_scale = np.isin(options.columns, np.flatnonzero(IS_GYRO_SCALE))
-            by_gyro, by_force = options.scales_by_time
-            shifts["time"] = by_gyro * is_gyro_scale + by_force * is_scale
-        return {name: np.outer(shift, shift) for name, shift in shifts.items()}
+    def latitude_shift(self) -> FloatArray:
+        """Change of the values (21 + k,) for an error of the latitude, per rad."""
+        return solve(self.root[:, :-2], self.root[:, -2], np.diag(self.sizes))[0]

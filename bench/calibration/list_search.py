@@ -35,7 +35,8 @@ from gyrobench.bench.calibration.rotation_list import (
     ideal_increments,
     motion,
 )
-from gyrobench.bench.calibration.strapdown import ATTITUDE, QUADRATIC, epoch_steps
+from gyrobench.bench.calibration.strapdown import ATTITUDE, QUADRATIC
+from gyrobench.bench.calibration.whitening import epoch_steps
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.kernels import compiled

@@ -6,8 +6,8 @@ alternative is the same problem with one assumption changed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,14 +16,27 @@ from gyrobench.bench.bias.statistics import Chi2Test, chi2_p_value, chi2_test
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, OPTIONAL_PARAMETERS, SensorErrors
 from gyrobench.bench.calibration.increment_recording import SensorNoise
 from gyrobench.bench.calibration.information import (
+    ATTITUDE_ERROR,
     BIAS_DRIFT,
+    FORCE_SCALE,
+    IS_FORCE_SCALE,
+    IS_GYRO_SCALE,
     MIN_SINGULAR_VALUE,
+    USUAL_QUADRATIC,
     CalibrationOptions,
     Information,
-    integrate_sections,
 )
 from gyrobench.bench.calibration.section import IncrementSection
-from gyrobench.bench.calibration.strapdown import G_SENSITIVITIES, PARAMETER_COUNT, Trajectory
+from gyrobench.bench.calibration.strapdown import (
+    ATTITUDE,
+    DRIFT,
+    G_SENSITIVITIES,
+    LATITUDE,
+    PARAMETER_COUNT,
+    QUADRATIC,
+    Trajectory,
+)
+from gyrobench.bench.calibration.whitening import white_rows
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, STANDARD_GRAVITY, BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import capitalised
@@ -65,6 +78,8 @@ _EXPLANATIONS: tuple[tuple[dict[str, Any], str, str], ...] = (
     ({"asymmetries": (0, 1, 2)}, "asymmetries of the gyros' scale factors", "--asymmetry"),
     ({"bias_drift": BIAS_DRIFT}, "a drift of the gyro biases", "--drift"),
 )
+#: Prior of the mean of the accelerometers' scale factors if the vertical force is not measured: nearly zero.
+_COMMON_SCALE = 1e-9
 #: Epochs at rest over which residuals are summed for the goodness-of-fit test.
 _FIT_EPOCHS = 60
 
@@ -110,14 +125,20 @@ class CalibrationProblem:
     """Data and assumptions from which the coefficients are estimated."""
 
     sections: Sequence[IncrementSection]
-    bias: FloatArray  #: Shape (3,). Initial values of the gyro biases, rad/s.
     noise: SensorNoise
     site: Site
     options: CalibrationOptions
+    #: Shape (3,). Initial values of the gyro biases, rad/s.
+    initial_bias: FloatArray = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def gravity(self) -> float:
+        """Local gravity, m/s^2."""
+        return self.options.gravity or self.site.gravity
 
     def solve(self) -> Estimates:
         """Estimate all parameters. Raises MeasurementError if the iteration does not converge."""
-        columns, initial_errors = self.options.columns, SensorErrors(gyro_bias=self.bias)
+        columns, initial_errors = self.options.columns, SensorErrors(gyro_bias=self.initial_bias)
         common = np.zeros(PARAMETER_COUNT)
         common[:COUNT] = initial_errors.vector()
         per_section = 6 if self.options.bias_drift else 3
@@ -127,12 +148,8 @@ class CalibrationProblem:
         lowest_chi2, next_chi2, min_singular_value = np.inf, np.inf, MIN_SINGULAR_VALUE
         for _ in range(_MAX_ROUNDS):
             common[columns] = trial.values[: len(columns)]
-            trial_trajectories = integrate_sections(
-                self.sections, trial.starts, common, self.site, self.options
-            )
-            linear = Information.of(
-                self.sections, trial_trajectories, common, self.noise, self.site, self.options
-            )
+            trial_trajectories = self.integrate(trial.starts, common)
+            linear = self.information(trial_trajectories, common)
             if (chi2 := linear.chi2(trial.values)) < _MAX_CHI2_GROWTH * lowest_chi2:
                 point, information, trajectories, lowest_chi2 = trial, linear, trial_trajectories, chi2
                 values, covariance, is_observed = information.solve(point.origin)
@@ -157,6 +174,65 @@ class CalibrationProblem:
             "one place. Check signs, axes and units in the import map; of a run, those of ins.signals, and "
             "whether the table turns as its angles say"
         )
+
+    def integrate(self, starts: Sequence[FloatArray], common: FloatArray) -> list[Trajectory]:
+        """Trajectory of each section from its initial attitude (3, 3), corrected for ``common`` (46,)."""
+        all_columns = range(LATITUDE)
+        drifts = all_columns[DRIFT] if self.options.bias_drift else ()
+        columns = [*self.options.columns, *all_columns[ATTITUDE], *drifts, LATITUDE]
+        return [
+            section.integrate(start, common, self.site.latitude, self.gravity, columns)
+            for section, start in zip(self.sections, starts, strict=True)
+        ]
+
+    def information(self, trajectories: Sequence[Trajectory], common: FloatArray) -> Information:
+        """Linearised rows of the trajectories that :meth:`integrate` gives with the same ``common`` (46,)."""
+        options, used, blocks = self.options, self.options.columns, []
+        for number, (section, trajectory) in enumerate(zip(self.sections, trajectories, strict=True)):
+            rows, data = white_rows(
+                section, trajectory, self.noise, self.site.latitude, options.whole_turns, options.heading
+            )
+            section_rows = rows[:, len(used) : -1].reshape(len(rows), -1, 3)
+            rows_by_section = np.zeros((len(rows), section_rows.shape[1], len(self.sections), 3))
+            rows_by_section[:, :, number] = section_rows
+            parts = rows[:, : len(used)], rows_by_section.reshape(len(rows), -1), rows[:, -1:]
+            blocks.append(np.column_stack([*parts, data + rows[:, : len(used)] @ common[used]]))
+        has_vertical = [section.epochs.has_vertical for section in self.sections]
+        if not any(has_vertical):
+            # If gravity replaces the vertical force, the mean of the scale factors is not observable.
+            mean = np.zeros((1, blocks[0].shape[1]))
+            mean[0, np.flatnonzero(IS_FORCE_SCALE)] = 1.0 / _COMMON_SCALE
+            blocks.append(mean)
+        sizes = np.array([each.size for each in (*COEFFICIENTS, *OPTIONAL_PARAMETERS)])
+        if not all(has_vertical):
+            sizes[np.flatnonzero(IS_FORCE_SCALE)] = FORCE_SCALE
+        if options.quadratic is None:
+            sizes[QUADRATIC] = USUAL_QUADRATIC
+        count = 3 * len(self.sections)
+        drifts = count if options.bias_drift else 0
+        own_sizes = [ATTITUDE_ERROR] * count + [options.bias_drift] * drifts
+        columns = np.array([*used, *[PARAMETER_COUNT] * count, *[DRIFT.start] * drifts])
+        priors = {"bias_drift": np.equal(columns, DRIFT.start)}
+        if options.quadratic is None:
+            priors["quadratic"] = np.isin(columns, range(QUADRATIC.start, QUADRATIC.stop))
+        return Information(blocks, np.array([*sizes[used], *own_sizes]), priors)
+
+    def site_covariances(self, information: Information) -> Mapping[str, FloatArray]:
+        """Covariances of coefficients and optional parameters due to assumed gravity, latitude and time.
+
+        The residuals hardly depend on errors of these assumptions.
+        """
+        options = self.options
+        # An error of gravity acts as an error of all three scale factors.
+        is_scale = np.isin(options.columns, np.flatnonzero(IS_FORCE_SCALE))
+        shifts = {"gravity": is_scale * options.gravity_sigma / self.gravity}
+        if options.latitude_sigma:
+            shifts["latitude"] = options.latitude_sigma * information.latitude_shift()[: len(options.columns)]
+        if any(options.scales_by_time):
+            is_gyro_scale = np.isin(options.columns, np.flatnonzero(IS_GYRO_SCALE))
+            by_gyro, by_force = options.scales_by_time
+            shifts["time"] = by_gyro * is_gyro_scale + by_force * is_scale
+        return {name: np.outer(shift, shift) for name, shift in shifts.items()}
 
     def with_g_sensitivity(self, estimates: Estimates) -> tuple[CalibrationProblem, Estimates, str]:
         """Problem and solution with gyro biases that follow the specific force, and a note about them.

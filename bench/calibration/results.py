@@ -24,7 +24,6 @@ from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, RADPS_TO_DP
 from gyrobench.bench.foundations.csv_tables import format_rows, write_text
 from gyrobench.bench.foundations.files import make_folder, remove
 from gyrobench.bench.navigation.earth import earth_rate_enu
-from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES
 
 #: Scale factors of three sensors are common if their mean exceeds this, ppm, and they differ by less than
@@ -96,7 +95,7 @@ def rest_rates(calibration: Calibration) -> list[RestRate]:
         for rest, rate, force in zip(recording.rests, *recording.rest_means(), strict=True):
             size = float(np.linalg.norm(force))
             duration_s = (rest.end - rest.begin) * recording.interval_s
-            noise = calibration.noise
+            noise = calibration.problem.noise
             variance = noise.angle_random_walk**2 / duration_s + 2.0 * (noise.white_angle / duration_s) ** 2
             rates.append(
                 RestRate(
@@ -142,10 +141,10 @@ def common_scale_notes(estimate: CoefficientEstimate) -> list[str]:
 
 
 def calibration_record(
-    calibration: Calibration, site: Site, spins: Sequence[SpinScaleFactor], origin: Mapping[str, Any]
+    calibration: Calibration, spins: Sequence[SpinScaleFactor], origin: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Record of the whole calibration, as one JSON object."""
-    noise = calibration.noise
+    problem, noise = calibration.problem, calibration.problem.noise
     return {
         **origin,
         "body_frame": calibration.frame,
@@ -156,9 +155,9 @@ def calibration_record(
             "velocity_random_walk_ug_per_sqrt_hz": noise.velocity_random_walk / UG_PER_SQRT_HZ_TO_SI,
             "white_velocity_mmps": noise.white_velocity * 1e3,
         },
-        "gravity_mps2": calibration.gravity_and_sigma[0],
-        "gravity_sigma_mps2": calibration.gravity_and_sigma[1],
-        "earth_rate_up_dph": earth_rate_enu(site.latitude)[2] * RADPS_TO_DPH,
+        "gravity_mps2": problem.gravity,
+        "gravity_sigma_mps2": problem.options.gravity_sigma,
+        "earth_rate_up_dph": earth_rate_enu(problem.site.latitude)[2] * RADPS_TO_DPH,
         "rests": [vars(rest) for rest in rest_rates(calibration)],
         "rotations": [
             {

@@ -18,15 +18,10 @@ from pydantic import Field
 from gyrobench.bench.bias.noise_model import NoiseModel, rounding_sigma
 from gyrobench.bench.calibration.coefficients import COUNT
 from gyrobench.bench.calibration.increment_recording import SensorNoise
-from gyrobench.bench.calibration.information import (
-    IS_FORCE_SCALE,
-    CalibrationOptions,
-    Information,
-    gyros_spun_both_ways,
-    integrate_sections,
-)
-from gyrobench.bench.calibration.section import REST_EPOCH_S, IncrementSection
-from gyrobench.bench.calibration.strapdown import PARAMETER_COUNT, IncrementEpochs
+from gyrobench.bench.calibration.information import IS_FORCE_SCALE, CalibrationOptions, gyros_spun_both_ways
+from gyrobench.bench.calibration.problem import CalibrationProblem
+from gyrobench.bench.calibration.section import REST_EPOCH_S, IncrementEpochs, IncrementSection
+from gyrobench.bench.calibration.strapdown import PARAMETER_COUNT
 from gyrobench.bench.foundations.arrays import (
     DEG_PER_SQRT_H_TO_SI,
     STANDARD_GRAVITY,
@@ -153,7 +148,7 @@ def expected_uncertainties(rotations: RotationList, setup: RotationSetup) -> Exp
 
     Raises DocumentError if the table can't perform the rotations.
     """
-    table, site, noise, whole_turns = setup.table, setup.site, setup.noise, setup.whole_turns
+    table, site = setup.table, setup.site
     start = table.angles(POSITIONS[rotations.start].C_nb())
     _check_reachable(rotations, table, start, setup.max_rate_dps)
     attitude, at_rest, spins = motion(rotations, table, start)
@@ -168,19 +163,19 @@ def expected_uncertainties(rotations: RotationList, setup: RotationSetup) -> Exp
     paths = [angle[first:last].sum(axis=0) for first, last in spins]
     axes = [int(np.argmax(np.abs(path))) for path in paths]
     options = CalibrationOptions(
-        whole_turns=whole_turns,
+        whole_turns=setup.whole_turns,
         gravity_sigma=gravity_sigma,
         latitude_sigma=latitude_sigma,
         quadratic=None,
         asymmetries=gyros_spun_both_ways((axis, path[axis]) for axis, path in zip(axes, paths, strict=True)),
     )
     common = np.zeros(PARAMETER_COUNT)
-    trajectories = integrate_sections([section], [attitude[0]], common, site, options)
-    information = Information.of([section], trajectories, common, noise, site, options)
+    problem = CalibrationProblem([section], setup.noise, site, options)
+    information = problem.information(problem.integrate([attitude[0]], common), common)
     _, covariance, is_observed = information.solve()
     if not setup.has_vertical:
         is_observed[:COUNT] &= ~np.array(IS_FORCE_SCALE)
-    parts = covariance, *information.site_parts(site, options).values()
+    parts = covariance, *problem.site_covariances(information).values()
     variances = sum(np.diag(part)[:COUNT] for part in parts)
     return ExpectedUncertainties(rotations.duration_s, np.sqrt(variances), is_observed[:COUNT])
 

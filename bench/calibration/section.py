@@ -17,12 +17,11 @@ from gyrobench.bench.calibration.strapdown import (
     G_SENSITIVITIES,
     LEVER_ARMS,
     QUADRATIC,
-    IncrementEpochs,
     Trajectory,
     attitudes,
     integrate_increments,
 )
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import rotation_vectors
 from gyrobench.bench.navigation.error_model import Site
@@ -46,6 +45,20 @@ class SpinError:
     rate: float  #: Constant rate, rad/s, with its sign.
     duration_s: float
     error: float  #: Rad.
+
+
+@dataclass(frozen=True, eq=False)
+class IncrementEpochs:
+    """Ends, rests and table rotations of n epochs of increments."""
+
+    ends: IntArray  #: Shape (n,). Number of increments up to the end of each epoch.
+    at_rest: BoolArray  #: Shape (n,). Whether the unit rests at the end of each epoch.
+    #: Indices of epochs in the rests before and after whole turns, and the net rotation (3, 3), ENU, by the
+    #: table's readings.
+    spins: Sequence[tuple[int, int, FloatArray]]
+    has_vertical: bool  #: Whether the vertical velocity is measured; otherwise its rows are zero.
+    #: Indices of epochs before and after rotations about Up, and the rotation (3, 3), ENU, by the table.
+    headings: Sequence[tuple[int, int, FloatArray]] = ()
 
 
 @dataclass(frozen=True, eq=False)

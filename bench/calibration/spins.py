@@ -23,7 +23,6 @@ from gyrobench.bench.calibration.estimator import Calibration
 from gyrobench.bench.calibration.section import SpinError
 from gyrobench.bench.calibration.strapdown import ASYMMETRIES
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES
 
 #: Largest relative difference of rates that count as equal.
@@ -71,7 +70,7 @@ class SpinScaleFactor:
     p_value: float  #: Probability of the spins' scatter if the scale factor is constant.
 
 
-def spin_scale_factors(calibration: Calibration, site: Site, whole_turns: float) -> list[SpinScaleFactor]:
+def spin_scale_factors(calibration: Calibration, whole_turns: float) -> list[SpinScaleFactor]:
     """Scale factors of the gyros that were spun.
 
     ``whole_turns``: standard uncertainty, rad, of the table's return.
@@ -80,11 +79,11 @@ def spin_scale_factors(calibration: Calibration, site: Site, whole_turns: float)
     common = calibration.common.copy()
     common[ASYMMETRIES] = 0.0  # so that asymmetries remain in the scale factors of the spins
     for section, recording, start in zip(
-        calibration.sections, calibration.recordings, calibration.starts, strict=True
+        calibration.problem.sections, calibration.recordings, calibration.starts, strict=True
     ):
         begin_s = recording.start_s + recording.rests[0].begin * recording.interval_s
         edges_s = section.interval_s * np.concatenate([[0], section.epochs.ends])
-        for spin in section.spin_errors(start, common, site):
+        for spin in section.spin_errors(start, common, calibration.problem.site):
             spins_by_axis.setdefault(spin.axis, []).append((begin_s + float(edges_s[spin.epoch]), spin))
     return [
         _gyro_scale_factor(calibration, axis, spins_by_axis[axis], whole_turns)
@@ -118,7 +117,7 @@ def _gyro_scale_factor(
     spins = [spin for _, spin in timed]
     path, error, duration_s = np.array([(each.path, each.error, each.duration_s) for each in spins]).T
     values = calibration.common[3 + 4 * axis] + error / path
-    noise = calibration.noise
+    noise = calibration.problem.noise
     angle = noise.angle_random_walk[axis] ** 2 * duration_s + 2.0 * noise.white_angle[axis] ** 2
     bias_response = duration_s / path
     bias = calibration.sigmas[axis] if calibration.is_observed[axis] else COEFFICIENTS[axis].size

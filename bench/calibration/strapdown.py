@@ -1,4 +1,4 @@
-"""Strapdown integration of increments; navigation errors at rest as white rows of a least-squares problem.
+"""Strapdown integration of increments at rest and in turns, with responses to the sensors' coefficients.
 
 The unit stays at one place. So the integral of the specific force and gravity in the navigation frame,
 
@@ -9,11 +9,7 @@ Attitude errors psi rotate vectors from the true attitude to the computed one, E
 
     ``psi' = -w_ie x psi + C_nb dw``,   ``u' = psi x C_nb f + C_nb df``.
 
-The same integration gives the response of psi and u to each coefficient. The noise of the sensors is
-integrated twice into u and correlates all epochs. A Kalman filter whose model contains only this noise, with
-the states psi, u and the psi at the start of a spin, turns data and responses into innovations that are white
-with unit variance: generalised least squares without the large covariance matrix, as in
-:mod:`gyrobench.bench.bias.window_filter`.
+The same integration gives the response of psi and u to each coefficient.
 
 References
 ----------
@@ -30,11 +26,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrobench.bench.calibration.coefficients import COUNT, LOWER, OPTIONAL_PARAMETERS, SensorErrors
-from gyrobench.bench.calibration.increment_recording import SensorNoise
 from gyrobench.bench.calibration.turns import Vector, add_scaled, cross_product, multiply, set_turn
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
+from gyrobench.bench.foundations.arrays import FloatArray, IntArray
 from gyrobench.bench.foundations.kernels import compiled, multiply_3x3
-from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vectors
+from gyrobench.bench.navigation.attitude import rotation_matrices
 from gyrobench.bench.navigation.earth import earth_rate_enu
 
 #: Columns of the responses: the coefficients; inner lever arms of the accelerometers by rows, m; delay of the
@@ -50,65 +45,11 @@ ATTITUDE, DRIFT = slice(PARAMETER_COUNT, PARAMETER_COUNT + 3), slice(PARAMETER_C
 LATITUDE = PARAMETER_COUNT + 6
 _ALL = tuple(range(LATITUDE))
 _FIRST_QUADRATIC, _FIRST_G_SENSITIVITY = QUADRATIC.start, G_SENSITIVITIES.start
-_FIRST_ASYMMETRY = ASYMMETRIES.start
+_FIRST_ASYMMETRY, _FIRST_DRIFT = ASYMMETRIES.start, DRIFT.start
 _ROWS, _COLUMNS = LOWER
 #: Rotations, rad, after which the attitude, and after which the responses are updated. In between, increments
 #: are summed with their coning and sculling, and the responses use the mean attitude.
 _MAX_SUM, _MAX_TURN = 2e-5, 0.01
-#: Smallest noise of outputs, m/s and rad: far below the resolution of sensors.
-_MIN_VELOCITY, _MIN_ANGLE = 1e-8, 1e-10
-
-
-@dataclass(frozen=True, eq=False)
-class IncrementEpochs:
-    """Ends, rests and table rotations of n epochs of increments."""
-
-    ends: IntArray  #: Shape (n,). Number of increments up to the end of each epoch.
-    at_rest: BoolArray  #: Shape (n,). Whether the unit rests at the end of each epoch.
-    #: Indices of epochs in the rests before and after whole turns, and the net rotation (3, 3), ENU, by the
-    #: table's readings.
-    spins: Sequence[tuple[int, int, FloatArray]]
-    has_vertical: bool  #: Whether the vertical velocity is measured; otherwise its rows are zero.
-    #: Indices of epochs before and after rotations about Up, and the rotation (3, 3), ENU, by the table.
-    headings: Sequence[tuple[int, int, FloatArray]] = ()
-
-
-def white_rows(
-    trajectory: Trajectory,
-    lengths_s: FloatArray,
-    epochs: IncrementEpochs,
-    noise: SensorNoise,
-    latitude: float,
-    whole_turns: float | None,
-    heading: float | None = None,
-) -> tuple[FloatArray, FloatArray]:
-    """Rows (m, c) and data (m,), white with unit variance, of a unit that begins at rest.
-
-    ``trajectory`` is that of the corrected increments, with the responses to c columns; ``lengths_s``, shape
-    (n,), are those of the epochs. ``whole_turns`` and ``heading`` are standard uncertainties, rad: of the
-    table's return after whole turns, without which spins are rotations, and of the change of heading in the
-    table's rotations about Up, which are not used without it.
-    """
-    n, turns = len(lengths_s), _turns(epochs, whole_turns, heading)
-    starts, ends = np.full((2, n + 1), -1, np.int64)
-    columns = trajectory.response.shape[2]
-    stacked = np.empty((n + len(turns), 3, columns + 1))
-    stacked[:n, :, :columns], stacked[:n, :, columns] = trajectory.response[1:, 3:], -trajectory.integral[1:]
-    for number, (a, b, R, _) in enumerate(turns):
-        starts[a], ends[b] = number, number
-        stacked[n + number, :, :columns] = trajectory.response[b, :3] - R @ trajectory.response[a, :3]
-        error = trajectory.attitude[b] @ trajectory.attitude[a].T @ R.T
-        stacked[n + number, :, columns] = -rotation_vectors(error[np.newaxis])[0]
-    white = float(np.mean(noise.white_velocity**2)) + _MIN_VELOCITY**2
-    output = 2.0 * float(np.mean(noise.white_angle**2)) + _MIN_ANGLE**2
-    R = np.array([each[2] for each in turns]).reshape(-1, 3, 3)
-    variances = np.array([each[3] for each in turns]).reshape(-1, 3) ** 2 + output
-    transition, covariance = _intervals(trajectory, lengths_s, noise, latitude)
-    measured = 3 if epochs.has_vertical else 2
-    whitened = _whiten(
-        transition, covariance, stacked, epochs.at_rest, starts, ends, R, variances, white, measured
-    )
-    return whitened[:, :columns], whitened[:, columns]
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,12 +102,6 @@ def integrate_increments(
 
 
 @compiled
-def _corrected_increment(correction: FloatArray, measured: FloatArray) -> Vector:
-    x, y, z = multiply(correction, (measured[0], measured[1], measured[2]))
-    return x + correction[0, 3], y + correction[1, 3], z + correction[2, 3]
-
-
-@compiled
 def _integrate(
     angle: FloatArray, velocity: FloatArray, correction: FloatArray, error_correction: FloatArray,
     interval_s: float, ends: IntArray, has_sums: bool, earth: FloatArray, half: FloatArray,
@@ -174,16 +109,10 @@ def _integrate(
     integrals: FloatArray, responses: FloatArray,
 ) -> None:  # fmt: skip
     C, begin = attitudes[0].copy(), attitudes[0].copy()
-    u = np.zeros(3)
-    response = responses[0].copy()
-    tilt = np.empty(3)
-    # Sums over the samples since the last update of the responses: angles, and derivatives of the velocity
-    # increments by lever arms, delay and quadratic terms.
-    sums = np.zeros((6, 3))
-    angles, delayed, squares, arms = sums[0], sums[1], sums[2], sums[3:]
+    u, angles, sums = np.zeros(3), np.zeros(3), np.zeros((5, 3))
+    response, drive = responses[0].copy(), np.zeros((6, LATITUDE + 1))
+    middle, turn, product, gyro_axes, force_axes = np.empty((5, 3, 3))
     samples = summed = epoch = 0
-    count = len(angle)
-    turn, product, gyro_axes, force_axes = np.empty((4, 3, 3))
     theta = dv = alpha = speed = coning = sculling = (0.0, 0.0, 0.0)
     for k in range(ends[-1]):
         theta_before, dv_before = theta, dv
@@ -197,26 +126,10 @@ def _integrate(
         sculling = add_scaled(sculling, cross_product(add_scaled(speed, dv_before, 1.0 / 6.0), theta), 0.5)
         alpha, speed = add_scaled(alpha, theta, 1.0), add_scaled(speed, dv, 1.0)
         summed += 1
-        if has_sums:
-            first, last = max(k - 1, 0), min(k + 1, count - 1)
-            per_s = 1.0 / ((last - first) * interval_s)
-            cross = cross_product(theta, dv)
-            square = theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2
-            for i in range(3):
-                delayed[i] -= cross[i] / interval_s
-                squares[i] += dv[i] ** 2 / interval_s
-                for j in range(3):
-                    arms[i, j] += theta[i] * theta[j] / interval_s
-                arms[i, i] -= square / interval_s
-                arms[i, (i + 1) % 3] -= (angle[last, (i + 2) % 3] - angle[first, (i + 2) % 3]) * per_s
-                arms[i, (i + 2) % 3] += (angle[last, (i + 1) % 3] - angle[first, (i + 1) % 3]) * per_s
-        if k + 1 != ends[epoch] and alpha[0] ** 2 + alpha[1] ** 2 + alpha[2] ** 2 < _MAX_SUM**2:
+        is_end = k + 1 == ends[epoch]
+        if not is_end and _square(alpha) < _MAX_SUM**2:
             continue
-        cross = cross_product(alpha, speed)
-        force_sum = add_scaled(
-            add_scaled(add_scaled(speed, sculling, 1.0), cross, 0.5), cross_product(alpha, cross), 1.0 / 6.0
-        )
-        velocity_change = multiply(half[summed], multiply(C, force_sum))
+        velocity_change = multiply(half[summed], multiply(C, _force_sum(alpha, speed, sculling)))
         set_turn(turn, add_scaled(alpha, coning, 1.0))
         multiply_3x3(product, C, turn)
         multiply_3x3(C, earth[summed], product)
@@ -227,84 +140,146 @@ def _integrate(
         samples += summed
         summed = 0
         alpha = speed = coning = sculling = (0.0, 0.0, 0.0)
-        if k + 1 != ends[epoch] and angles[0] ** 2 + angles[1] ** 2 + angles[2] ** 2 < _MAX_TURN**2:
+        if not is_end and _square((angles[0], angles[1], angles[2])) < _MAX_TURN**2:
             continue
-        middle, step, length_s = 0.5 * (begin + C), earth[samples], samples * interval_s
+        for i in range(3):
+            for j in range(3):
+                middle[i, j] = 0.5 * (begin[i, j] + C[i, j])
+                begin[i, j] = C[i, j]
         # An error of a sensor changes the corrected increments through all scale factors and misalignments.
         multiply_3x3(gyro_axes, middle, error_correction[0])
         multiply_3x3(force_axes, middle, error_correction[1])
-        # The responses use gravity as specific force. With the measured one, parameters would explain its
-        # noise: a smaller scale factor reduces it, another heading rotates it.
-        gravity_change = gravity * length_s
+        length_s = samples * interval_s
         since_middle_s = (k + 1 - 0.5 * samples - 0.5 * ends[-1]) * interval_s
-        for r, c in enumerate(columns):
-            for i in range(3):
-                tilt[i] = response[i, r]
-            # Response of the corrected increments, which are those measured minus the errors.
-            if c < 3:
-                for i in range(3):
-                    response[i, r] -= gyro_axes[i, c] * length_s
-            elif c < 12:
-                for i in range(3):
-                    response[i, r] -= gyro_axes[i, (c - 3) // 3] * angles[(c - 3) % 3]
-            elif c < 15:
-                for i in range(3):
-                    response[3 + i, r] -= force_axes[i, c - 12] * length_s
-            elif c < COUNT:
-                for i in range(3):
-                    response[3 + i, r] -= (
-                        force_axes[i, _ROWS[c - 15]] * middle[2, _COLUMNS[c - 15]] * gravity_change
-                    )
-            elif c < DELAY:
-                sensor, arm = (c - COUNT) // 3, (c - COUNT) % 3
-                for i in range(3):
-                    response[3 + i, r] -= middle[i, sensor] * arms[sensor, arm]
-            elif c == DELAY:
-                for i in range(3):
-                    response[3 + i, r] += (
-                        middle[i, 0] * delayed[0] + middle[i, 1] * delayed[1] + middle[i, 2] * delayed[2]
-                    )
-            elif c < _FIRST_G_SENSITIVITY:
-                for i in range(3):
-                    response[3 + i, r] -= middle[i, c - _FIRST_QUADRATIC] * squares[c - _FIRST_QUADRATIC]
-            elif c < _FIRST_ASYMMETRY:
-                sensor, along = (c - _FIRST_G_SENSITIVITY) // 3, (c - _FIRST_G_SENSITIVITY) % 3
-                for i in range(3):
-                    response[i, r] -= middle[i, sensor] * middle[2, along] * gravity_change
-            elif c < PARAMETER_COUNT and abs(angles[c - _FIRST_ASYMMETRY]) > ASYMMETRY_RATE * length_s:
-                for i in range(3):
-                    response[i, r] -= (
-                        0.5 * gyro_axes[i, c - _FIRST_ASYMMETRY] * abs(angles[c - _FIRST_ASYMMETRY])
-                    )
-            elif c == LATITUDE:
-                for i in range(3):
-                    response[i, r] -= latitude_response[i] * length_s
-            elif c >= PARAMETER_COUNT + 3:
-                for i in range(3):
-                    response[i, r] -= gyro_axes[i, c - PARAMETER_COUNT - 3] * length_s * since_middle_s
-            a, b, d = response[0, r], response[1, r], response[2, r]
-            for i in range(3):
-                response[i, r] = step[i, 0] * a + step[i, 1] * b + step[i, 2] * d
-                tilt[i] = 0.5 * (tilt[i] + response[i, r])
-            response[3, r] += tilt[1] * gravity_change
-            response[4, r] -= tilt[0] * gravity_change
-        # Numba takes seconds to compile the assignment of whole arrays.
+        if has_sums:
+            _set_sums(sums, angle, velocity, k + 1 - samples, k + 1, interval_s)
+        _set_gyro_drive(drive, middle, gyro_axes, angles, length_s, since_middle_s, gravity * length_s)
+        _set_force_drive(drive, middle, force_axes, sums, length_s, gravity * length_s)
         for i in range(3):
-            for j in range(3):
-                begin[i, j] = C[i, j]
-        for i in range(6):
-            for j in range(3):
-                sums[i, j] = 0.0
+            drive[i, LATITUDE] = latitude_response[i] * length_s
+            angles[i] = 0.0
+        _update_responses(response, columns, drive, earth[samples], gravity * length_s)
         samples = 0
-        if k + 1 == ends[epoch]:
+        if is_end:
             epoch += 1
+            _store(attitudes[epoch], C)
+            _store(responses[epoch], response)
             for i in range(3):
                 integrals[epoch, i] = u[i]
-                for j in range(3):
-                    attitudes[epoch, i, j] = C[i, j]
-            for i in range(6):
-                for r in range(len(columns)):
-                    responses[epoch, i, r] = response[i, r]
+
+
+@compiled
+def _corrected_increment(correction: FloatArray, measured: FloatArray) -> Vector:
+    x, y, z = multiply(correction, (measured[0], measured[1], measured[2]))
+    return x + correction[0, 3], y + correction[1, 3], z + correction[2, 3]
+
+
+@compiled
+def _square(a: Vector) -> float:
+    return a[0] ** 2 + a[1] ** 2 + a[2] ** 2
+
+
+@compiled
+def _force_sum(alpha: Vector, speed: Vector, sculling: Vector) -> Vector:
+    """Change of velocity over summed increments, in the axes at their start."""
+    cross = cross_product(alpha, speed)
+    rotated = add_scaled(add_scaled(speed, sculling, 1.0), cross, 0.5)
+    return add_scaled(rotated, cross_product(alpha, cross), 1.0 / 6.0)
+
+
+@compiled
+def _set_sums(
+    sums: FloatArray, angle: FloatArray, velocity: FloatArray, begin: int, end: int, interval_s: float
+) -> None:
+    """Derivatives of the velocity by optional parameters, summed over corrected increments, to ``sums``.
+
+    Rows of ``sums`` (5, 3): by the delay, by the quadratic terms, and of each accelerometer by its lever arm.
+    """
+    for i in range(5):
+        for j in range(3):
+            sums[i, j] = 0.0
+    for k in range(begin, end):
+        theta = angle[k, 0], angle[k, 1], angle[k, 2]
+        dv = velocity[k, 0], velocity[k, 1], velocity[k, 2]
+        first, last = max(k - 1, 0), min(k + 1, len(angle) - 1)
+        per_s = 1.0 / ((last - first) * interval_s)
+        cross, square = cross_product(theta, dv), _square(theta)
+        for i in range(3):
+            y, z = (i + 1) % 3, (i + 2) % 3
+            sums[0, i] -= cross[i] / interval_s
+            sums[1, i] += dv[i] ** 2 / interval_s
+            for j in range(3):
+                sums[2 + i, j] += theta[i] * theta[j] / interval_s
+            sums[2 + i, i] -= square / interval_s
+            sums[2 + i, y] -= (angle[last, z] - angle[first, z]) * per_s
+            sums[2 + i, z] += (angle[last, y] - angle[first, y]) * per_s
+
+
+@compiled
+def _set_gyro_drive(
+    drive: FloatArray, middle: FloatArray, axes: FloatArray, angles: FloatArray, length_s: float,
+    since_middle_s: float, gravity_change: float,
+) -> None:  # fmt: skip
+    """Set errors of the rotation over an interval by the parameters of the gyros, in ``drive`` (6, 53)."""
+    for i in range(3):
+        for sensor in range(3):
+            drive[i, sensor] = axes[i, sensor] * length_s
+            drive[i, _FIRST_DRIFT + sensor] = axes[i, sensor] * length_s * since_middle_s
+            angle = abs(angles[sensor])
+            is_turning = angle > ASYMMETRY_RATE * length_s
+            drive[i, _FIRST_ASYMMETRY + sensor] = 0.5 * axes[i, sensor] * angle if is_turning else 0.0
+            for j in range(3):
+                drive[i, 3 + 3 * sensor + j] = axes[i, sensor] * angles[j]
+                drive[i, _FIRST_G_SENSITIVITY + 3 * sensor + j] = (
+                    middle[i, sensor] * middle[2, j] * gravity_change
+                )
+
+
+@compiled
+def _set_force_drive(
+    drive: FloatArray, middle: FloatArray, axes: FloatArray, sums: FloatArray, length_s: float,
+    gravity_change: float,
+) -> None:  # fmt: skip
+    """Set errors of the velocity over an interval by the parameters of the accelerometers."""
+    for i in range(3):
+        for sensor in range(3):
+            drive[3 + i, 12 + sensor] = axes[i, sensor] * length_s
+            drive[3 + i, _FIRST_QUADRATIC + sensor] = middle[i, sensor] * sums[1, sensor]
+            for j in range(3):
+                drive[3 + i, COUNT + 3 * sensor + j] = middle[i, sensor] * sums[2 + sensor, j]
+        for number in range(6):
+            drive[3 + i, 15 + number] = axes[i, _ROWS[number]] * middle[2, _COLUMNS[number]] * gravity_change
+        drive[3 + i, DELAY] = -(
+            middle[i, 0] * sums[0, 0] + middle[i, 1] * sums[0, 1] + middle[i, 2] * sums[0, 2]
+        )
+
+
+@compiled
+def _update_responses(
+    response: FloatArray, columns: IntArray, drive: FloatArray, earth: FloatArray, gravity_change: float
+) -> None:
+    """Update responses (6, c) over an interval; corrected increments are those measured minus the errors.
+
+    The specific force is gravity. With the measured one, parameters would explain its noise: a smaller scale
+    factor reduces it, another heading rotates it.
+    """
+    for r, column in enumerate(columns):
+        east, north = response[0, r], response[1, r]
+        for i in range(6):
+            response[i, r] -= drive[i, column]
+        a, b, c = response[0, r], response[1, r], response[2, r]
+        for i in range(3):
+            response[i, r] = earth[i, 0] * a + earth[i, 1] * b + earth[i, 2] * c
+        response[3, r] += 0.5 * (north + response[1, r]) * gravity_change
+        response[4, r] -= 0.5 * (east + response[0, r]) * gravity_change
+
+
+@compiled
+def _store(target: FloatArray, source: FloatArray) -> None:
+    """Copy an array of two dimensions; numba takes seconds to compile the assignment of whole arrays."""
+    for i in range(source.shape[0]):
+        for j in range(source.shape[1]):
+            target[i, j] = source[i, j]
 
 
 def attitudes(
@@ -313,161 +288,3 @@ def attitudes(
     """Attitudes (n + 1, 3, 3) at the start and the ends of epochs, from increments of angle."""
     velocity = np.zeros_like(angle)
     return integrate_increments(angle, velocity, interval_s, ends, C_nb, latitude, 0.0, ()).attitude
-
-
-def epoch_steps(
-    angle: FloatArray,
-    velocity: FloatArray,
-    interval_s: float,
-    ends: IntArray,
-    C_nb: FloatArray,
-    noise: SensorNoise,
-    latitude: float,
-    gravity: float,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Transition (n, 6, 6), noise (n, 6, 6) and drive (n, 6, 40) of psi and u over each epoch.
-
-    The response to the coefficients at the end of an epoch is the transition times that at its start, plus
-    the drive. For the parameters see :func:`integrate_increments`.
-    """
-    trajectory = integrate_increments(angle, velocity, interval_s, ends, C_nb, latitude, gravity)
-    transition, covariance = _intervals(trajectory, np.diff(ends, prepend=0) * interval_s, noise, latitude)
-    response = trajectory.response.copy()
-    response[:, :, ATTITUDE] = 0.0
-    return transition, covariance, response[1:] - transition @ response[:-1]
-
-
-_Turn = tuple[int, int, FloatArray, tuple[float, float, float]]
-
-
-def _turns(epochs: IncrementEpochs, whole_turns: float | None, heading: float | None) -> list[_Turn]:
-    """Epochs before and after each table rotation used, the rotation (3, 3), its uncertainties E, N, U."""
-    turns: dict[int, _Turn] = {}
-    if heading is not None:
-        turns |= {a: (a, b, R, (np.inf, np.inf, heading)) for a, b, R in epochs.headings}
-    if whole_turns is not None:
-        turns |= {a: (a, b, R, (whole_turns, whole_turns, whole_turns)) for a, b, R in epochs.spins}
-    return list(turns.values())
-
-
-def _intervals(
-    trajectory: Trajectory, lengths_s: FloatArray, noise: SensorNoise, latitude: float
-) -> tuple[FloatArray, FloatArray]:
-    """Transition and noise (n, 6, 6) of psi and u over each epoch."""
-    transition, covariance = np.zeros((2, len(lengths_s), 6, 6))
-    _set_intervals(
-        trajectory.attitude, trajectory.gravity, lengths_s, noise.angle_random_walk**2,
-        noise.velocity_random_walk**2, earth_rate_enu(latitude), transition, covariance,
-    )  # fmt: skip
-    return transition, covariance
-
-
-@compiled
-def _set_intervals(
-    attitude: FloatArray, gravity: float, lengths_s: FloatArray, angle_walk: FloatArray,
-    velocity_walk: FloatArray, earth: FloatArray, transition: FloatArray, covariance: FloatArray,
-) -> None:  # fmt: skip
-    cross, tilts, lifts, tilts_to_velocity, twice = np.zeros((5, 3, 3))
-    for n, time in enumerate(lengths_s):
-        F, Q, C = transition[n], covariance[n], 0.5 * (attitude[n] + attitude[n + 1])
-        set_turn(F[:3, :3], (-earth[0] * time, -earth[1] * time, -earth[2] * time))
-        for i in range(3):
-            F[3 + i, 3 + i] = 1.0
-            for j in range(3):
-                tilts[i, j] = lifts[i, j] = 0.0
-                for k in range(3):
-                    tilts[i, j] += time * C[i, k] * angle_walk[k] * C[j, k]
-                    lifts[i, j] += time * C[i, k] * velocity_walk[k] * C[j, k]
-        cross[0, 1], cross[1, 0] = gravity * time, -gravity * time  # cross @ psi = psi x force
-        multiply_3x3(tilts_to_velocity, cross, tilts)
-        multiply_3x3(twice, tilts_to_velocity, cross)  # the transpose of cross is its negative
-        for i in range(3):
-            for j in range(3):
-                F[3 + i, j] = cross[i, j]
-                Q[i, j], Q[3 + i, 3 + j] = tilts[i, j], lifts[i, j] - twice[i, j] / 3.0
-                Q[3 + i, j] = Q[j, 3 + i] = 0.5 * tilts_to_velocity[i, j]
-
-
-@compiled
-def _propagate(F: FloatArray, X: FloatArray) -> None:
-    """Multiply the first six rows of ``X`` by ``F`` (6, 6), whose upper right block is zero, in place."""
-    for j in range(X.shape[1]):
-        a, b, c = X[0, j], X[1, j], X[2, j]
-        for i in range(3):
-            X[i, j] = F[i, 0] * a + F[i, 1] * b + F[i, 2] * c
-            X[3 + i, j] += F[3 + i, 0] * a + F[3 + i, 1] * b + F[3 + i, 2] * c
-
-
-@compiled
-def _correct(
-    X: FloatArray, P: FloatArray, innovation: FloatArray, gain: FloatArray, spread: FloatArray,
-    variance: float,
-) -> None:  # fmt: skip
-    """Correct states by an innovation, and scale the innovation to unit variance."""
-    scale = 1.0 / np.sqrt(variance)
-    for k in range(9):
-        for j in range(X.shape[1]):
-            X[k, j] += gain[k] * innovation[j]
-        for j in range(9):
-            P[k, j] -= gain[k] * spread[j]
-    for j in range(X.shape[1]):
-        innovation[j] *= scale
-
-
-@compiled
-def _whiten(
-    transition: FloatArray, covariance: FloatArray, stacked: FloatArray, at_rest: BoolArray,
-    starts: IntArray, ends: IntArray, rotations: FloatArray, variances: FloatArray, white: float,
-    measured: int,
-) -> FloatArray:  # fmt: skip
-    n, columns = len(transition), stacked.shape[2]
-    rows = np.zeros((3 * len(stacked), columns))
-    used = 0
-    X, P, gain, spread = np.zeros((9, columns)), np.zeros((9, 9)), np.empty(9), np.empty(9)
-    # The initial velocity has the uncertainty of any measured one.
-    for i in range(3, 6):
-        P[i, i] = white
-    for epoch in range(n + 1):
-        if epoch > 0:
-            F = transition[epoch - 1]
-            _propagate(F, X)
-            _propagate(F, P)
-            for i in range(9):
-                for j in range(i):
-                    P[i, j], P[j, i] = P[j, i], P[i, j]
-            _propagate(F, P)
-            for i in range(6):
-                for j in range(6):
-                    P[i, j] += covariance[epoch - 1, i, j]
-            if at_rest[epoch - 1]:
-                for i in range(measured):
-                    variance = P[3 + i, 3 + i] + white
-                    for k in range(9):
-                        spread[k] = P[3 + i, k]
-                        gain[k] = P[k, 3 + i] / variance
-                    for j in range(columns):
-                        rows[used + i, j] = stacked[epoch - 1, i, j] - X[3 + i, j]
-                    _correct(X, P, rows[used + i], gain, spread, variance)
-                used += 3
-        if ends[epoch] >= 0:
-            for i in range(3):
-                for k in range(9):
-                    spread[k] = P[k, i] - P[k, 6 + i]
-                variance = spread[i] - spread[6 + i] + variances[ends[epoch], i]
-                for k in range(9):
-                    gain[k] = spread[k] / variance
-                for j in range(columns):
-                    rows[used, j] = stacked[n + ends[epoch], i, j] - X[i, j] + X[6 + i, j]
-                _correct(X, P, rows[used], gain, spread, variance)
-                used += 1
-        if starts[epoch] >= 0:
-            R = rotations[starts[epoch]]
-            for i in range(3):
-                for j in range(columns):
-                    X[6 + i, j] = R[i, 0] * X[0, j] + R[i, 1] * X[1, j] + R[i, 2] * X[2, j]
-                for j in range(9):
-                    P[6 + i, j] = R[i, 0] * P[0, j] + R[i, 1] * P[1, j] + R[i, 2] * P[2, j]
-            for i in range(3):
-                for j in range(9):
-                    P[j, 6 + i] = R[i, 0] * P[j, 0] + R[i, 1] * P[j, 1] + R[i, 2] * P[j, 2]
-    return rows[:used]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrobench.bench.bias.statistics import chi2_p_value
-from gyrobench.bench.calibration.information import IS_GYRO_SCALE, Information
+from gyrobench.bench.calibration.information import IS_GYRO_SCALE
 from gyrobench.bench.calibration.problem import UNEXPLAINED_P_VALUE, CalibrationProblem, Estimates
 from gyrobench.bench.calibration.strapdown import ASYMMETRIES
 from gyrobench.bench.foundations.arrays import FloatArray
@@ -122,8 +122,8 @@ def _contradiction(
     would hide the difference.
     """
     offset, options = np.zeros(3), replace(problem.options, whole_turns=None)
-    fixed = problem.sections, estimates.trajectories, estimates.common
-    others_information = Information.of(*fixed, problem.noise, problem.site, options)
+    without_turns = replace(problem, options=options)
+    others_information = without_turns.information(estimates.trajectories, estimates.common)
     sizes = others_information.sizes.copy()
     sizes[[index for index, each in enumerate(options.columns) if each >= ASYMMETRIES.start]] *= _FIXED_SIZE
     origin = np.zeros(len(estimates.values))

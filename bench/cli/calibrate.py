@@ -116,13 +116,13 @@ def calibrate(
         "map": {"file": str(map_path), "sha256": file_sha256(map_path)},
     }
     turns = options.whole_turns
-    spins = [] if turns is None else spin_scale_factors(calibration, site, turns)
+    spins = [] if turns is None else spin_scale_factors(calibration, turns)
     if body_frame == "gyros":
         calibration = calibration.in_gyro_frame()
     warnings = [caution] if (caution := log_map.calibrated.gravity_caution) else []
-    record = plain(calibration_record(calibration, site, spins, origin) | {"warnings": warnings})
+    record = plain(calibration_record(calibration, spins, origin) | {"warnings": warnings})
     paths = write_calibration(out, calibration, record) if out else []
-    summary = calibration_summary(calibration, site, spins, turns is not None, counts)
+    summary = calibration_summary(calibration, spins, turns is not None, counts)
     empty_logs = [
         f"Left out {path}: no sample" for path, log in zip(logs, read_results, strict=True) if not log.samples
     ]

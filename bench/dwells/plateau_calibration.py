@@ -107,7 +107,10 @@ class PlateauCalibration:
             return []
         inputs, dof = dict(self.inputs), math.inf
         if self.rotations is not None and self.rotations.calibration is not None:
-            noise, dof = vars(self.rotations.calibration.noise), float(self.rotations.calibration.fit.dof)
+            noise, dof = (
+                vars(self.rotations.calibration.problem.noise),
+                float(self.rotations.calibration.fit.dof),
+            )
             inputs |= {name: float(np.sqrt(np.mean(values**2))) for name, values in noise.items()}
         return [
             (

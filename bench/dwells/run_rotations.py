@@ -13,7 +13,7 @@ from gyrobench.bench.bias.plateaus import MAX_FROM_MEAN_K, plateau_key
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, CoefficientEstimate
 from gyrobench.bench.calibration.estimator import Calibration, calibrate, covariances_by_source
 from gyrobench.bench.calibration.increment_recording import IncrementRecording, Rest
-from gyrobench.bench.calibration.information import BIAS_DRIFT, CalibrationOptions, Information
+from gyrobench.bench.calibration.information import BIAS_DRIFT, CalibrationOptions
 from gyrobench.bench.calibration.rotation_list import STEP_S, ideal_increments
 from gyrobench.bench.calibration.spins import gravity_contradiction, spin_scale_factors
 from gyrobench.bench.characteristics.scale_factor import SpinRecord
@@ -68,7 +68,7 @@ class PlateauRotations:
         if self.calibration is None:
             return False
         is_hidden = "g_sensitivity" in self.calibration.site_covariances
-        return is_hidden or bool(self.calibration.options.g_sensitivity)
+        return is_hidden or bool(self.calibration.problem.options.g_sensitivity)
 
 
 class RunRotations:
@@ -143,10 +143,10 @@ def _calibrate_group(dwells: Sequence[RotatedDwell], setup: MeasurementSetup) ->
         calibration = _calibrate([piece for each in dwells for piece in each.pieces], setup.site, options)
         with_force = None
         if not all(each.has_vertical for each in calibration.recordings):
-            with_force = _with_force(calibration, setup.site)
+            with_force = _with_force(calibration)
     except MeasurementError as error:
         return replace(rotations, finding=_NO_COEFFICIENTS.format(error))
-    parts = covariances_by_source(calibration, setup.site)
+    parts = covariances_by_source(calibration)
     # Drop the increments and the parameters other than the coefficients, which are no longer needed.
     calibration = replace(
         calibration,
@@ -154,8 +154,8 @@ def _calibrate_group(dwells: Sequence[RotatedDwell], setup: MeasurementSetup) ->
         covariance=calibration.covariance[:COUNT, :COUNT],
         is_observed=calibration.is_observed[:COUNT],
         coefficients=COEFFICIENTS,
+        problem=replace(calibration.problem, sections=()),
         recordings=(),
-        sections=(),
         trajectories=(),
         parts=parts,
     )
@@ -188,7 +188,7 @@ def spin_record(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) 
         dwell = measure_rotations(marks, frames, setup)
         options = replace(_options(setup), whole_turns=None, g_sensitivity=False)
         calibration = _calibrate(dwell.pieces, setup.site, options)
-        scale_factors = spin_scale_factors(calibration, setup.site, setup.table_repeatability)
+        scale_factors = spin_scale_factors(calibration, setup.table_repeatability)
         if contradiction := gravity_contradiction(calibration, scale_factors):
             raise MeasurementError(contradiction)
     except MeasurementError as error:
@@ -218,13 +218,12 @@ def _calibrate(pieces: Sequence[IncrementRecording], site: Site, options: Calibr
     return calibrate(pieces, site, options)
 
 
-def _with_force(calibration: Calibration, site: Site) -> CoefficientEstimate:
+def _with_force(calibration: Calibration) -> CoefficientEstimate:
     """Estimate with the covariance it would have if the vertical specific force were measured."""
-    sections = [
-        replace(each, epochs=replace(each.epochs, has_vertical=True)) for each in calibration.sections
-    ]
-    fixed = calibration.trajectories, calibration.common, calibration.noise, site, calibration.options
-    information = Information.of(sections, *fixed)
+    problem = calibration.problem
+    sections = [replace(each, epochs=replace(each.epochs, has_vertical=True)) for each in problem.sections]
+    with_vertical = replace(problem, sections=sections)
+    information = with_vertical.information(calibration.trajectories, calibration.common)
     _, covariance, is_observed = information.solve()
     site_covariances = sum(part[:COUNT, :COUNT] for part in calibration.site_covariances.values())
     values = calibration.values[:COUNT]

@@ -46,7 +46,6 @@ _MIN_ASYMMETRY_SIGMAS = 0.3
 
 def calibration_summary(
     calibration: Calibration,
-    site: Site,
     spins: Sequence[SpinScaleFactor],
     has_whole_turns: bool,
     excluded_samples: tuple[int, int],
@@ -65,7 +64,7 @@ def calibration_summary(
         Text(f"Coefficients in the body frame of the {calibration.frame}", style="bold"),
         table,
         Text(),
-        topics([*_topics(calibration, site, excluded_samples), *spin_topics]),
+        topics([*_topics(calibration, excluded_samples), *spin_topics]),
     )
 
 
@@ -113,16 +112,14 @@ def _coefficient_cells(row: CoefficientRow) -> tuple[str, ...]:
     return *labels, f"{row.value:z.{decimals}f}", f"{row.sigma:.{decimals}f}"
 
 
-def _topics(
-    calibration: Calibration, site: Site, excluded_samples: tuple[int, int]
-) -> Iterator[tuple[str, str]]:
+def _topics(calibration: Calibration, excluded_samples: tuple[int, int]) -> Iterator[tuple[str, str]]:
     rests = rest_rates(calibration)
     kinds = Counter(turn.kind for turns in calibration.rotations for turn in turns)
     for each in calibration.findings:
         yield "Check", f"{each}."
     yield from _data_topics(calibration, rests, kinds, excluded_samples)
     yield from _input_topics(calibration)
-    yield from _rest_topics(rests, site)
+    yield from _rest_topics(rests, calibration.problem.site)
     yield "Fit", _fit_sentence(calibration)
     correlations = strongest_correlations(calibration, _MIN_CORRELATION)[:_MAX_CORRELATIONS]
     if correlations:
@@ -132,7 +129,7 @@ def _topics(
         ]
         yield "Correlated", "; ".join(texts)
     yield from (("Check", note) for note in common_scale_notes(calibration))
-    if text := _asymmetry_text(calibration, site):
+    if text := _asymmetry_text(calibration):
         yield "Asymmetry", text
     if text := _vibration_text(calibration):
         yield "Vibration", text
@@ -159,7 +156,7 @@ def _data_topics(
             f"{excluded_samples[0]} of {excluded_samples[1]} samples ({share:.2g} %): missing, not a number, "
             "repeated, or in a part with less than a minute at rest",
         )
-    noise = calibration.noise
+    noise = calibration.problem.noise
     yield (
         "Noise",
         f"x, y, z: angle random walk {_xyz_text(noise.angle_random_walk / DEG_PER_SQRT_H_TO_SI)} "
@@ -185,7 +182,7 @@ def _axes_text(calibration: Calibration) -> str:
 
 def _input_topics(calibration: Calibration) -> Iterator[tuple[str, str]]:
     """Contributions of the errors of gravity, time and latitude to the uncertainties."""
-    gravity, sigma = calibration.gravity_and_sigma
+    gravity, sigma = calibration.problem.gravity, calibration.problem.options.gravity_sigma
     yield (
         "Gravity",
         f"{gravity:.5f} ± {sigma:.1g} m/s^2: {1e6 * sigma / gravity:.2g} ppm of the accelerometer scale "
@@ -204,7 +201,7 @@ def _input_topics(calibration: Calibration) -> Iterator[tuple[str, str]]:
         variances = np.diag(calibration.site_covariances["latitude"])[:3][calibration.is_observed[:3]]
         yield (
             "Latitude",
-            f"± {calibration.options.latitude_sigma * RAD_TO_ARCMIN:.2g} arcmin: up to "
+            f"± {calibration.problem.options.latitude_sigma * RAD_TO_ARCMIN:.2g} arcmin: up to "
             f"{np.sqrt(variances.max()) * RADPS_TO_DPH:.2g} deg/h of the gyro biases, included",
         )
 
@@ -221,10 +218,10 @@ def _rest_topics(rests: Sequence[RestRate], site: Site) -> Iterator[tuple[str, s
         )
 
 
-def _asymmetry_text(calibration: Calibration, site: Site) -> str:
+def _asymmetry_text(calibration: Calibration) -> str:
     """Effect of an asymmetry of the gyro scale factors that is not estimated; empty if small."""
     is_observed = calibration.is_observed[:3]
-    bias_changes = 1e-6 * np.abs(bias_per_asymmetry(calibration, site))[is_observed]
+    bias_changes = 1e-6 * np.abs(bias_per_asymmetry(calibration))[is_observed]
     if not bias_changes.size:
         return ""
     largest_changes = bias_changes.max(axis=1)
@@ -244,7 +241,7 @@ def _vibration_text(calibration: Calibration) -> str:
     Vibration of two axes with rms angles a and b, a quarter period apart, turns the third by w a b; half the
     sample rate is the highest frequency w that samples show.
     """
-    white_angle = calibration.noise.white_angle
+    white_angle = calibration.problem.noise.white_angle
     coning_rates = (
         np.pi / calibration.recordings[0].interval_s * np.roll(white_angle, -1) * np.roll(white_angle, -2)
     )

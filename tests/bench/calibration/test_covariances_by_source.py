@@ -41,7 +41,7 @@ def test_parts_of_the_place_are_the_shifts_that_wrong_gravity_and_latitude_cause
     uncertain = replace(OPTIONS, latitude_sigma=wrong_latitude, gravity_sigma=wrong_gravity)
     recording = IncrementRecording(0.05, *NOISE.added(*increments, 0.05, np.random.default_rng(2)))
     found = calibrate([recording], SITE, uncertain)
-    parts = covariances_by_source(found, SITE)
+    parts = covariances_by_source(found)
     elsewhere = Site(SITE.latitude + wrong_latitude)
     exact = replace(OPTIONS, gravity_sigma=0.0)
     for name, site, gravity in (
@@ -59,7 +59,7 @@ def test_parts_of_the_place_are_the_shifts_that_wrong_gravity_and_latitude_cause
 
 def test_the_parts_add_up_to_the_covariance(increments, known_noise):
     found = found_in(increments, NOISE, 1)
-    parts = covariances_by_source(found, SITE)
+    parts = covariances_by_source(found)
     total = np.sum([np.diag(part) for part in parts.values()], axis=0)
     assert total == pytest.approx(np.diag(found.covariance), rel=1e-9)
     for part in parts.values():
@@ -74,7 +74,7 @@ def test_a_part_is_the_scatter_by_its_noise_alone(increments, known_noise, sourc
     alone = replace(NOISE, **nothing | {source: getattr(NOISE, source)})
     options = replace(OPTIONS, whole_turns=None)
     found = [found_in(increments, alone, seed, options) for seed in range(8)]
-    variances = np.diag(covariances_by_source(found_in(increments, NOISE, 1, options), SITE)[source])
+    variances = np.diag(covariances_by_source(found_in(increments, NOISE, 1, options))[source])
     values = np.array([each.values[:COUNT] for each in found])
     scatter = np.sum((values - values.mean(axis=0)) ** 2, axis=0) / (len(found) - 1)
     seen = variances > 1e-4 * np.diag(found[0].covariance)[:COUNT]

@@ -47,7 +47,7 @@ def measured(seed, excess):
     angle[turning, 2] *= 1.0 + excess(rate[turning])
     increments = Noise().added(angle, velocity, 0.05, np.random.default_rng(seed))
     found = calibrate([IncrementRecording(0.05, *increments)], SITE, OPTIONS)
-    (spun,) = spin_scale_factors(found, SITE, ARCSEC)
+    (spun,) = spin_scale_factors(found, ARCSEC)
     return found, spun
 
 
@@ -93,7 +93,7 @@ def test_what_the_table_does_not_return_by_is_no_error_of_the_gyro():
         np.outer(inner[0], [0.0, 0.0, 1.0])
     )
     found = calibrate([IncrementRecording(0.05, *increments, table=table)], SITE, OPTIONS)
-    (spun,) = spin_scale_factors(found, SITE, ARCSEC)
+    (spun,) = spin_scale_factors(found, ARCSEC)
     for value, sigma in (
         (spun.scale_factor_ppm, spun.sigma_ppm),
         (1e6 * found.values[11], 1e6 * found.sigmas[11]),
@@ -112,7 +112,7 @@ def test_turns_that_are_not_whole_contradict_gravity_where_a_gyro_is_spun_level(
     increments = Noise().added(*made.increments(), 0.05, np.random.default_rng(3))
     alone = CalibrationOptions(whole_turns=None)
     found = calibrate([IncrementRecording(0.05, *increments)], SITE, alone)
-    spun = spin_scale_factors(found, SITE, ARCSEC)
+    spun = spin_scale_factors(found, ARCSEC)
     contradiction = gravity_contradiction(found, spun)
     if table_ppm:
         assert "give a scale factor of 130.1 ppm against the table, and 30.0" in contradiction

@@ -285,8 +285,8 @@ def test_rotations_give_no_coefficients_with_a_wrong_period_of_the_increments(fo
 def test_navigation_output_that_is_rounded_counts_with_its_rounding(folder, setup):
     coarse = replace(setup, decode_increments=lambda _: None, heading_lsb_rad=8e-5, velocity_lsb_mps=0.01)
     [found] = calibrated([next(iter(rotated_dwells(folder)))], coarse)
-    assert found.calibration.noise.white_angle == pytest.approx(8e-5 / np.sqrt(12.0))
-    assert (found.calibration.noise.white_velocity >= 0.01 / np.sqrt(12.0)).all()
+    assert found.calibration.problem.noise.white_angle == pytest.approx(8e-5 / np.sqrt(12.0))
+    assert (found.calibration.problem.noise.white_velocity >= 0.01 / np.sqrt(12.0)).all()
 
 
 def test_a_temperature_that_changes_within_the_plateau_adds_the_slope_between_plateaus_times_its_range():
