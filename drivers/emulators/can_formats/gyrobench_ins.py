@@ -126,33 +126,23 @@ def _encode(
     ``velocity``, shape (m, 3), are the increments of the samples from ``first`` on; their frames follow those
     of an epoch at the same time. ``rounding_remainder``, shape (2, 3), is carried over to the next increment.
     """
-    for row in range(length.size):
-        length[row] = 8
     row = second = sent = 0
     for k in range(sample.size + 1):
         while sent < rotation.shape[0] and (k == sample.size or first + 1 + sent < sample[k]):
             time_s = epoch_unix_s + (first + 1 + sent) / SAMPLE_RATE_HZ
             time_s += (_SLOW_FRAMES + _FAST_FRAMES) * FRAME_S
-            for kind in range(2):
-                frame_s[row + kind] = time_s + kind * FRAME_S
-                identifier[row + kind] = _INCREMENT_IDS[kind]
-                increment = rotation[sent] if kind == 0 else velocity[sent]
-                number = (increment_counter + sent & 0xF) << 60
-                for i in range(3):
-                    value = increment[i] / _INCREMENT_LSB[kind] + rounding_remainder[kind, i]
-                    rounded = np.rint(value)
-                    rounding_remainder[kind, i] = value - rounded
-                    number |= (int(min(max(rounded, -_MAX_INCREMENT), _MAX_INCREMENT)) & 0xFFFFF) << 20 * i
-                _put_bits(data[row + kind], 0, 8, number)
+            _address(frame_s, identifier, length, row, time_s, _INCREMENT_IDS)
+            number = increment_counter + sent
+            _put_increment(data[row], rotation[sent], number, _INCREMENT_LSB[0], rounding_remainder[0])
+            _put_increment(data[row + 1], velocity[sent], number, _INCREMENT_LSB[1], rounding_remainder[1])
             row += 2
             sent += 1
         if k == sample.size:
             break
         time_s = epoch_unix_s + sample[k] / SAMPLE_RATE_HZ
         if sample[k] % SAMPLE_RATE_HZ == 0:
+            _address(frame_s, identifier, length, row, time_s, _SLOW_IDS)
             for index in range(_SLOW_FRAMES):
-                frame_s[row + index] = time_s + index * FRAME_S
-                identifier[row + index] = _SLOW_IDS[index]
                 for byte in range(8):
                     data[row + index, byte] = slow[8 * index + byte]
             _put_bits(data[row], 0, 4, sample[k] // SAMPLE_RATE_HZ)
@@ -166,9 +156,7 @@ def _encode(
             _put(data[row - 1], 6, 2, 100.0 * temperatures_c[second, 0])
             second += 1
             time_s += _SLOW_FRAMES * FRAME_S
-        for index in range(_FAST_FRAMES):
-            frame_s[row + index] = time_s + index * FRAME_S
-            identifier[row + index] = _FAST_IDS[index]
+        _address(frame_s, identifier, length, row, time_s, _FAST_IDS)
         _put(data[row], 0, 4, output[k, 0] * _VELOCITY_LSB_PER_MPS)
         _put(data[row], 4, 4, output[k, 1] * _VELOCITY_LSB_PER_MPS)
         _put(data[row + 1], 0, 4, output[k, 2] * _ANGLE_LSB_PER_RAD)
@@ -177,6 +165,32 @@ def _encode(
         _put_bits(data[row + 2], 4, 2, counter + k)
         data[row + 2, 6], data[row + 2, 7] = alignment, valid
         row += _FAST_FRAMES
+
+
+@compiled
+def _address(
+    frame_s: FloatArray, identifier: NDArray[np.uint32], length: NDArray[np.uint8], row: int, time_s: float,
+    ids: tuple[int, ...],
+) -> None:  # fmt: skip
+    """Set times, identifiers and lengths of successive frames from ``row`` on."""
+    for index in range(len(ids)):
+        frame_s[row + index] = time_s + index * FRAME_S
+        identifier[row + index] = ids[index]
+        length[row + index] = 8
+
+
+@compiled
+def _put_increment(
+    data: NDArray[np.uint8], increment: FloatArray, counter: int, lsb: float, remainder: FloatArray
+) -> None:
+    """Put an increment (3,), 20 bits for each axis, and the counter into the data of a frame."""
+    number = (counter & 0xF) << 60
+    for i in range(3):
+        value = increment[i] / lsb + remainder[i]
+        rounded = np.rint(value)
+        remainder[i] = value - rounded
+        number |= (int(min(max(rounded, -_MAX_INCREMENT), _MAX_INCREMENT)) & 0xFFFFF) << 20 * i
+    _put_bits(data, 0, 8, number)
 
 
 @compiled

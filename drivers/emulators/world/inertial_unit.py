@@ -230,6 +230,32 @@ def _restart(
 
 
 @compiled
+def _use_second(
+    state: FloatArray, sums: FloatArray, counts: IntArray, levelling_samples: int, latitude: float,
+    coarse_s: float, fine_s: float,
+) -> None:  # fmt: skip
+    """Add the sums of the second in progress to those of the alignment; restart the alignment on motion."""
+    limit = _MOTION_RADPS * _DT_S * counts[_SECOND] + _PULSES_RAD
+    if max(abs(sums[1, 0, 0]), abs(sums[1, 0, 1]), abs(sums[1, 0, 2])) > limit:
+        _restart(state, sums, counts, levelling_samples, latitude)
+    elif counts[_LEVELLING] > 0:
+        counts[_LEVELLING] -= counts[_SECOND]
+    else:
+        for i in range(3):
+            sums[0, 0, i] += sums[1, 0, i]
+            sums[0, 1, i] += sums[1, 1, i]
+        counts[_ALIGNED] += counts[_SECOND]
+        if counts[_ALIGNED] * _DT_S >= coarse_s:
+            counts[_ALIGNMENT] = _FINE if counts[_ALIGNED] * _DT_S >= fine_s else _COARSE
+            quaternion = gyrocompass(sums[0, 0], sums[0, 1])
+            for i in range(4):
+                state[i] = quaternion[i]
+    for i in range(3):
+        sums[1, 0, i] = sums[1, 1, i] = 0.0
+    counts[_SECOND] = 0
+
+
+@compiled
 def _align(
     state: FloatArray, sums: FloatArray, counts: IntArray, rotation: FloatArray, velocity: FloatArray,
     first_sample: int, every: int, levelling_samples: int, latitude: float, coarse_s: float, fine_s: float,
@@ -246,24 +272,7 @@ def _align(
     while used < n:
         into_second = (first_sample + used) % SAMPLE_RATE_HZ
         if into_second == 0:
-            limit = _MOTION_RADPS * _DT_S * counts[_SECOND] + _PULSES_RAD
-            if max(abs(sums[1, 0, 0]), abs(sums[1, 0, 1]), abs(sums[1, 0, 2])) > limit:
-                _restart(state, sums, counts, levelling_samples, latitude)
-            elif counts[_LEVELLING] > 0:
-                counts[_LEVELLING] -= counts[_SECOND]
-            else:
-                for i in range(3):
-                    sums[0, 0, i] += sums[1, 0, i]
-                    sums[0, 1, i] += sums[1, 1, i]
-                counts[_ALIGNED] += counts[_SECOND]
-                if counts[_ALIGNED] * _DT_S >= coarse_s:
-                    counts[_ALIGNMENT] = _FINE if counts[_ALIGNED] * _DT_S >= fine_s else _COARSE
-                    quaternion = gyrocompass(sums[0, 0], sums[0, 1])
-                    for i in range(4):
-                        state[i] = quaternion[i]
-            for i in range(3):
-                sums[1, 0, i] = sums[1, 1, i] = 0.0
-            counts[_SECOND] = 0
+            _use_second(state, sums, counts, levelling_samples, latitude, coarse_s, fine_s)
             if used and counts[_ALIGNMENT] != alignment:
                 break
             alignment = counts[_ALIGNMENT]
