@@ -233,7 +233,7 @@ def _print_separability(job: Job, target_dph: float, closure: Closure | None) ->
     from gyrobench.bench.closure.procedure_changes import ChangeablePlan, advise, advise_ties
     from gyrobench.bench.closure.separability import searched_dwells, separability
     from gyrobench.bench.closure.tie_forecast import measured_properties, tie_forecasts
-    from gyrobench.bench.report.figures.separability import separability_figure
+    from gyrobench.bench.report.figures.closure import separability_figure
     from gyrobench.bench.report.terminal.separability import closure_forecast, separability_summary
 
     unit, name = declared_properties(job.station), job.plan.procedure.procedure

@@ -12,7 +12,7 @@ from gyrobench.bench.investigation.stages import CALIBRATE, CONFIRM, TEST_LAW, I
 from gyrobench.bench.report import investigation_text as text
 from gyrobench.bench.report.closure_page import closure_sections
 from gyrobench.bench.report.closure_text import verdict_sentence
-from gyrobench.bench.report.figures.investigation import probability_figure
+from gyrobench.bench.report.figures.closure import probability_figure
 from gyrobench.bench.report.figures.verification import residual_bars_figure
 from gyrobench.bench.report.page import Findings, Section, SectionFigure, SectionTable, write_findings
 from gyrobench.bench.report.run_content import approvals_in

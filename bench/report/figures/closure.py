@@ -1,4 +1,4 @@
-"""Figures of a search for effects: residuals, evidence, effects, held-out errors."""
+"""Figures of effects: a search for them, their separability in a plan, an investigation."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from textwrap import fill
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.patches import Rectangle
 
 from gyrobench.bench.closure.outcome import Closure, FoundEffect
 from gyrobench.bench.closure.search import EFFECT_SIGNIFICANCE
@@ -16,6 +17,7 @@ from gyrobench.bench.report.closure_text import held_out_cycles, is_noise_only, 
 from gyrobench.bench.report.figures.style import (
     GYRO_STYLES,
     common_legend,
+    fitted_figure,
     house_style,
     label_empty,
     new_figure,
@@ -26,6 +28,9 @@ from gyrobench.bench.report.number_format import BiasScale, p_phrase, share_text
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from gyrobench.bench.closure.separability import Separability
+    from gyrobench.bench.investigation.stages import Investigation
 
 #: Colours of bars before and after, and of candidates that are found, tied, or neither.
 _BEFORE_COLOUR, _AFTER_COLOUR = "#AAAAAA", "#0072B2"
@@ -43,6 +48,15 @@ _LABEL_WIDTH = 32
 #: Line length, in characters, of a note beside the bars of candidates.
 _NOTE_WIDTH = 68
 _BINS_C, _MAX_BINS = (5.0, 10.0, 20.0, 50.0), 12
+#: Separability: correlation above which its text is white, and height of a row.
+_MIN_WHITE_TEXT_VALUE, _ROW_INCHES = 0.6, 0.42
+#: Investigation: colours of the curves of effects, smallest probability drawn, other hypotheses.
+_CURVE_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+_MIN_DRAWN_PROBABILITY = 0.02
+_OTHER_HYPOTHESES = {
+    "nothing": ("nothing beyond the declared model", "#888888"),
+    "": ("not on the list", "#222222"),
+}
 
 
 def _draw_dwells(
@@ -298,3 +312,98 @@ def _draw_bars(axes: Axes, closure: Closure, groups: dict[str, BoolArray], scale
     axes.hlines(noise, positions - 0.45, positions + 0.45, color=_NOISE_COLOUR, linewidth=1.4, label="noise")
     axes.set_xticks(positions, list(groups), fontsize=7)
     axes.grid(visible=False, axis="x")
+
+
+@house_style
+def separability_figure(separability: Separability, target_dph: float, name: str) -> Figure:
+    """Draw the correlations of effects; pairs not distinguished at the target size (rms) are framed."""
+    names = [each.effect.name for each in separability.detections if each.missing_input is None]
+    figure = fitted_figure(2.0 + _ROW_INCHES * max(len(names), 3))
+    axes = figure.subplots()
+    axes.grid(False)
+    axes.set_title(f"Correlation of effects in {name}")
+    if len(names) < 2:
+        axes.set_axis_off()
+        label_empty(axes, "fewer than two observable effects")
+        return figure
+    values = np.array(
+        [[separability.correlation.get((row, column), 1.0) for column in names] for row in names]
+    )
+    image = axes.imshow(values, vmin=0.0, vmax=1.0, cmap="Blues", aspect="auto")
+    labels = [*map(separability.label, names)]
+    axes.set_xticks(range(len(names)), labels, rotation=35, ha="right", rotation_mode="anchor")
+    axes.set_yticks(range(len(names)), labels)
+    axes.spines[:].set_visible(False)
+    axes.tick_params(length=0)
+    framed = {
+        pair
+        for row_name, column_name in separability.not_distinguished(target_dph)
+        for pair in ((row_name, column_name), (column_name, row_name))
+    }
+    for row, row_name in enumerate(names):
+        for column, column_name in enumerate(names):
+            if row == column:
+                continue
+            colour = "white" if values[row, column] > _MIN_WHITE_TEXT_VALUE else "black"
+            axes.text(
+                column, row, f"{values[row, column]:.2f}", ha="center", va="center", color=colour, fontsize=7
+            )
+            if (row_name, column_name) in framed:
+                frame = Rectangle((column - 0.46, row - 0.44), 0.92, 0.88, fill=False)
+                frame.set(edgecolor="#D55E00", linewidth=1.6)
+                axes.add_patch(frame)
+    figure.colorbar(image, ax=axes, label="largest canonical correlation of any gyro", fraction=0.04)
+    found_count = len(set(names) - set(separability.not_found(target_dph)))
+    axes.set_xlabel(
+        f"{found_count} of {len(names)} effects are found at {target_dph:g} deg/h rms\n"
+        "framed: not distinguished from one of these"
+    )
+    return figure
+
+
+@house_style
+def probability_figure(investigation: Investigation) -> Figure:
+    """Draw the probabilities of each effect, of no effect and of an unlisted effect over bench hours."""
+    hours = [stage.spent_h for stage in investigation.stages]
+    posteriors = [stage.closure.posterior for stage in investigation.stages]
+    probabilities = [
+        each.effect_probabilities | {"nothing": each.no_effect_probability, "": each.unlisted_probability}
+        for each in posteriors
+    ]
+    curves = {
+        name: [each.get(name, 0.0) for each in probabilities]
+        for stage_probabilities in probabilities
+        for name in stage_probabilities
+    }
+    figure = fitted_figure(3.4)
+    axes = figure.subplots()
+    names = sorted(
+        (each for each in curves if max(curves[each]) > _MIN_DRAWN_PROBABILITY),
+        key=lambda each: -max(curves[each]),
+    )
+    colours = iter(_CURVE_COLOURS)
+    for name in names:
+        label, colour = _OTHER_HYPOTHESES.get(name, (investigation.closure.label(name), ""))
+        axes.plot(
+            hours,
+            curves[name],
+            marker="o",
+            markersize=4,
+            label=label,
+            color=colour or next(colours, "#AAAAAA"),
+        )
+    axes.axhline(0.99, color="#888888", linewidth=0.8, linestyle=":")
+    for block_number, (stage, after) in enumerate(
+        zip(investigation.stages[:-1], investigation.stages[1:], strict=True), start=1
+    ):
+        tint = "#EEEEEE" if block_number % 2 else "#FAFAFA"
+        axes.axvspan(stage.spent_h, after.spent_h, color=tint, linewidth=0.0, zorder=0)
+        middle = 0.5 * (stage.spent_h + after.spent_h)
+        axes.annotate(str(block_number), (middle, 1.04), ha="center", fontsize=7, annotation_clip=False)
+    if investigation.spent_h > 0.5 * investigation.repeated_campaign_h:
+        axes.axvline(
+            investigation.repeated_campaign_h, color="#888888", linewidth=0.8, label="campaign repeated"
+        )
+    axes.set(xlabel="hours on the bench since the first table", ylabel="probability", ylim=(-0.02, 1.02))
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure
