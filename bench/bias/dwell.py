@@ -19,7 +19,7 @@ MIN_EPOCHS = 30
 MIN_DURATION = 55.0
 #: Longest time between two epochs: this multiple of the median interval, or this time in s if that is longer.
 #: Velocity and heading are integrals, which lose nothing in a gap.
-MAX_GAP_EPOCHS, MAX_GAP_S = 5.5, 2.0
+_MAX_GAP_EPOCHS, _MAX_GAP_S = 5.5, 2.0
 _SLOT_TOLERANCE = 1e-3
 #: Largest angle between the attitude of the INS and that of the table, rad.
 MAX_ATTITUDE_DISAGREEMENT = np.deg2rad(5.0)
@@ -243,7 +243,7 @@ def _check_times(time_s: FloatArray) -> None:
             "Lengthen the dwell"
         )
     widest = int(np.argmax(interval))
-    if interval[widest] > max(MAX_GAP_EPOCHS * np.median(interval), MAX_GAP_S):
+    if interval[widest] > max(_MAX_GAP_EPOCHS * np.median(interval), _MAX_GAP_S):
         raise MeasurementError(
             f"nothing from the INS for {interval[widest]:.3f} s after {time_s[widest]:.3f} s, where an epoch "
             f"is expected every {np.median(interval):.3f} s. {_CHECK_INS}"

@@ -238,8 +238,8 @@ class CalibrationProblem:
         """Problem and solution with gyro biases that follow the specific force, and a note about them.
 
         Unchanged and without a note if these do not explain the residuals, if noise or another latitude may
-        explain them, or if they are larger than those of a ring laser gyro. Raises MeasurementError as
-        :meth:`check_alternatives`.
+        explain them, or if they are larger than those of a ring laser gyro. Raises MeasurementError if
+        a mistake in the map explains the residuals.
         """
         with_sensitivity = replace(self, options=replace(self.options, g_sensitivity=True))
         other = _explaining_solution(with_sensitivity, estimates)
@@ -257,7 +257,7 @@ class CalibrationProblem:
         )
         if is_implausible:
             return self, estimates, ""
-        self.check_alternatives(estimates, self._solutions_at_other_intervals(estimates))
+        self._check_alternatives(estimates, self._solutions_at_other_intervals(estimates))
         latitude = self.at_estimated_latitude(estimates)
         if latitude is not None and _explaining_solution(latitude, estimates) is not None:
             return self, estimates, ""
@@ -291,10 +291,10 @@ class CalibrationProblem:
     def explanation(self, estimates: Estimates) -> str:
         """Advice: an alternative that would explain a misfit, or reduce it.
 
-        Raises MeasurementError as :meth:`check_alternatives`.
+        Raises MeasurementError if a mistake in the map explains it.
         """
         retimed = self._solutions_at_other_intervals(estimates)
-        self.check_alternatives(estimates, retimed)
+        self._check_alternatives(estimates, retimed)
         alternatives = [
             (problem, f"{description} (gyrobench calibrate {option})", _solution(problem))
             for chosen, description, option in _EXPLANATIONS
@@ -367,7 +367,7 @@ class CalibrationProblem:
             return None
         return replace(self, site=replace(self.site, latitude=latitude))
 
-    def check_alternatives(
+    def _check_alternatives(
         self, estimates: Estimates, retimed: Sequence[tuple[CalibrationProblem, Estimates | None]]
     ) -> None:
         """Raise MeasurementError if a mistake in the map explains what the noise does not.

@@ -111,7 +111,7 @@ class IncrementSection:
         east /= norm
         return np.stack([east, np.cross(up, east), up])
 
-    def corrected_increments(
+    def _corrected_increments(
         self, errors: SensorErrors, common: FloatArray | None
     ) -> tuple[FloatArray, FloatArray]:
         """Increments (k, 3) corrected for sensor errors and the optional parameters in ``common`` (46,)."""
@@ -147,7 +147,7 @@ class IncrementSection:
         """
         errors, angle, velocity = SensorErrors.from_vector(common[:COUNT]), self.angle, self.velocity
         if are_corrected := any(COUNT <= each < ATTITUDE.start for each in columns):
-            angle, velocity = self.corrected_increments(errors, common)
+            angle, velocity = self._corrected_increments(errors, common)
         site = latitude, gravity
         ends = self.epochs.ends
         return integrate_increments(
@@ -174,7 +174,7 @@ class IncrementSection:
 
     def spin_errors(self, start: FloatArray, common: FloatArray, site: Site) -> list[SpinError]:
         """Residual angle of each spin for these parameters; spins oblique to a gyro axis are skipped."""
-        angle, _ = self.corrected_increments(SensorErrors.from_vector(common[:COUNT]), common)
+        angle, _ = self._corrected_increments(SensorErrors.from_vector(common[:COUNT]), common)
         attitude = attitudes(angle, self.interval_s, self.epochs.ends, start, site.latitude)
         edges, errors = np.concatenate([[0], self.epochs.ends]), []
         for a, b, table_turn in self.epochs.spins:

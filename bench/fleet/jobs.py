@@ -149,7 +149,7 @@ RECORD = "fleet.json"
 _MAX_BYTES = 500_000_000
 
 
-class RunEntry(BaseModel):
+class _RunEntry(BaseModel):
     """Outcome of one run; ``inputs`` as of :func:`inputs_of`."""
 
     state: JobState
@@ -161,7 +161,7 @@ class RunEntry(BaseModel):
 class _RecordContent(BaseModel):
     kind: JobKind
     gyrobench: str
-    runs: dict[str, RunEntry]
+    runs: dict[str, _RunEntry]
 
 
 @dataclass
@@ -170,7 +170,7 @@ class FleetRecord:
 
     kind: JobKind  #: The job.
     folder: Path  #: Folder of the record.
-    runs: dict[str, RunEntry] = field(default_factory=dict)  #: By run folder.
+    runs: dict[str, _RunEntry] = field(default_factory=dict)  #: By run folder.
 
     def pending(self, paths: list[Path]) -> list[Path]:
         """Runs that are new, failed, or have changed since they were processed."""
@@ -178,7 +178,7 @@ class FleetRecord:
 
     def add(self, result: JobResult) -> None:
         """Add an outcome; :meth:`write` saves it."""
-        self.runs[result.path] = RunEntry(
+        self.runs[result.path] = _RunEntry(
             state=result.state,
             text=result.text,
             took_s=round(result.took_s, 3),

@@ -172,7 +172,7 @@ class _WindowRecorder:
         return WindowTrace(self._planned_s, time_s, east, north, heading_deg)
 
 
-class DwellTrace:
+class _DwellTrace:
     """Records the current dwell; ``planned``: step of its alignment, ``count``: number of planned dwells."""
 
     def __init__(self, planned: PlannedStep, count: int) -> None:
@@ -246,7 +246,7 @@ class SnapshotRecorder(RunObserver):
         self._unit = ""
         self._left_s = plan.duration_s
         self._step: CurrentStep | None = None
-        self._dwell: DwellTrace | None = None
+        self._dwell: _DwellTrace | None = None
         self._position, self._azimuth_deg = "", math.nan
         self._has_new_dwell = True
         self._dwells: tuple[SnapshotDwell, ...] = ()
@@ -357,7 +357,7 @@ class SnapshotRecorder(RunObserver):
         if planned.dwell is None:
             self._dwell = None
         elif isinstance(planned.step, Align):
-            self._dwell = DwellTrace(planned, self._plan.dwell_count)
+            self._dwell = _DwellTrace(planned, self._plan.dwell_count)
         elif self._dwell:
             self._dwell.end_window()
             if isinstance(planned.step, Navigate):

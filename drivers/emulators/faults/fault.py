@@ -108,7 +108,7 @@ class FaultyCan:
 
 Count = Annotated[int, Field(ge=1)]
 #: Mean spacing, s; the minimum limits the computing time of a run.
-Spacing = Annotated[float, Field(ge=1.0)]
+_Spacing = Annotated[float, Field(ge=1.0)]
 #: Phase of the emulated bench, determined from the state of the world.
 BenchPhase = Literal["power_on", "align", "navigate", "turn", "ramp"]
 #: Function that ends a fault; None if it ends by itself.
@@ -131,7 +131,7 @@ class Timing(StrictModel):
     persistence: ClassVar[Persistence] = Persistence.PERMANENT
 
     at_s: NotNegative | None = Field(None, description="time on the bench's clock, s")
-    every_s: Spacing | None = Field(None, description="mean spacing of random times, from the seed, s")
+    every_s: _Spacing | None = Field(None, description="mean spacing of random times, from the seed, s")
     from_s: NotNegative = Field(0.0, description="with every_s: not before this time, s")
     during: BenchPhase | None = Field(None, description="phase of the bench")
     after_s: NotNegative = Field(0.0, description="with during: delay from the start of the phase, s")
