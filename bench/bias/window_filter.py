@@ -207,37 +207,12 @@ def whiten(
     gains, scales = np.empty((measured.shape[0], 3, 6)), np.empty((measured.shape[0], 3))
     propagated, before = np.empty((6, COLUMN_COUNT)), np.empty((6, 6))
     for k in range(measured.shape[0]):
-        transition, response = transitions[k], responses[k]
-        for i in range(6):
-            for c in range(COLUMN_COUNT):
-                propagated[i, c] = 0.0
-            for j in range(6):
-                factor = transition[i, j]
-                for c in range(COLUMN_COUNT):
-                    propagated[i, c] += factor * columns[j, c]
-            for j in range(INPUTS):
-                propagated[i, INPUT + j] += response[i, j]
-                for c in range(DATA - SLOPE):
-                    propagated[i, SLOPE + c] += response[i, j] * varying_inputs[k, j, c]
-        # Numba takes seconds to compile the assignment of a whole array.
-        for i in range(6):
-            for c in range(COLUMN_COUNT):
-                columns[i, c] = propagated[i, c]
-        # Numba's matrix product would import scipy.linalg.
-        for i in range(6):
-            for j in range(6):
-                before[i, j] = 0.0
-                for m in range(6):
-                    before[i, j] += transition[i, m] * covariance[m, j]
-        for i in range(6):
-            for j in range(6):
-                covariance[i, j] = covariances[k, i, j]
-                for m in range(6):
-                    covariance[i, j] += before[i, m] * transition[j, m]
+        _propagate_columns(columns, transitions, responses, varying_inputs, k, propagated)
+        _propagate_covariance(covariance, transitions, covariances, k, before)
         for m in range(3):
             h = MEASURED_STATES[m]
             variance = covariance[h, h] + variances[m]
-            gain, row = gains[k, m], rows[k, m]
+            gain, row, scale = gains[k, m], rows[k, m], 1.0 / np.sqrt(variance)
             for i in range(6):
                 gain[i] = covariance[h, i] / variance
             for c in range(COLUMN_COUNT):
@@ -250,8 +225,49 @@ def whiten(
                     columns[i, c] -= gain[i] * row[c]
                 for j in range(6):
                     covariance[i, j] -= gain[i] * gain[j] * variance
-            scale = 1.0 / np.sqrt(variance)
             scales[k, m] = scale
             for c in range(COLUMN_COUNT):
                 row[c] *= scale
     return rows, gains, scales
+
+
+@compiled
+def _propagate_columns(
+    columns: FloatArray, transitions: FloatArray, responses: FloatArray, varying_inputs: FloatArray, k: int,
+    propagated: FloatArray,
+) -> None:  # fmt: skip
+    """Propagate the columns (6, c) over interval k; ``propagated`` has the same shape, for the calculation."""
+    for i in range(6):
+        for c in range(COLUMN_COUNT):
+            propagated[i, c] = 0.0
+        for j in range(6):
+            factor = transitions[k, i, j]
+            for c in range(COLUMN_COUNT):
+                propagated[i, c] += factor * columns[j, c]
+        for j in range(INPUTS):
+            response = responses[k, i, j]
+            propagated[i, INPUT + j] += response
+            for c in range(DATA - SLOPE):
+                propagated[i, SLOPE + c] += response * varying_inputs[k, j, c]
+    # Numba takes seconds to compile the assignment of a whole array.
+    for i in range(6):
+        for c in range(COLUMN_COUNT):
+            columns[i, c] = propagated[i, c]
+
+
+@compiled
+def _propagate_covariance(
+    covariance: FloatArray, transitions: FloatArray, covariances: FloatArray, k: int, before: FloatArray
+) -> None:
+    """Propagate the covariance (6, 6) over interval k; ``before`` has the same shape, for the calculation."""
+    # Numba's matrix product would import scipy.linalg.
+    for i in range(6):
+        for j in range(6):
+            before[i, j] = 0.0
+            for m in range(6):
+                before[i, j] += transitions[k, i, m] * covariance[m, j]
+    for i in range(6):
+        for j in range(6):
+            covariance[i, j] = covariances[k, i, j]
+            for m in range(6):
+                covariance[i, j] += before[i, m] * transitions[k, j, m]
