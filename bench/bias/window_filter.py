@@ -236,7 +236,7 @@ def _propagate_columns(
     columns: FloatArray, transitions: FloatArray, responses: FloatArray, varying_inputs: FloatArray, k: int,
     propagated: FloatArray,
 ) -> None:  # fmt: skip
-    """Propagate the columns (6, c) over interval k; ``propagated`` has the same shape, for the calculation."""
+    """Propagate the columns (6, c) over interval k; ``propagated`` (6, c): for the calculation."""
     for i in range(6):
         for c in range(COLUMN_COUNT):
             propagated[i, c] = 0.0
@@ -259,7 +259,7 @@ def _propagate_columns(
 def _propagate_covariance(
     covariance: FloatArray, transitions: FloatArray, covariances: FloatArray, k: int, before: FloatArray
 ) -> None:
-    """Propagate the covariance (6, 6) over interval k; ``before`` has the same shape, for the calculation."""
+    """Propagate the covariance (6, 6) over interval k; ``before`` (6, 6): for the calculation."""
     # Numba's matrix product would import scipy.linalg.
     for i in range(6):
         for j in range(6):
