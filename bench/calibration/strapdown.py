@@ -44,6 +44,9 @@ PARAMETER_COUNT = COUNT + len(OPTIONAL_PARAMETERS)
 ATTITUDE, DRIFT = slice(PARAMETER_COUNT, PARAMETER_COUNT + 3), slice(PARAMETER_COUNT + 3, PARAMETER_COUNT + 6)
 LATITUDE = PARAMETER_COUNT + 6
 _ALL = tuple(range(LATITUDE))
+#: First columns of the gyro matrix, of the biases and the lower triangle of the matrix of the accelerometers,
+#: and of optional parameters: kernels know no slices.
+_FIRST_GYRO_ELEMENT, _FIRST_FORCE_BIAS, _FIRST_FORCE_ELEMENT = 3, 12, 15
 _FIRST_QUADRATIC, _FIRST_G_SENSITIVITY = QUADRATIC.start, G_SENSITIVITIES.start
 _FIRST_ASYMMETRY, _FIRST_DRIFT = ASYMMETRIES.start, DRIFT.start
 _ROWS, _COLUMNS = LOWER
@@ -108,6 +111,11 @@ def _integrate(
     latitude_response: FloatArray, gravity: float, columns: IntArray, attitudes: FloatArray,
     integrals: FloatArray, responses: FloatArray,
 ) -> None:  # fmt: skip
+    """Integrate from ``attitudes[0]`` and ``responses[0]``; writes the states at the ends of the epochs.
+
+    ``correction``, ``error_correction`` (2, 3, 4): of the increments, and of the sensors' errors;
+    ``earth``, ``half`` (s, 3, 3): the Earth's rotation in 0, 1, ... samples, and half of it.
+    """
     C, begin = attitudes[0].copy(), attitudes[0].copy()
     u, angles, sums = np.zeros(3), np.zeros(3), np.zeros((5, 3))
     response, drive = responses[0].copy(), np.zeros((6, LATITUDE + 1))
@@ -229,7 +237,7 @@ def _set_gyro_drive(
             is_turning = angle > ASYMMETRY_RATE * length_s
             drive[i, _FIRST_ASYMMETRY + sensor] = 0.5 * axes[i, sensor] * angle if is_turning else 0.0
             for j in range(3):
-                drive[i, 3 + 3 * sensor + j] = axes[i, sensor] * angles[j]
+                drive[i, _FIRST_GYRO_ELEMENT + 3 * sensor + j] = axes[i, sensor] * angles[j]
                 drive[i, _FIRST_G_SENSITIVITY + 3 * sensor + j] = (
                     middle[i, sensor] * middle[2, j] * gravity_change
                 )
@@ -243,12 +251,13 @@ def _set_force_drive(
     """Set errors of the velocity over an interval by the parameters of the accelerometers."""
     for i in range(3):
         for sensor in range(3):
-            drive[3 + i, 12 + sensor] = axes[i, sensor] * length_s
+            drive[3 + i, _FIRST_FORCE_BIAS + sensor] = axes[i, sensor] * length_s
             drive[3 + i, _FIRST_QUADRATIC + sensor] = middle[i, sensor] * sums[1, sensor]
             for j in range(3):
                 drive[3 + i, COUNT + 3 * sensor + j] = middle[i, sensor] * sums[2 + sensor, j]
         for number in range(6):
-            drive[3 + i, 15 + number] = axes[i, _ROWS[number]] * middle[2, _COLUMNS[number]] * gravity_change
+            sensor, j = _ROWS[number], _COLUMNS[number]
+            drive[3 + i, _FIRST_FORCE_ELEMENT + number] = axes[i, sensor] * middle[2, j] * gravity_change
         drive[3 + i, DELAY] = -(
             middle[i, 0] * sums[0, 0] + middle[i, 1] * sums[0, 1] + middle[i, 2] * sums[0, 2]
         )
