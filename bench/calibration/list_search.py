@@ -36,7 +36,7 @@ from gyrobench.bench.calibration.rotation_list import (
     motion,
 )
 from gyrobench.bench.calibration.strapdown import ATTITUDE, QUADRATIC
-from gyrobench.bench.calibration.whitening import epoch_steps
+from gyrobench.bench.calibration.whitening import epoch_steps, propagate
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.kernels import compiled
@@ -327,9 +327,9 @@ def _filter(
                 P[a, 6 + i] = P[a, i]
     is_turned = not is_spin
     for epoch in range(len(transition)):
-        _propagate(transition[epoch], Z)
-        _propagate(transition[epoch], P)
-        _propagate(transition[epoch], P.T)
+        propagate(transition[epoch], Z)
+        propagate(transition[epoch], P)
+        propagate(transition[epoch], P.T)
         for i in range(6):
             for a in range(Z.shape[1]):
                 Z[i, a] += drive[epoch, i, a]
@@ -344,19 +344,6 @@ def _filter(
             for i in range(3):
                 spread = P[:, i] - P[:, 6 + i]
                 _update(Z[i] - Z[6 + i], spread, spread[i] - spread[6 + i] + turn, Z, P, information)
-
-
-@compiled
-def _propagate(transition: FloatArray, rows: FloatArray) -> None:
-    """Multiply the first six rows by a transition, in place."""
-    propagated = np.empty(6)
-    for a in range(rows.shape[1]):
-        for i in range(6):
-            propagated[i] = 0.0
-            for j in range(6):
-                propagated[i] += transition[i, j] * rows[j, a]
-        for i in range(6):
-            rows[i, a] = propagated[i]
 
 
 @compiled

@@ -170,19 +170,19 @@ def _whiten(
 @compiled
 def _advance(X: FloatArray, P: FloatArray, transition: FloatArray, covariance: FloatArray) -> None:
     """Propagate states and their covariance over an epoch."""
-    _propagate(transition, X)
-    _propagate(transition, P)
+    propagate(transition, X)
+    propagate(transition, P)
     for i in range(9):
         for j in range(i):
             P[i, j], P[j, i] = P[j, i], P[i, j]
-    _propagate(transition, P)
+    propagate(transition, P)
     for i in range(6):
         for j in range(6):
             P[i, j] += covariance[i, j]
 
 
 @compiled
-def _propagate(F: FloatArray, X: FloatArray) -> None:
+def propagate(F: FloatArray, X: FloatArray) -> None:
     """Multiply the first six rows of ``X`` by ``F`` (6, 6), whose upper right block is zero, in place."""
     for j in range(X.shape[1]):
         a, b, c = X[0, j], X[1, j], X[2, j]
