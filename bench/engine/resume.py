@@ -11,7 +11,7 @@ from types import MappingProxyType
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.engine.damage import Damage, find_damage
 from gyrobench.bench.engine.job import Job, read_job
-from gyrobench.bench.engine.resume_state import REPEAT, ResumeState, resume_state_of
+from gyrobench.bench.engine.resume_state import REPEAT, ResumeState
 from gyrobench.bench.foundations.clock import RESUME_STEP_S, Clock, VirtualClock, WallClock
 from gyrobench.bench.foundations.errors import (
     DocumentError,
@@ -310,7 +310,7 @@ def _read_one(
     if repeat:
         entries.append({"time_s": 0.0, "event": REPEAT, "dwells": repeat})
     try:
-        progress = resume_state_of(entries, plan)
+        progress = ResumeState.of_journal(entries, plan)
     except RunFolderError as error:
         raise RunFolderError(f"{folder.journal}: {error}") from error
     if not has_dwells:

@@ -51,6 +51,26 @@ class ResumeState:
     #: The operator's decision on each compensation found in the INS.
     stored_compensation_answers: dict[str, str] = field(default_factory=dict)
 
+    @classmethod
+    def of_journal(cls, entries: Iterable[Mapping[str, Any]], plan: Plan) -> ResumeState:
+        """Read the progress of a run from its journal.
+
+        A dwell without an end although later steps are finished is lost. Raises RunFolderError if the journal
+        does not belong to this plan.
+        """
+        state = cls()
+        for entry in entries:
+            try:
+                state._add(entry, plan)
+            except (KeyError, TypeError, ValueError, OverflowError) as error:
+                raise RunFolderError(
+                    f"the entry {entry.get('event')!r} at {entry.get('time_s')!r} s does not belong to "
+                    f"this procedure: {error}"
+                ) from error
+        passed_dwells = {planned.dwell for planned in plan.steps[: state.next_index] if planned.dwell}
+        state.lost |= passed_dwells - state.finished - state.skipped
+        return state
+
     def is_over(self, plan: Plan) -> bool:
         """Whether every step of the plan is finished."""
         return self.resume_index(plan) >= len(plan.steps)
@@ -166,26 +186,6 @@ class ResumeState:
         if next_index > self.next_index:
             self.next_index = next_index
             self.resumes_without_progress = 0
-
-
-def resume_state_of(entries: Iterable[Mapping[str, Any]], plan: Plan) -> ResumeState:
-    """Read the progress of a run from its journal.
-
-    A dwell without an end although later steps are finished is lost. Raises RunFolderError if the journal
-    does not belong to this plan.
-    """
-    state = ResumeState()
-    for entry in entries:
-        try:
-            state._add(entry, plan)  # noqa: SLF001 - its own module
-        except (KeyError, TypeError, ValueError, OverflowError) as error:
-            raise RunFolderError(
-                f"the entry {entry.get('event')!r} at {entry.get('time_s')!r} s does not belong to "
-                f"this procedure: {error}"
-            ) from error
-    passed_dwells = {planned.dwell for planned in plan.steps[: state.next_index] if planned.dwell}
-    state.lost |= passed_dwells - state.finished - state.skipped
-    return state
 
 
 def _time_s(entry: Mapping[str, Any]) -> float:

@@ -16,7 +16,7 @@ from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
 from gyrobench.bench.bias.verdicts import read_acceptance
 from gyrobench.bench.engine.resume import NO_END_RECORDED
-from gyrobench.bench.engine.resume_state import resume_state_of
+from gyrobench.bench.engine.resume_state import ResumeState
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
 from gyrobench.bench.monitor.snapshot import (
@@ -164,7 +164,7 @@ def _station_and_plan(folder: RunFolder) -> tuple[Station | None, Plan | None]:
 def _left_s(plan: Plan, journal: Sequence[Entry]) -> float:
     """Planned time remaining; the whole duration if the journal does not match the plan."""
     try:
-        resume_state = resume_state_of(journal, plan)
+        resume_state = ResumeState.of_journal(journal, plan)
     except RunFolderError:
         return plan.duration_s
     return 0.0 if resume_state.is_over(plan) else resume_state.remaining_plan(plan).duration_s

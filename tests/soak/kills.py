@@ -27,7 +27,7 @@ from gyrobench.bench.dwells.measurement_setup import measurement_setup
 from gyrobench.bench.dwells.run_dwells import measure_recorded
 from gyrobench.bench.engine.job import Job, prepare_job
 from gyrobench.bench.engine.resume import prepare_resumption
-from gyrobench.bench.engine.resume_state import resume_state_of
+from gyrobench.bench.engine.resume_state import ResumeState
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.procedure.procedure_file import STEP_KINDS
 from gyrobench.bench.runs.can_log import read_can_log
@@ -158,7 +158,11 @@ class KilledRun:
     def _ahead(self) -> list[str]:
         """Kinds of the next steps; all of them where nothing is done yet."""
         journal, steps = self._path / "journal.jsonl", self._job.plan.steps
-        done = resume_state_of(read_journal(journal), self._job.plan).next_index if journal.exists() else 0
+        done = (
+            ResumeState.of_journal(read_journal(journal), self._job.plan).next_index
+            if journal.exists()
+            else 0
+        )
         return [planned.step.name for planned in (steps[done : done + _NEXT_STEPS] if done else steps)]
 
     def _attempt(self, aim: str | None) -> int | None:

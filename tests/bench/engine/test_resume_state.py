@@ -5,7 +5,7 @@ import math
 import pytest
 
 from gyrobench.bench.engine.job import prepare_job
-from gyrobench.bench.engine.resume_state import UNKNOWN_CHECKSUM, resume_state_of
+from gyrobench.bench.engine.resume_state import UNKNOWN_CHECKSUM, ResumeState
 from gyrobench.bench.foundations.errors import RunFolderError
 
 
@@ -28,7 +28,7 @@ def entries(plan):
 
 
 def test_a_valid_journal_gives_what_is_finished(plan, entries):
-    progress = resume_state_of(entries, plan)
+    progress = ResumeState.of_journal(entries, plan)
     assert progress.finished == {1, 2}
     assert plan.steps[progress.next_index - 1].dwell == 2
     assert plan.steps[progress.next_index].dwell != 2
@@ -38,16 +38,18 @@ def test_a_valid_journal_gives_what_is_finished(plan, entries):
 
 
 def test_a_dwell_is_done_with_its_entry_and_not_before(plan, entries):
-    before = resume_state_of(entries[:-1], plan)
+    before = ResumeState.of_journal(entries[:-1], plan)
     assert before.finished == {1}
     assert plan.steps[before.next_index - 1].dwell != 2
-    skipped = resume_state_of([*entries[:-1], {"time_s": 1e4, "event": "dwell_skipped", "dwell": 2}], plan)
+    skipped = ResumeState.of_journal(
+        [*entries[:-1], {"time_s": 1e4, "event": "dwell_skipped", "dwell": 2}], plan
+    )
     assert (skipped.finished, skipped.skipped) == ({1}, {2})
 
 
 def test_a_dwell_whose_end_the_journal_lacks_is_lost_and_comes_first(plan, entries):
     without = [entry for entry in entries if entry.get("marks") != {"dwell": 1}]
-    state = resume_state_of(without, plan)
+    state = ResumeState.of_journal(without, plan)
     assert state.lost == {1}
     first = state.resume_index(plan)
     assert (plan.steps[first - 1].dwell, plan.steps[first].dwell) == (None, 1)
@@ -56,14 +58,14 @@ def test_a_dwell_whose_end_the_journal_lacks_is_lost_and_comes_first(plan, entri
 
 def test_dwells_to_measure_again_come_first_and_keep_their_measurement_until_then(plan, entries):
     repeat = {"time_s": 1e4, "event": "repeat_commanded", "dwells": [1]}
-    state = resume_state_of([*entries, repeat], plan)
+    state = ResumeState.of_journal([*entries, repeat], plan)
     assert (state.lost, state.replaced, state.finished) == ({1}, {1}, {2})
     assert plan.steps[state.resume_index(plan)].dwell == 1
-    assert state.next_index == resume_state_of(entries, plan).next_index
+    assert state.next_index == ResumeState.of_journal(entries, plan).next_index
     skipped = {"time_s": 2e4, "event": "dwell_skipped", "dwell": 1}
-    again = resume_state_of([*entries, repeat, skipped], plan)
+    again = ResumeState.of_journal([*entries, repeat, skipped], plan)
     assert (again.lost, again.replaced, again.finished, again.skipped) == (set(), set(), {1, 2}, set())
-    measured = resume_state_of([*entries, repeat, {**entries[-1], "marks": {"dwell": 1}}], plan)
+    measured = ResumeState.of_journal([*entries, repeat, {**entries[-1], "marks": {"dwell": 1}}], plan)
     assert (measured.lost, measured.replaced, measured.finished) == (set(), set(), {1, 2})
 
 
@@ -94,10 +96,12 @@ def test_dwells_to_measure_again_come_first_and_keep_their_measurement_until_the
 )
 def test_an_entry_that_no_run_writes_is_refused(plan, entries, entry, message):
     with pytest.raises(RunFolderError, match="does not belong to this procedure") as error:
-        resume_state_of([*entries, entry], plan)
+        ResumeState.of_journal([*entries, entry], plan)
     assert message in str(error.value)
 
 
 def test_an_answer_on_a_compensation_without_checksum_is_known_from_older_journals(plan, entries):
     older = {"time_s": 5.0, "event": "compensation_decided", "which": "a compensation", "answer": "keep"}
-    assert resume_state_of([*entries, older], plan).stored_compensation_answers == {UNKNOWN_CHECKSUM: "keep"}
+    assert ResumeState.of_journal([*entries, older], plan).stored_compensation_answers == {
+        UNKNOWN_CHECKSUM: "keep"
+    }
