@@ -109,20 +109,12 @@ def calibrate(
     enough, sample rates differ, or no coefficients explain the increments.
     """
     options = options or CalibrationOptions()
-    gravity = options.gravity or site.gravity
-    rates_hz = [1.0 / each.interval_s for each in recordings]
-    if max(rates_hz) > _MAX_RATE_RATIO * min(rates_hz):
-        raise MeasurementError(
-            f"the sample rates of the recordings differ: {min(rates_hz):.4g} to {max(rates_hz):.4g} Hz. "
-            "Calibrate recordings of one rate together"
-        )
+    _check_rates(recordings)
     noise = measure_noise(recordings)
     if options.walks is not None:
-        walk, velocity_walk = options.walks
-        noise = replace(
-            noise, angle_random_walk=np.full(3, walk), velocity_random_walk=np.full(3, velocity_walk)
-        )
-    _check_force(recordings, gravity)
+        walk, velocity_walk = (np.full(3, each) for each in options.walks)
+        noise = replace(noise, angle_random_walk=walk, velocity_random_walk=velocity_walk)
+    _check_force(recordings, options.gravity or site.gravity)
     _check_angle(recordings)
     rotations, problem = _problem(recordings, noise, site, options)
     options = problem.options
@@ -132,13 +124,14 @@ def calibrate(
         options = problem.options
     if options.g_sensitivity is None:
         hidden = _HiddenSensitivity.of(problem, estimates)
+    turns = [turn for each in rotations for turn in each]
     is_observed = estimates.is_observed
-    if all(turn.kind == "disturbance" for turns in rotations for turn in turns):
+    if all(turn.kind == "disturbance" for turn in turns):
         is_observed[:COUNT] &= [each.sensor != "gyro" or each.kind == "bias" for each in COEFFICIENTS]
     if not any(recording.has_vertical for recording in recordings):
         is_observed[:COUNT] &= ~np.array(IS_FORCE_SCALE)
     _check_size(estimates.values, is_observed)
-    spun_axes = sorted({turn.axis for turns in rotations for turn in turns if turn.is_spin})
+    spun_axes = sorted({turn.axis for turn in turns if turn.is_spin})
     offset, contradiction = np.zeros(3), ""
     checked_problem = problem
     if options.whole_turns is not None and spun_axes:
@@ -365,6 +358,16 @@ def bias_per_asymmetry(calibration: Calibration) -> FloatArray:
     rows, sizes = estimates.root[:, kept_columns], np.diag(estimates.sizes[kept_columns])
     shifts = [solve(rows, estimates.root[:, each], sizes)[0][:3] for each in omitted_columns]
     return np.array(shifts).reshape(-1, 3).T
+
+
+def _check_rates(recordings: Sequence[IncrementRecording]) -> None:
+    """Raise MeasurementError if the sample rates differ."""
+    rates_hz = [1.0 / each.interval_s for each in recordings]
+    if max(rates_hz) > _MAX_RATE_RATIO * min(rates_hz):
+        raise MeasurementError(
+            f"the sample rates of the recordings differ: {min(rates_hz):.4g} to {max(rates_hz):.4g} Hz. "
+            "Calibrate recordings of one rate together"
+        )
 
 
 def _check_force(recordings: Sequence[IncrementRecording], gravity: float) -> None:
