@@ -181,8 +181,8 @@ class _HiddenSensitivity:
     @classmethod
     def of(cls, problem: CalibrationProblem, estimates: Estimates) -> _HiddenSensitivity:
         """Effect of sensitivities of the usual size; none if it is small."""
-        options = replace(problem.options, g_sensitivity=True)
-        with_sensitivity = replace(problem, options=options)
+        with_sensitivity = problem.with_options(g_sensitivity=True)
+        options = with_sensitivity.options
         trajectories = with_sensitivity.integrate(estimates.starts, estimates.common)
         information = with_sensitivity.information(trajectories, estimates.common)
         is_sensitivity = np.zeros(len(information.sizes), dtype=bool)
@@ -324,8 +324,7 @@ def covariances_by_source(calibration: Calibration) -> Mapping[str, FloatArray]:
         noise = replace(problem.noise, **{name: getattr(problem.noise, name) * larger})
         parts[name] = covariance(information(replace(problem, noise=noise)))
     if (turns := problem.options.whole_turns) is not None:
-        options = replace(problem.options, whole_turns=turns * larger)
-        parts["table_return"] = covariance(information(replace(problem, options=options)))
+        parts["table_return"] = covariance(information(problem.with_options(whole_turns=turns * larger)))
     for name, is_scaled in {"assumed_size": ~unchanged.is_prior, **unchanged.priors}.items():
         if is_scaled.any():
             sizes = np.where(is_scaled, larger, 1.0) * unchanged.sizes
@@ -345,12 +344,11 @@ def bias_per_asymmetry(calibration: Calibration) -> FloatArray:
 
     An asymmetry looks like a bias if rotations in both directions do not separate the two.
     """
-    options = replace(calibration.problem.options, asymmetries=(0, 1, 2))
-    problem = replace(calibration.problem, options=options)
+    problem = calibration.problem.with_options(asymmetries=(0, 1, 2))
     trajectories = problem.integrate(calibration.starts, calibration.common)
     estimates = problem.information(trajectories, calibration.common)
     omitted_columns = [
-        options.columns.index(ASYMMETRIES.start + axis)
+        problem.options.columns.index(ASYMMETRIES.start + axis)
         for axis in range(3)
         if axis not in (calibration.problem.options.asymmetries or ())
     ]

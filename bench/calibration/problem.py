@@ -136,6 +136,10 @@ class CalibrationProblem:
         """Local gravity, m/s^2."""
         return self.options.gravity or self.site.gravity
 
+    def with_options(self, **changes: Any) -> CalibrationProblem:
+        """Problem with other values of some :class:`CalibrationOptions`."""
+        return replace(self, options=replace(self.options, **changes))
+
     def solve(self) -> Estimates:
         """Estimate all parameters. Raises MeasurementError if the iteration does not converge."""
         columns, initial_errors = self.options.columns, SensorErrors(gyro_bias=self.initial_bias)
@@ -241,7 +245,7 @@ class CalibrationProblem:
         explain them, or if they are larger than those of a ring laser gyro. Raises MeasurementError if
         a mistake in the map explains the residuals.
         """
-        with_sensitivity = replace(self, options=replace(self.options, g_sensitivity=True))
+        with_sensitivity = self.with_options(g_sensitivity=True)
         other = _explaining_solution(with_sensitivity, estimates)
         if other is None or other.fit.p_value < UNEXPLAINED_P_VALUE:
             return self, estimates, ""
@@ -299,7 +303,7 @@ class CalibrationProblem:
             (problem, f"{description} (gyrobench calibrate {option})", _solution(problem))
             for chosen, description, option in _EXPLANATIONS
             if not all(getattr(self.options, name) for name in chosen)
-            for problem in [replace(self, options=replace(self.options, **chosen))]
+            for problem in [self.with_options(**chosen)]
         ]
         interval_s = self.sections[0].interval_s
         for problem, other in retimed:

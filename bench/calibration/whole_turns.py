@@ -37,13 +37,13 @@ def check_turns(
     scatter_p_value = _scatter_p_value(list(_turn_scatters(problem, estimates)))
     if not text and is_explained and scatter_p_value >= UNEXPLAINED_P_VALUE:
         return problem, estimates, offset, ""
-    without_turns = replace(problem, options=replace(problem.options, whole_turns=None)).solve()
+    without_turns = problem.with_options(whole_turns=None).solve()
     scatters = list(_turn_scatters(problem, without_turns))
     if not scatters or not (text or without_turns.fit.p_value >= UNEXPLAINED_P_VALUE):
         return problem, estimates, offset, ""
     residuals = np.concatenate([each.residuals_rad + each.path * offset[each.axis] for each in scatters])
     turns = float(np.hypot(problem.options.whole_turns or 0.0, np.sqrt(np.mean(np.square(residuals)))))
-    widened = replace(problem, options=replace(problem.options, whole_turns=turns))
+    widened = problem.with_options(whole_turns=turns)
     if not text and scatter_p_value < UNEXPLAINED_P_VALUE:
         for each in scatters:
             offset[each.axis] = np.sqrt(np.mean((each.residuals_rad / each.path) ** 2))
@@ -121,8 +121,8 @@ def _contradiction(
     asymmetries are fixed at their estimates from all data: if they were free without the turns, they
     would hide the difference.
     """
-    offset, options = np.zeros(3), replace(problem.options, whole_turns=None)
-    without_turns = replace(problem, options=options)
+    offset, options = np.zeros(3), problem.options
+    without_turns = problem.with_options(whole_turns=None)
     others_information = without_turns.information(estimates.trajectories, estimates.common)
     sizes = others_information.sizes.copy()
     sizes[[index for index, each in enumerate(options.columns) if each >= ASYMMETRIES.start]] *= _FIXED_SIZE
