@@ -155,49 +155,69 @@ def _backward(
         if k < 0:
             break
         for m in range(2, -1, -1):
-            h, scale, gain = MEASURED_STATES[m], scales[k, m], gains[k, m]
-            row = rows[k, m]
-            for c in range(width):
-                gain_response[c] = 0.0
-            for i in range(STATES):
-                for c in range(width):
-                    gain_response[c] += gain[i] * responses[i, c]
-            for c in range(width):
-                responses[h, c] -= gain_response[c]
-            for c in range(columns):
-                responses[h, c] += scale * row[c]
-            for i in range(size):
-                carried[i] = 0.0
-                for j in range(STATES):
-                    carried[i] += info[i, j] * gain[j]
-            for i in range(size):
-                info[h, i] -= carried[i]
-                info[i, h] -= carried[i]
-            for j in range(STATES):
-                info[h, h] += gain[j] * carried[j]
-            info[h, h] += scale * scale
-        transition, response = transitions[k], bias_response[k]
-        for i in range(STATES, size):
-            for j in range(STATES):
-                for c in range(width + size):
-                    both[i, c] += response[j, i - STATES] * both[j, c]
-        for i in range(STATES):
-            for c in range(width + size):
-                propagated[i, c] = 0.0
-            for j in range(STATES):
-                for c in range(width + size):
-                    propagated[i, c] += transition[j, i] * both[j, c]
-        for i in range(STATES):
-            for c in range(width + size):
-                both[i, c] = propagated[i, c]
-        for i in range(size):  # the information, which is symmetric, is multiplied from both sides
-            for j in range(STATES):
-                carried[j] = info[i, j]
-            for c in range(STATES):
-                info[i, c] = 0.0
-            for j in range(STATES):
-                for c in range(STATES):
-                    info[i, c] += carried[j] * transition[j, c]
-                for c in range(_GYROS):
-                    info[i, STATES + c] += carried[j] * response[j, c]
+            _use_datum(
+                responses, info, MEASURED_STATES[m], rows[k, m], gains[k, m], scales[k, m], gain_response,
+                carried,
+            )  # fmt: skip
+        _carry_back(both, info, transitions[k], bias_response[k], propagated, carried)
     return infos, all_responses
+
+
+@compiled(fastmath=True)
+def _use_datum(
+    responses: FloatArray, info: FloatArray, h: int, row: FloatArray, gain: FloatArray, scale: float,
+    gain_response: FloatArray, carried: FloatArray,
+) -> None:  # fmt: skip
+    """Add a datum of state ``h`` to responses and information; the last two are for the calculation."""
+    columns, width, size = len(row), responses.shape[1], len(info)
+    for c in range(width):
+        gain_response[c] = 0.0
+    for i in range(STATES):
+        for c in range(width):
+            gain_response[c] += gain[i] * responses[i, c]
+    for c in range(width):
+        responses[h, c] -= gain_response[c]
+    for c in range(columns):
+        responses[h, c] += scale * row[c]
+    for i in range(size):
+        carried[i] = 0.0
+        for j in range(STATES):
+            carried[i] += info[i, j] * gain[j]
+    for i in range(size):
+        info[h, i] -= carried[i]
+        info[i, h] -= carried[i]
+    for j in range(STATES):
+        info[h, h] += gain[j] * carried[j]
+    info[h, h] += scale * scale
+
+
+@compiled(fastmath=True)
+def _carry_back(
+    both: FloatArray, info: FloatArray, transition: FloatArray, response: FloatArray, propagated: FloatArray,
+    carried: FloatArray,
+) -> None:  # fmt: skip
+    """Carry responses and information back over an interval; the last two are for the calculation."""
+    size, width = both.shape
+    for i in range(STATES, size):
+        for j in range(STATES):
+            for c in range(width):
+                both[i, c] += response[j, i - STATES] * both[j, c]
+    for i in range(STATES):
+        for c in range(width):
+            propagated[i, c] = 0.0
+        for j in range(STATES):
+            for c in range(width):
+                propagated[i, c] += transition[j, i] * both[j, c]
+    for i in range(STATES):
+        for c in range(width):
+            both[i, c] = propagated[i, c]
+    for i in range(size):  # the information, which is symmetric, is multiplied from both sides
+        for j in range(STATES):
+            carried[j] = info[i, j]
+        for c in range(STATES):
+            info[i, c] = 0.0
+        for j in range(STATES):
+            for c in range(STATES):
+                info[i, c] += carried[j] * transition[j, c]
+            for c in range(_GYROS):
+                info[i, STATES + c] += carried[j] * response[j, c]
