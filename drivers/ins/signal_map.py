@@ -433,8 +433,8 @@ def _doubly_mapped(signal_map: SignalMap) -> list[DocumentProblem]:
     problems = []
     for path, quantity in quantities.items():
         role = path.partition(".")[0]
-        if role in sensors:  # a single sensor may be mapped to several temperatures
-            role = "temperature" if len(sensors[role]) == 1 else role
+        if role in sensors:  # a single sensor may be mapped to all three gyros, and to the case
+            role = "temperature" if len(sensors[role]) == 1 else path
         elif role not in _SHAREABLE_ROLES:
             role = path
         low, high = quantity.source.bits or (0, math.inf)

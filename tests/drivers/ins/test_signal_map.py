@@ -181,7 +181,8 @@ def test_an_angle_at_the_limit_of_the_dbc_is_an_angle(codec, signal_map):
     [
         ("VELOCITY_NE.VELOCITY_NORTH", "VELOCITY_NE.VELOCITY_EAST", "velocity_"),
         ("pitch: ROLL_PITCH.PITCH", "pitch: ROLL_PITCH.ROLL", "attitude.euler.roll"),
-        ("x: GYRO_ELECTRONICS_TEMPERATURE.X", "x: GYRO_OPTICS_TEMPERATURE.X", "gyro_optics_temperature"),
+        ("x: GYRO_ELECTRONICS_TEMPERATURE.X", "x: GYRO_OPTICS_TEMPERATURE.X", "gyro_optics_temperature.x"),
+        ("y: GYRO_OPTICS_TEMPERATURE.Y", "y: GYRO_OPTICS_TEMPERATURE.X", "gyro_optics_temperature.x"),
     ],
 )
 def test_a_signal_in_two_roles_is_refused(codec, make_signal_map, old, new, first):
