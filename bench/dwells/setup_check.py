@@ -72,6 +72,8 @@ _MAX_LATITUDE_DIFFERENCE = math.radians(0.05)
 #: Largest angle from the singularity of an Euler sequence, and smallest plausible free angle there, rad.
 _MAX_FROM_SINGULAR, _MIN_FREE_ANGLE = math.radians(0.5), math.radians(0.1)
 _VELOCITIES = ("ins.signals.velocity_east", "ins.signals.velocity_north")
+#: Velocities East and North that a scale multiplies.
+_SCALED = np.array([[1.0, 1.0], [1.0, 0.0], [0.0, 1.0]])
 #: Mistakes that multiply a velocity by each factor.
 _UNITS = {
     0.5: "half the scale", 2.0: "twice the scale", 10.0: "ten times the scale", 0.1: "a tenth of the scale",
@@ -173,9 +175,13 @@ def drift_fault(velocities: VelocityRegression) -> str:
     )
 
 
-def measured_scale(dwells: Sequence[SetupEvidence]) -> tuple[float, float]:
-    """Scale of the velocities by the dwells together, and its standard uncertainty."""
-    return _scale(*_pooled(dwells), np.ones(2))
+def measured_scales(dwells: Sequence[SetupEvidence]) -> list[tuple[float, float]]:
+    """Scales of the velocities by the dwells together, with standard uncertainties.
+
+    Of both together, of that East alone and of that North alone, each if nothing else is wrong.
+    """
+    pooled = _pooled(dwells)
+    return [_scale(*pooled, is_scaled) for is_scaled in _SCALED]
 
 
 def _pooled(dwells: Sequence[SetupEvidence]) -> tuple[FloatArray, FloatArray]:
@@ -249,7 +255,7 @@ def _angle(matrix: FloatArray, information: FloatArray) -> tuple[float, float, f
 
 def _velocity_fault(dwells: Sequence[SetupEvidence]) -> str:
     matrix, information = _pooled(dwells)
-    scales = [(*_scale(matrix, information, is_scaled), is_scaled) for is_scaled in (np.ones(2), *np.eye(2))]
+    scales = [(*_scale(matrix, information, is_scaled), is_scaled) for is_scaled in _SCALED]
     value, sigma, is_scaled = max(scales, key=lambda each: abs(each[0] - 1.0) / each[1])
     angle, angle_sigma, angle_gain = _angle(matrix, information)
     gain = ((value - 1.0) / sigma) ** 2

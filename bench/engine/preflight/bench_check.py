@@ -11,7 +11,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from gyrobench.bench.dwells.setup_check import measured_scale
+from gyrobench.bench.dwells.setup_check import measured_scales
 from gyrobench.bench.engine.preflight.ins import CanTraffic, ins_checks
 from gyrobench.bench.engine.preflight.instruments import ANSWERS, chamber_checks, table_checks
 from gyrobench.bench.engine.run_outcome import RunOutcome
@@ -34,8 +34,8 @@ from gyrobench.drivers.ins.can_ins import CanIns
 
 #: The procedure of :func:`signal_map_checks`.
 SIGNAL_MAP_CHECK = "signal_map_check"
-#: Maximum deviation of the velocities' scale from 1, in standard uncertainties.
-_MAX_SCALE_SIGMAS = 4.0
+#: Deviation of a velocity's scale from 1, in standard uncertainties, that is doubtful, and that is wrong.
+_DOUBTFUL_SIGMAS, _MAX_SCALE_SIGMAS = 3.0, 4.0
 #: Size of a frame in the raw log, compressed, and of a value in the telemetry.
 _BYTES_PER_FRAME, _BYTES_PER_VALUE = 12.0, 8.0
 #: Size of reports, figures, copies of the inputs, and journal.
@@ -122,15 +122,15 @@ def signal_map_checks(outcome: RunOutcome, folder: RunFolder) -> Iterator[Check]
         is_good = dwell is not None and dwell.estimate is not None
         if dwell is not None and is_good:
             found = "velocities and attitude agree with the tilt of the INS and the path of the table"
-            scale, sigma = measured_scale([dwell.evidence]) if dwell.evidence else (math.nan, math.nan)
-            if not dwell.are_signs_tested:
-                is_good = not abs(scale - 1.0) > _MAX_SCALE_SIGMAS * sigma
-                found = (
-                    "the velocities do not follow from the tilt of the INS" if not is_good else "not tested"
-                )
-                advice = "Check the signals and signs of velocities and attitude, and their resolution."
-            if dwell.evidence is not None:
-                found += f"; scale of the velocities {scale:.2f} ± {sigma:.2f}"
+            scales = measured_scales([dwell.evidence]) if dwell.evidence else []
+            sigmas = max((abs(scale - 1.0) / sigma for scale, sigma in scales), default=0.0)
+            if sigmas > _DOUBTFUL_SIGMAS or not dwell.are_signs_tested:
+                is_good = dwell.are_signs_tested or sigmas <= _MAX_SCALE_SIGMAS
+                found = "not tested" if is_good else "the velocities do not follow from the tilt of the INS"
+                advice = "Check signals, signs and scale of velocities and attitude, and their resolution."
+            if scales:
+                both, east, north = (f"{scale:.2f} ± {sigma:.2f}" for scale, sigma in scales)
+                found += f"; scale of the velocities {both}, of one alone: East {east}, North {north}"
         else:
             found = (flag_text(dwell.flags) if dwell else "") or unit.reason or outcome.reason
         found = f"{found.rstrip('.')}. Run folder: {folder.path}"

@@ -199,26 +199,27 @@ def test_a_mode_that_the_signal_map_lacks_fails_with_its_value(failures_of):
 
 
 @pytest.mark.parametrize(
-    ("scale", "verdict", "words"),
+    ("east", "north", "are_signs_tested", "verdict", "words"),
     [
-        (0.9, CheckVerdict.SKIPPED, "not tested; scale of the velocities 0.90 ± 0.20"),
-        (
-            -0.1,
-            CheckVerdict.FAIL,
-            "do not follow from the tilt of the INS; scale of the velocities -0.10 ± 0.20",
-        ),
+        (0.9, 0.9, True, CheckVerdict.PASS, "agree with the tilt"),
+        (0.9, 0.9, False, CheckVerdict.SKIPPED, "not tested; scale of the velocities 0.90 ± 0.20, of one"),
+        (0.0, 1.0, True, CheckVerdict.SKIPPED, "not tested; scale of the velocities 0.50 ± 0.20, of one"),
+        (1.0, 0.0, True, CheckVerdict.SKIPPED, "of one alone: East 1.00 ± 0.28, North 0.00 ± 0.28"),
+        (-0.1, -0.1, False, CheckVerdict.FAIL, "do not follow from the tilt of the INS; scale of the"),
     ],
 )
-def test_a_dwell_that_does_not_test_the_signs_never_passes(tmp_path, scale, verdict, words):
-    velocities = SimpleNamespace(matrix=scale * np.eye(2).ravel(), covariance=0.08 * np.eye(4))
+def test_a_dwell_whose_velocities_may_have_a_wrong_sign_or_scale_never_passes(
+    tmp_path, east, north, are_signs_tested, verdict, words
+):
+    velocities = SimpleNamespace(matrix=np.array([east, 0.0, 0.0, north]), covariance=0.08 * np.eye(4))
     dwell = SimpleNamespace(
-        estimate=object(), are_signs_tested=False, evidence=SimpleNamespace(velocities=velocities)
+        estimate=object(), are_signs_tested=are_signs_tested, evidence=SimpleNamespace(velocities=velocities)
     )
     (check,) = signal_map_checks(SimpleNamespace(units={}, dwells=[dwell]), RunFolder(tmp_path))
     assert check.verdict is verdict
     assert words in check.found
     assert check.found.endswith(f". Run folder: {tmp_path}")
-    assert "signs of velocities and attitude" in check.advice
+    assert ("signs and scale of velocities" in check.advice) == (verdict is not CheckVerdict.PASS)
 
 
 def test_values_of_a_new_station_file_that_are_not_filled_in_are_named(failures_of):
