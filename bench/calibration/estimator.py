@@ -67,7 +67,7 @@ _VARIANCE_STEP = 1e-3
 #: Usual sensitivity of a ring laser gyro's bias to the specific force, s/m, and none. Rotations are too few
 #: to show it if it increases the uncertainty of a coefficient by this factor.
 _SENSITIVITY_PER_SI = OPTIONAL_PARAMETERS[G_SENSITIVITIES.start - COUNT].per_si
-_USUAL_SENSITIVITY, _NO_SENSITIVITY = 0.01 / _SENSITIVITY_PER_SI, 1e-9 / _SENSITIVITY_PER_SI
+USUAL_SENSITIVITY, _NO_SENSITIVITY = 0.01 / _SENSITIVITY_PER_SI, 1e-9 / _SENSITIVITY_PER_SI
 _MIN_SENSITIVE_GROWTH = 1.6
 _QUADRATICS = range(QUADRATIC.start, QUADRATIC.stop)
 #: A quadratic term of an accelerometer is noted from this number of standard uncertainties on.
@@ -191,7 +191,7 @@ class _HiddenSensitivity:
         ]
         kept = np.flatnonzero(~is_sensitivity)[: len(problem.options.columns)]
         solutions = []
-        for size in (_NO_SENSITIVITY, _USUAL_SENSITIVITY):
+        for size in (_NO_SENSITIVITY, USUAL_SENSITIVITY):
             sizes = np.where(is_sensitivity, size, information.sizes)
             values, covariance, _ = replace(information, sizes=sizes).solve()
             solutions.append((values[kept], covariance[np.ix_(kept, kept)]))
@@ -205,7 +205,7 @@ class _HiddenSensitivity:
             with_values - values,
             {"g_sensitivity": with_covariance - covariance},
             "too few rotations to show gyro biases that follow the specific force: the uncertainties allow "
-            f"for {_USUAL_SENSITIVITY * _SENSITIVITY_PER_SI:.2g} deg/h for each g, which makes that of the "
+            f"for {USUAL_SENSITIVITY * _SENSITIVITY_PER_SI:.2g} deg/h for each g, which makes that of the "
             f"{each.sensor} {each.kind.replace('_', ' ')} {each.axis} {growth.max():.2g} times as large",
         )
 

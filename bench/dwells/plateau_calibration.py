@@ -25,7 +25,7 @@ from gyrobench.bench.calibration.coefficients import (
     CoefficientEstimate,
     SensorCoefficient,
 )
-from gyrobench.bench.calibration.joint_coefficients import joint_coefficients
+from gyrobench.bench.calibration.joint_coefficients import attitude_p_value, joint_coefficients
 from gyrobench.bench.calibration.results import coefficient_rows, common_scale_notes
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.dwells.run_rotations import GYRO_TEMPERATURE_FIELDS, PlateauRotations, combined_range
@@ -238,7 +238,8 @@ def _calibrate_plateau(
     comparisons: int,
 ) -> PlateauCalibration:
     """``comparisons``: number of plateaus at which dwells are compared with rotations."""
-    estimates, with_force = [], None
+    estimates: list[CoefficientEstimate] = []
+    with_force = None
     findings: list[str] = []
     ranges = [np.full((2, 4), np.nan)]
     gyro_c, case_c = NOT_MEASURED, math.nan
@@ -258,12 +259,18 @@ def _calibrate_plateau(
         ranges.append(rotations.range_c)
         if rotations.calibration is not None:
             estimates.append(rotations.calibration)
+            if solution is not None and (
+                lag := _attitude_finding(solution, rotations, rows, setup, comparisons)
+            ):
+                findings.append(lag)
+                if not _has_mean_force(solution):
+                    estimates[-1] = _without_biases(rotations.calibration)
             gyro_c, case_c = rotations.gyro_c, rotations.case_c
             if rotations.with_force is not None:
                 with_force = _combine([*estimates[:-1], rotations.with_force])
     if len(estimates) > 1 and (p_value := comparisons * _agreement_p_value(*estimates)) < _MIN_P_VALUE:
-        corrected = f", corrected for {comparisons} plateaus" if comparisons > 1 else ""
-        findings.append(f"dwells and rotations contradict each other (p = {p_value:.1g}{corrected})")
+        p_text = _p_text(p_value, comparisons)
+        findings.append(f"dwells and rotations contradict each other ({p_text})")
     estimate = _combine(estimates) if estimates else None
     notes = [*(rotations.notes if rotations else ()), *(common_scale_notes(estimate) if estimate else ())]
     variances = {name: np.diag(part).copy() for name, part in estimate.parts.items()} if estimate else {}
@@ -276,6 +283,32 @@ def _calibrate_plateau(
         "; ".join(findings), "; ".join(notes), _without_parts(with_force),
         rotations, combined_range(ranges), inputs,
     )  # fmt: skip
+
+
+def _attitude_finding(
+    solution: JointSolution,
+    rotations: PlateauRotations,
+    rows: Mapping[int, DwellRow],
+    setup: MeasurementSetup,
+    comparisons: int,
+) -> str:
+    """Finding if the gyro biases follow the attitude, but not so in the rotations; else empty."""
+    if rotations.with_options is None:
+        return ""
+    start_s = np.array([rows[each.number].start_s for each in solution.dwells])
+    p_value = comparisons * attitude_p_value(solution, setup.prior, start_s, rotations.with_options)
+    if p_value >= _MIN_P_VALUE:
+        return ""
+    stated = "may be wrong" if _has_mean_force(solution) else "are the means of the dwells"
+    return (
+        "the gyro biases follow the attitude in the dwells and not so in the rotations "
+        f"({_p_text(p_value, comparisons)}), as with a lag by heat. Those stated {stated}. Make the rests "
+        "much longer than the lag"
+    )
+
+
+def _p_text(p_value: float, comparisons: int) -> str:
+    return f"p = {p_value:.1g}" + (f", corrected for {comparisons} plateaus" if comparisons > 1 else "")
 
 
 def _has_mean_force(solution: JointSolution) -> bool:

@@ -49,6 +49,8 @@ class PlateauRotations:
     finding: str = ""
     #: Estimate with the covariance it would have if the INS sent specific force; None if it does.
     with_force: CoefficientEstimate | None = None
+    #: Estimate with its optional parameters; None without a calibration.
+    with_options: CoefficientEstimate | None = None
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -147,6 +149,13 @@ def _calibrate_group(dwells: Sequence[RotatedDwell], setup: MeasurementSetup) ->
     except MeasurementError as error:
         return replace(rotations, finding=_NO_COEFFICIENTS.format(error))
     parts = covariances_by_source(calibration)
+    with_options = CoefficientEstimate(
+        calibration.values,
+        calibration.covariance,
+        calibration.is_observed,
+        coefficients=calibration.coefficients,
+        parts=calibration.site_covariances,
+    )
     # Drop the increments and the parameters other than the coefficients, which are no longer needed.
     calibration = replace(
         calibration,
@@ -159,7 +168,7 @@ def _calibrate_group(dwells: Sequence[RotatedDwell], setup: MeasurementSetup) ->
         trajectories=(),
         parts=parts,
     )
-    return replace(rotations, calibration=calibration, with_force=with_force)
+    return replace(rotations, calibration=calibration, with_force=with_force, with_options=with_options)
 
 
 def compile_calibration(setup: MeasurementSetup) -> None:

@@ -15,6 +15,7 @@ from scipy.stats import chi2
 from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, CoefficientEstimate, SensorErrors
 from gyrobench.bench.calibration.estimator import calibrate
+from gyrobench.bench.calibration.joint_coefficients import joint_coefficients
 from gyrobench.bench.dwells import dwell_output
 from gyrobench.bench.dwells.measurement_setup import measurement_setup
 from gyrobench.bench.dwells.plateau_calibration import (
@@ -29,6 +30,7 @@ from gyrobench.bench.exchange.import_map import load_log_map
 from gyrobench.bench.exchange.increments import calibration_settings, read_logs
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.report.coefficient_sections import coefficients_section
 from gyrobench.bench.report.journal_sections import durations_by_kind
@@ -371,12 +373,32 @@ def test_a_contradiction_of_dwells_and_rotations_is_corrected_for_the_number_of_
                 gyro_c=rotations.gyro_c,
                 gyro_rate_c_per_h=rotations.gyro_rate_c_per_h,
                 case_c=rotations.case_c,
+                start_s=0.0,
             )
             for each in dwells
         ]
     for count, ending in ((1, r"p = \S+\)$"), (2, r"p = \S+, corrected for 2 plateaus\)$")):
         for plateau in calibrate_plateaus(solutions[:count], rows, others[:count], setup):
             assert re.search(f"dwells and rotations contradict each other .{ending}", plateau.finding)
+
+
+def test_biases_that_follow_attitude_in_the_dwells_and_not_in_the_rotations_are_a_finding(folder, setup):
+    [rotations] = calibrated(rotated_dwells(folder), setup)
+    same = {each: getattr(rotations, each) for each in ("gyro_c", "case_c", "gyro_rate_c_per_h")}
+    marks = {each: getattr(rotations.marks, each) for each in ("run", "cycle", "chamber_set_c")}
+    random, sensitivities = np.random.default_rng(3), 0.01 * np.eye(3)[[1, 2, 0]]
+    for follows in (False, True):
+        unit = any_unit(random)
+        for name, position in POSITIONS.items():
+            unit.bias_dph[name] = follows * sensitivities @ position.C_nb()[2]
+        dwells = [replace(each, gyro_c=rotations.gyro_c, **marks) for each in measure(unit, random)]
+        rows = [SimpleNamespace(dwell=each.number, start_s=1600.0 * each.number, **same) for each in dwells]
+        solution = joint_solution_of(dwells, setup.prior)
+        [plateau] = calibrate_plateaus([solution], rows, [rotations], setup)
+        assert ("follow the attitude in the dwells" in plateau.finding) == follows
+        means = joint_coefficients(solution, setup.prior)
+        away = (plateau.estimate.values - means.values)[:3] / means.sigmas[:3]
+        assert (np.abs(away) < 0.1).all() == follows  # those of the world in the rotations are other ones
 
 
 def test_rotations_that_give_nothing_are_a_section_that_states_why(folder, setup):
