@@ -15,7 +15,6 @@ from scipy.stats import chi2
 from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, CoefficientEstimate, SensorErrors
 from gyrobench.bench.calibration.estimator import calibrate
-from gyrobench.bench.calibration.joint_coefficients import joint_coefficients
 from gyrobench.bench.dwells import dwell_output
 from gyrobench.bench.dwells.measurement_setup import measurement_setup
 from gyrobench.bench.dwells.plateau_calibration import (
@@ -386,7 +385,7 @@ def test_biases_that_follow_attitude_in_the_dwells_and_not_in_the_rotations_are_
     [rotations] = calibrated(rotated_dwells(folder), setup)
     same = {each: getattr(rotations, each) for each in ("gyro_c", "case_c", "gyro_rate_c_per_h")}
     marks = {each: getattr(rotations.marks, each) for each in ("run", "cycle", "chamber_set_c")}
-    random, sensitivities = np.random.default_rng(3), 0.01 * np.eye(3)[[1, 2, 0]]
+    random, sensitivities, sigmas = np.random.default_rng(3), 0.01 * np.eye(3)[[1, 2, 0]], []
     for follows in (False, True):
         unit = any_unit(random)
         for name, position in POSITIONS.items():
@@ -396,9 +395,9 @@ def test_biases_that_follow_attitude_in_the_dwells_and_not_in_the_rotations_are_
         solution = joint_solution_of(dwells, setup.prior)
         [plateau] = calibrate_plateaus([solution], rows, [rotations], setup)
         assert ("follow the attitude in the dwells" in plateau.finding) == follows
-        means = joint_coefficients(solution, setup.prior)
-        away = (plateau.estimate.values - means.values)[:3] / means.sigmas[:3]
-        assert (np.abs(away) < 0.1).all() == follows  # those of the world in the rotations are other ones
+        sigmas.append(plateau.estimate.sigmas[:3])
+    # With the finding, the gyro biases are those of the dwells alone; the short rests add little to them.
+    assert (sigmas[1] > 1.01 * sigmas[0]).all()
 
 
 def test_rotations_that_give_nothing_are_a_section_that_states_why(folder, setup):
