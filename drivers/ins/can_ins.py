@@ -130,10 +130,14 @@ class CanIns:
 
     def _count_errors(self, block: FrameBlock) -> None:
         """Count the error frames of a block."""
+        data_frames = block.data_frames()
+        if len(data_frames):
+            self._new_errors, self._error_classes = 0, 0
+        if data_frames is block:
+            return
         is_error = block.flags & ERROR_FRAME != 0
         self.error_frames += int(np.count_nonzero(is_error))
-        if len(block.data_frames()):
-            self._new_errors, self._error_classes = 0, 0
+        if len(data_frames):
             is_error[: np.flatnonzero(block.flags == 0)[-1]] = False
         self._new_errors += int(np.count_nonzero(is_error))
         self._error_classes |= int(np.bitwise_or.reduce(block.arbitration_id[is_error], initial=0))
