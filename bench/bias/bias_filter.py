@@ -382,12 +382,14 @@ class BiasFilter:
     def _goodness_of_fit(
         self, expansions: list[FloatArray], values: FloatArray, covariance: FloatArray
     ) -> Chi2Test:
-        blocks = [
-            (total[:, window_filter.DATA], _expand_rows(total, expansion, len(values)))
-            for window, expansion in zip(self._windows, expansions, strict=True)
-            for total in window.minute_sums()
-        ]
-        sums, responses = (np.concatenate(each) for each in zip(*blocks, strict=True))
+        totals = [window.minute_sums() for window in self._windows]
+        sums = np.concatenate([each[:, window_filter.DATA] for each in totals])
+        responses = np.concatenate(
+            [
+                _expand_rows(total, expansion, len(values))
+                for total, expansion in zip(totals, expansions, strict=True)
+            ]
+        )
         return chi2_test(sums - responses @ values, responses, covariance)
 
 

@@ -9,8 +9,7 @@ problem. This is generalised least squares without the large covariance matrix.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -32,12 +31,6 @@ TRANSIENT_S = 120.0
 
 # Smallest noise of velocity East and North, m/s, and heading, rad: far below the resolution of an INS.
 _MIN_WHITE = np.array([1e-7, 1e-7, 1e-10])
-
-
-@dataclass
-class _Minute:
-    total: FloatArray = field(default_factory=lambda: np.zeros((3, COLUMN_COUNT)))
-    count: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +83,6 @@ class WindowFilter:
         self.first_s = time_s
         white = np.array([model.noise.velocity_white] * 2 + [model.noise.heading_white])
         self.output_variances = np.maximum(white, _MIN_WHITE) ** 2
-        self._minutes: dict[int, _Minute] = {}
         self.C_nb = np.ascontiguousarray(C_nb)
         self.covariance = covariance
         self.columns = np.zeros((STATES, COLUMN_COUNT))
@@ -148,7 +140,6 @@ class WindowFilter:
         )
         self.root = compress(np.vstack([self.root, rows.reshape(-1, COLUMN_COUNT)]))
         self._filtered.append((time_s, rows, gains, scales, steps.transition, steps.response))
-        self._add_to_minutes(time_s, rows)
         self.last_s, self._last_velocity = float(time_s[-1]), velocity_en_mps[-1]
         self.temperature_sum += temperatures.sum(axis=0)
         self.epochs += len(time_s)
@@ -158,17 +149,16 @@ class WindowFilter:
         """Rows, gains and transitions of the filter at all epochs."""
         return FilteredEpochs(*(np.concatenate(each) for each in zip(*self._filtered, strict=True)))
 
-    def minute_sums(self) -> Iterator[FloatArray]:
-        """Sum of the rows (3, c) of each minute, with unit variance."""
-        for minute in self._minutes.values():
-            yield minute.total / math.sqrt(minute.count)
-
-    def _add_to_minutes(self, time_s: FloatArray, rows: FloatArray) -> None:
-        indices = interval_indices(time_s, self.first_s, _MINUTE_S)
-        for index in np.unique(indices).tolist():
-            minute = self._minutes.setdefault(index, _Minute())
-            minute.total += rows[indices == index].sum(axis=0)
-            minute.count += int(np.sum(indices == index))
+    def minute_sums(self) -> FloatArray:
+        """Sums (n, c) of the rows over each minute, one for each measured component, with unit variance."""
+        if not self._filtered:
+            return np.zeros((0, COLUMN_COUNT))
+        epochs = self.filtered_epochs
+        indices = interval_indices(epochs.time_s, self.first_s, _MINUTE_S)
+        starts = np.flatnonzero(np.diff(indices, prepend=-1))
+        counts = np.diff(starts, append=len(indices))
+        sums = np.add.reduceat(epochs.rows, starts) / np.sqrt(counts)[:, np.newaxis, np.newaxis]
+        return np.asarray(sums).reshape(-1, COLUMN_COUNT)
 
 
 #: First columns of a window's blocks: state at its start; constant inputs; constant of the heading; inputs
