@@ -43,8 +43,10 @@ class StepContext:
 
         Every command of the drivers may be repeated: it sets a final state, not a change.
         """
+        instruments = {RATE_TABLE, CHAMBER}
         for remaining_tries in range(self.retries, -1, -1):
-            yield from self._await_ports((RATE_TABLE, CHAMBER))  # an exchange would block the ticks
+            while any(map(self.bench.is_reopening, instruments)):  # an exchange would block the ticks
+                yield
             try:
                 return exchange()
             except FaultError:
@@ -53,17 +55,19 @@ class StepContext:
                 if not remaining_tries:
                     raise
                 yield from self._prepare_retry([error])
+                instruments.add(error.instrument)
         raise AssertionError("the last try returns or raises")
 
     def command_all(self, command: Callable[[MeasuredUnit], Ticks | None]) -> Ticks:
         """Command all units at once and wait for their confirmations.
 
         ``command`` returns None if none is needed. A failed command is repeated as often as the step allows;
-        then its unit is dropped, or the error raised.
+        then its unit is dropped, or the error raised. A unit that is dropped or set aside between two tries
+        is left out.
         """
         waiting = {unit: ticks for unit in self.units.measuring if (ticks := command(unit)) is not None}
-        yield from self._await_ports([unit.live.name for unit in waiting])
         for remaining_tries in range(self.retries, -1, -1):
+            yield from self._await_buses(waiting)
             retried = []
             for unit, error in self._exchange_all(waiting).items():
                 if remaining_tries and not isinstance(error, FaultError):
@@ -105,9 +109,13 @@ class StepContext:
             if isinstance(error, ConnectionFailedError):
                 self.bench.reopen(error.instrument)
         yield from self.pause(_RETRY_PAUSE_S)
-        yield from self._await_ports([error.instrument for error in errors])
 
-    def _await_ports(self, instruments: Sequence[str]) -> Ticks:
-        """Wait until no thread opens a port of these instruments."""
-        while any(map(self.bench.is_reopening, instruments)):
+    def _await_buses(self, waiting: dict[MeasuredUnit, Ticks]) -> Ticks:
+        """Wait until no thread opens the bus of a waiting unit; removes units that are measured no more."""
+        while True:
+            measuring = self.units.measuring
+            for unit in [each for each in waiting if each not in measuring]:
+                del waiting[unit]
+            if not any(self.bench.is_reopening(unit.live.name) for unit in waiting):
+                return
             yield

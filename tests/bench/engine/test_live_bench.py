@@ -405,6 +405,30 @@ def test_a_command_waits_until_the_bus_of_its_unit_is_open_again(threaded, monke
     assert unit.ins._bus is bus
 
 
+def test_a_command_is_not_sent_to_a_unit_that_is_dropped_while_its_bus_is_reopened(threaded, monkeypatch):
+    bench, _, _ = threaded
+    (unit,), opens, sent = bench.units, Event(), []
+    bus = SimpleNamespace(shutdown=str, is_shut_down=False)
+
+    def open_bus(*_):
+        assert opens.wait(60)
+        return bus
+
+    def send(measured):
+        sent.append(measured)
+        yield
+
+    monkeypatch.setattr("gyrobench.bench.station.instruments._open_ins_bus", open_bus)
+    bench.reopen(unit.name)
+    units = SimpleNamespace(measuring=[type("Measured", (), {"live": unit})()])
+    for _ in StepContext(SimpleNamespace(bench=bench), units).command_all(send):
+        bench.tick()
+        units.measuring.clear()
+        bench.leave_out(unit)
+    opens.set()
+    assert not sent
+
+
 def test_a_command_waits_until_the_port_of_its_instrument_is_open_again_between_ticks(threaded):
     bench, answers, opened = threaded
     answers.clear()
