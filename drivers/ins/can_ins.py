@@ -160,8 +160,8 @@ class CanIns:
         return bool(self._foreign_ids)
 
     def describe_foreign_frames(self) -> str:
-        """Describe error frames, else the received frames that are not in the DBC; empty if none."""
-        if (errors := self.describe_bus_errors()) or not self._foreign_ids:
+        """Describe frames in the other format, else errors, else frames not in the DBC; empty if none."""
+        if not self.has_other_format and ((errors := self.describe_bus_errors()) or not self._foreign_ids):
             return errors
         first = min(self._ids_in_other_format or self._foreign_ids)
         name = f"0x{first & ~EXTENDED_ID:03x}"
@@ -198,10 +198,12 @@ class CanIns:
         return InsStatus(self._newest, self._clock.now(), self.signal_map, self._signals)
 
     def forget(self) -> None:
-        """Drop the newest frames: the state is unknown until new frames arrive."""
+        """Drop the newest frames, and errors except bus-off: the state is unknown until new ones arrive."""
         self._newest = NewestFrames(self.codec)
         self._recent.clear()
         self._foreign_ids.clear()
+        self._new_errors = 0
+        self._error_classes &= _BUS_OFF | _RESTARTED
 
     def describe_second_node(self) -> str:
         """Describe that two nodes send the frames of the INS: its count of epochs jumps to and fro.

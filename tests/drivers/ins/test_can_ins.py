@@ -589,3 +589,35 @@ def test_errors_since_the_last_data_frame_are_stated(signal_map, codec, identifi
     assert driver.describe_foreign_frames().startswith(expected)
     assert driver.error_frames == len(identifiers) - identifiers.count(None)
     driver.close()
+
+
+@pytest.mark.parametrize("identifier", [0x88, 0x24])
+def test_errors_from_before_the_supply_was_switched_on_do_not_describe_an_ins_that_starts(
+    signal_map, codec, identifier
+):
+    """Bus-off lasts: the adapter does not report it again."""
+    clock = VirtualClock()
+    driver = CanIns(open_bus("virtual", "errors", clock), signal_map, codec.database, clock)
+    with can.Bus("errors", interface="virtual") as other:
+        for each, expected in ((identifier, ""), (identifier | 0x40, "the adapter is bus-off")):
+            other.send(can.Message(arbitration_id=each, data=bytes(8), is_error_frame=True))
+            driver.poll()
+            driver.forget()
+            text = driver.describe_foreign_frames()
+            assert text.startswith(expected)
+            assert bool(text) == bool(expected)
+    assert driver.error_frames == 2
+    driver.close()
+
+
+def test_an_error_after_frames_in_the_other_format_does_not_hide_their_format(signal_map, codec):
+    clock = VirtualClock()
+    driver = CanIns(open_bus("virtual", "errors", clock), signal_map, codec.database, clock)
+    identifier = min(codec.arbitration_ids().tolist())
+    with can.Bus("errors", interface="virtual") as other:
+        other.send(can.Message(arbitration_id=identifier, data=bytes(8), is_extended_id=True))
+        other.send(can.Message(arbitration_id=0x88, data=bytes(8), is_error_frame=True))
+        driver.poll()
+    assert driver.has_other_format
+    assert "arrives as an identifier of 29 bits" in driver.describe_foreign_frames()
+    driver.close()
