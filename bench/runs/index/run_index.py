@@ -192,7 +192,7 @@ class RunIndex:
         return dict(self.query("SELECT path, CASE problem WHEN '' THEN fingerprint END FROM files").rows)
 
     def _is_usable(self) -> bool:
-        """Whether an index exists that has the columns of :data:`SCHEMAS`."""
+        """Whether an index exists whose columns have the names and types of :data:`SCHEMAS`."""
         if not self.path.exists():
             return False
         if not _is_duckdb(self.path):
@@ -200,8 +200,11 @@ class RunIndex:
                 f"{self.path}: not an index of runs. Choose another file with --index, or remove this one"
             )
         try:
-            return all(self.query(f"FROM {name} LIMIT 0").columns == SCHEMAS[name].names for name in SCHEMAS)
-        except DocumentError:
+            with self._connect(read_only=True) as connection:
+                return all(
+                    connection.table(name).limit(0).arrow().schema == SCHEMAS[name] for name in SCHEMAS
+                )
+        except (DocumentError, self._duckdb.Error):
             return False
 
     def _remove(self) -> None:

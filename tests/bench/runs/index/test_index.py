@@ -169,7 +169,13 @@ def test_an_index_is_rebuilt_from_the_folders_and_no_other_file_is_replaced(inde
 
 
 @pytest.mark.parametrize(
-    "change", ["ALTER TABLE dwells DROP COLUMN case_c", "ALTER TABLE runs ADD x INT", "DROP TABLE bins"]
+    "change",
+    [
+        "ALTER TABLE dwells DROP COLUMN case_c",
+        "ALTER TABLE dwells ALTER case_c TYPE BIGINT",
+        "ALTER TABLE runs ADD x INT",
+        "DROP TABLE bins",
+    ],
 )
 def test_an_index_with_other_columns_than_the_tables_is_rebuilt(index, change):
     assert index.update().read == 0
