@@ -156,13 +156,13 @@ class CanIns:
 
     @property
     def has_foreign_frames(self) -> bool:
-        """Whether frames arrived that are not in the DBC."""
-        return bool(self._foreign_ids)
+        """Whether frames that are not in the DBC describe the bus, rather than errors after them."""
+        return self.has_other_format or (bool(self._foreign_ids) and not self.describe_bus_errors())
 
     def describe_foreign_frames(self) -> str:
         """Describe frames in the other format, else errors, else frames not in the DBC; empty if none."""
-        if not self.has_other_format and ((errors := self.describe_bus_errors()) or not self._foreign_ids):
-            return errors
+        if not self.has_foreign_frames:
+            return self.describe_bus_errors()
         first = min(self._ids_in_other_format or self._foreign_ids)
         name = f"0x{first & ~EXTENDED_ID:03x}"
         if not self._ids_in_other_format:

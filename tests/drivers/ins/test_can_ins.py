@@ -610,14 +610,19 @@ def test_errors_from_before_the_supply_was_switched_on_do_not_describe_an_ins_th
     driver.close()
 
 
-def test_an_error_after_frames_in_the_other_format_does_not_hide_their_format(signal_map, codec):
+@pytest.mark.parametrize("is_own", [True, False])
+def test_an_error_after_frames_in_the_other_format_does_not_hide_their_format(signal_map, codec, is_own):
+    """After frames of another node it describes the bus."""
     clock = VirtualClock()
     driver = CanIns(open_bus("virtual", "errors", clock), signal_map, codec.database, clock)
-    identifier = min(codec.arbitration_ids().tolist())
+    identifier = min(codec.arbitration_ids().tolist()) if is_own else 0x700
     with can.Bus("errors", interface="virtual") as other:
         other.send(can.Message(arbitration_id=identifier, data=bytes(8), is_extended_id=True))
+        driver.poll()
+        assert driver.has_foreign_frames
         other.send(can.Message(arbitration_id=0x88, data=bytes(8), is_error_frame=True))
         driver.poll()
-    assert driver.has_other_format
-    assert "arrives as an identifier of 29 bits" in driver.describe_foreign_frames()
+    assert driver.has_other_format == driver.has_foreign_frames == is_own
+    expected = "arrives as an identifier of 29 bits" if is_own else "the adapter reports 1 bus error"
+    assert expected in driver.describe_foreign_frames()
     driver.close()
