@@ -110,7 +110,8 @@ def _wait_until_sending(unit: MeasuredUnit, bench: LiveBench) -> Ticks:
     while not unit.live.has_started():
         if bench.clock.now() - reopened_s > _REOPEN_AFTER_S:
             unit.live.check_identifiers()
-            if not noted and (noted := unit.live.ins.describe_foreign_frames()):
+            is_silent = unit.live.status().age_s > BUS_SILENCE_S
+            if is_silent and not noted and (noted := unit.live.ins.describe_foreign_frames()):
                 unit.note(f"the INS has not started; {noted}")
             reopened_s = bench.clock.now()
             bench.reopen(unit.live.name)

@@ -299,6 +299,22 @@ def test_bus_errors_of_an_ins_that_is_silent_or_does_not_start_are_named():
         assert note.startswith("the INS has not started; the adapter is bus-off after too many errors")
 
 
+def test_frames_of_other_nodes_are_not_named_as_the_reason_of_an_ins_that_sends_while_it_boots(monkeypatch):
+    with live_bench() as (bench, _):
+        ins, clock, notes = bench.instruments.ins, bench.clock, []
+        unit = SimpleNamespace(live=bench.units[0], note=notes.append)
+        monkeypatch.setattr(unit.live, "has_started", lambda: False)
+        monkeypatch.setattr(bench, "reopen", lambda _: None)
+        ins._bus._blocks.append(FrameBlock.from_messages([can.Message(arbitration_id=0x700, dlc=8)]))
+        begin_s = clock.now()
+        for _ in _wait_until_sending(unit, bench):
+            bench.tick()
+            if notes or clock.now() > begin_s + 60.0:
+                break
+        assert ins.has_foreign_frames
+        assert notes == []
+
+
 @pytest.fixture
 def threaded(tmp_path, monkeypatch):
     """A started bench without emulators; its table's port opens when ``answers`` is set."""
