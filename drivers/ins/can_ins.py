@@ -113,7 +113,7 @@ class CanIns:
         is_own = self._own_ids.take(self._own_ids.searchsorted(sent), mode="clip") == sent
         ins_frames = block
         if not is_own.all():  # frames of other nodes do not describe the INS
-            ins_frames = block.take(is_own)
+            ins_frames = block.take(is_own | (block.flags & ERROR_FRAME != 0))
             if len(self._foreign_ids) < _MAX_FOREIGN_IDS:
                 self._foreign_ids.update(block.data_frames().arbitration_id.tolist())
                 self._foreign_ids.difference_update(self._own_ids.tolist())

@@ -15,7 +15,7 @@ from gyrobench.bench.foundations.errors import (
     RefusedError,
     ReplyError,
 )
-from gyrobench.drivers.frames import FrameBlock, concatenate
+from gyrobench.drivers.frames import ERROR_FRAME, FrameBlock, concatenate
 from gyrobench.drivers.ins.attitude import EulerSequence
 from gyrobench.drivers.ins.can_bus import open_bus
 from gyrobench.drivers.ins.can_ins import CanIns
@@ -625,4 +625,21 @@ def test_an_error_after_frames_in_the_other_format_does_not_hide_their_format(si
     assert driver.has_other_format == driver.has_foreign_frames == is_own
     expected = "arrives as an identifier of 29 bits" if is_own else "the adapter reports 1 bus error"
     assert expected in driver.describe_foreign_frames()
+    driver.close()
+
+
+def test_errors_of_a_shared_bus_are_logged_for_each_unit(signal_map, codec, batches, frames_of, to_messages):
+    clock = VirtualClock()
+    bus = open_bus("virtual", "errors", clock)
+    driver = CanIns(bus, signal_map, codec.database, clock, is_shared=True)
+    driver.on_frames = batches.append
+    own = to_messages(frames_of("INS_STATUS", 1.0, {"MODE": 3}))[0]
+    with can.Bus("errors", interface="virtual") as other:
+        other.send(own)
+        other.send(can.Message(arbitration_id=0x700, data=bytes(8), is_extended_id=False))
+        other.send(can.Message(arbitration_id=0x88, data=bytes(8), is_error_frame=True))
+        driver.poll()
+    flags = concatenate(batches).flags.tolist()
+    assert flags == [0, ERROR_FRAME]
+    assert (driver.frames, driver.error_frames) == (1, 1)
     driver.close()
