@@ -194,8 +194,12 @@ class Units:
     def settle_compensation(self, after_power_on: bool) -> Iterator[None]:
         """Compare the stored compensation of each unit with the run's, one unit after another."""
         for unit in list(self.running):
+            ticks = self._compensations[unit].settle(after_power_on)
             try:
-                yield from self._compensations[unit].settle(after_power_on)
+                while unit in self.running:  # it may be dropped meanwhile
+                    yield next(ticks)
+            except StopIteration:
+                pass
             except InstrumentError as error:
                 self.fail(unit, error)
 

@@ -2,6 +2,7 @@
 
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
@@ -12,6 +13,7 @@ from gyrobench.bench.engine.observers import ObserverGroup, RunObserver
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.resume import prepare_resumption
 from gyrobench.bench.engine.run import resume_run, run_job
+from gyrobench.bench.engine.units import Units
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.shipped import find_document
@@ -374,6 +376,22 @@ def test_without_dropping_the_run_holds_for_all(files, tmp_path):
     held = [entry["after"] for entry in read_journal(folder.journal) if entry["event"] == "held"]
     assert held[0] == ["ins_silence"]
     assert not watcher.lost
+
+
+def test_a_unit_that_is_dropped_while_the_operator_is_asked_about_compensations_gets_no_command():
+    settled = []
+
+    def compensation_of(number):
+        def settle(_):
+            yield
+            settled.append(number)
+
+        return SimpleNamespace(settle=settle)
+
+    units = SimpleNamespace(running=NUMBERS, _compensations={each: compensation_of(each) for each in NUMBERS})
+    for _ in Units.settle_compensation(units, after_power_on=True):
+        units.running = NUMBERS[2:]
+    assert settled == NUMBERS[2:]
 
 
 @pytest.mark.long
