@@ -170,6 +170,8 @@ def _spread(readout: BlockReadout, path: str, rows: IntArray) -> FloatArray:
 _MAX_COUNTER_LEAD = 300.0
 #: A gap in the frames of a counter that wraps after so many epochs hardly ends exactly with the next number.
 _MIN_LONG_COUNT = 4096.0
+#: Epochs by which a number that is a time may differ from the next one.
+_TIME_JITTER = 0.1
 _LATE_PERIODS = 2.0
 _TIME_DECIMALS = 9
 _STAMP_DECIMALS = 6
@@ -332,7 +334,7 @@ def _epoch_steps(numbers: FloatArray, modulus: float, elapsed: FloatArray) -> tu
     clock was set: where it is negative, or a long count continues with the next number.
     """
     changes = np.diff(numbers)
-    continues = (changes % modulus == 1.0) & (modulus >= _MIN_LONG_COUNT)
+    continues = (np.abs(changes % modulus - 1.0) < _TIME_JITTER) & (modulus >= _MIN_LONG_COUNT)
     elapsed = np.where((elapsed < 0.0) | continues, 1.0, elapsed)
     steps = _unwrap_steps(changes, modulus, elapsed)
     max_lead = min(_MAX_COUNTER_LEAD, modulus / 4.0)

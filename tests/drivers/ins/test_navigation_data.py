@@ -10,7 +10,12 @@ from gyrobench.bench.station.station import Station
 from gyrobench.drivers.frames import FrameBlock, concatenate
 from gyrobench.drivers.ins.attitude import EulerSequence, attitude_matrices
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
-from gyrobench.drivers.ins.navigation_data import EpochCounts, decode_increments, decode_navigation
+from gyrobench.drivers.ins.navigation_data import (
+    EpochCounts,
+    _epoch_steps,
+    decode_increments,
+    decode_navigation,
+)
 from gyrobench.drivers.ins.readout import Alignment, InsMode
 from tests.drivers.ins.conftest import make_frames
 
@@ -139,6 +144,16 @@ def test_setting_the_clock_of_the_can_interface_is_no_restart_and_loses_no_epoch
     found = decode_navigation(block.with_fields(time_s=stamps_s), signal_map, codec)
     assert replace(found.counts, late=0) == EpochCounts()
     assert found.ins_time_s == pytest.approx(100 + np.arange(50) / 10)
+
+
+def test_setting_the_clock_of_the_can_interface_is_no_reset_of_a_time_in_microseconds_that_wraps():
+    """Of 32 bits, which wraps after 72 min, with epochs of 40 ms that are some microseconds late."""
+    late_us = np.random.default_rng(1).integers(0, 40, 200)
+    time_s = (4_290_000_000 + 40_000 * np.arange(200) + late_us) % 2**32 * 1e-6
+    arrival = np.arange(200.0) + 90_000.0 * (np.arange(200) >= 60)
+    steps, is_reset = _epoch_steps(time_s / 0.04, 2**32 * 1e-6 / 0.04, np.diff(arrival))
+    assert steps == pytest.approx(1.0, abs=0.01)
+    assert not is_reset.any()
 
 
 @pytest.mark.parametrize("whole", [0, 3])
