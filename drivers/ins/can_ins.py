@@ -140,11 +140,14 @@ class CanIns:
         if len(data_frames):
             is_error[: np.flatnonzero(block.flags == 0)[-1]] = False
         self._new_errors += int(np.count_nonzero(is_error))
-        self._error_classes |= int(np.bitwise_or.reduce(block.arbitration_id[is_error], initial=0))
+        classes = block.arbitration_id[is_error]
+        if len(restarts := np.flatnonzero(classes & _RESTARTED)):  # ends bus-off
+            self._error_classes, classes = 0, classes[restarts[-1] + 1 :]
+        self._error_classes |= int(np.bitwise_or.reduce(classes, initial=0))
 
     def describe_bus_errors(self) -> str:
         """Describe the error frames that arrived since the last data frame of any node; empty if none."""
-        if self._error_classes & _BUS_OFF and not self._error_classes & _RESTARTED:
+        if self._error_classes & _BUS_OFF:
             return (
                 "the adapter is bus-off after too many errors, as with a wrong bit rate or no termination; "
                 "a Linux interface without restart-ms stays so until `ip link set can0 type can restart`"
@@ -203,7 +206,7 @@ class CanIns:
         self._recent.clear()
         self._foreign_ids.clear()
         self._new_errors = 0
-        self._error_classes &= _BUS_OFF | _RESTARTED
+        self._error_classes &= _BUS_OFF
 
     def describe_second_node(self) -> str:
         """Describe that two nodes send the frames of the INS: its count of epochs jumps to and fro.

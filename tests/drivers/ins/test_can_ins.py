@@ -571,6 +571,7 @@ def test_closing_twice_is_harmless(driver, buses):
         ([0x88, None], ""),
         ([None, 0x04, 0x40], "the adapter is bus-off after too many errors, as with a wrong bit rate or"),
         ([0x40, 0x100], "the adapter reports 2 bus errors, as with a wrong bit rate"),
+        ([0x40, 0x100, 0x40], "the adapter is bus-off after too many errors, as with a wrong bit rate or"),
         ([0x24], "no node acknowledges the adapter's frames, as with an INS that is off or disconnected"),
     ],
 )
