@@ -131,9 +131,9 @@ class WallClock(Clock):
 
         With a speed above 1, the offset at the start plus the changes of the calendar since.
         """
-        at_start_s = (self._calendar_at_start - self._epoch).total_seconds()
-        since_s = self.speed * (_calendar() - self._calendar_at_start).total_seconds()
-        return at_start_s + since_s - self.now()
+        at_start_s = (self._calendar_at_start - self._epoch).total_seconds() - self._start_s
+        calendar_s = (_calendar() - self._calendar_at_start).total_seconds()
+        return at_start_s + calendar_s - (time.clock_gettime(_MONOTONIC) - self._started_at_s)
 
 
 class VirtualClock(Clock):
