@@ -42,10 +42,11 @@ _WIDTH = 110
 def write_station_file(path: Path, station: Station, urls: Mapping[str, str], speed: float) -> None:
     """Write a station file for the served emulators; replaces an existing file.
 
-    All but the addresses comes from ``station``. ``urls`` are the addresses of ``table``, ``chamber`` and
-    ``ins``, and of further units: ``ins-2`` and so on; ``speed`` is the emulators' factor on real time.
-    A DBC file that is not shipped is copied beside it. Raises DocumentError if no emulated INS sends the
-    frames of the station's DBC file.
+    All but the addresses comes from ``station``; gravity, if not declared, is the normal gravity at its
+    location, as in the emulated bench. ``urls`` are the addresses of ``table``, ``chamber`` and ``ins``, and
+    of further units: ``ins-2`` and so on; ``speed`` is the emulators' factor on real time. A DBC file that is
+    not shipped is copied beside it. Raises DocumentError if no emulated INS sends the frames of the station's
+    DBC file.
     """
     if emulated_frames(station) is None:
         raise DocumentError(
@@ -71,6 +72,7 @@ def _station_text(station: Station, urls: Mapping[str, str], speed: float) -> st
         "instruments_period_s": min(station.file.instruments_period_s, _MAX_INSTRUMENTS_PERIOD_S),
     }
     data = overrides | {key: value for key, value in data.items() if key not in overrides}
+    data["location"] = {"gravity_mps2": round(station.site.gravity, 7)} | data["location"]
     data["rate_table"] |= {"port": urls["table"]}
     data["chamber"] |= {"port": urls["chamber"]}
     data["ins"] = _ins_section(data["ins"], urls["ins"])

@@ -191,6 +191,13 @@ def test_the_file_names_its_origin(tmp_path):
     load_station_file(tmp_path / "served.yaml")
 
 
+def test_the_gravity_of_the_emulated_bench_is_known(tmp_path):
+    station = served(tmp_path, TERMINALS)
+    assert not station.gravity_caution
+    gravity, sigma = station.gravity_and_sigma
+    assert gravity == pytest.approx(shipped().site.gravity, abs=0.1 * sigma)
+
+
 @pytest.mark.parametrize("urls", [TERMINALS, TCP])
 def test_each_unit_of_a_station_is_served(tmp_path, urls):
     options = serve_options(shipped("four_units"), NOWHERE, tcp=False, can=None)
