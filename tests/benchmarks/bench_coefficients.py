@@ -175,3 +175,38 @@ def test_whole_runs_of_a_short_full_calibration_hold(tmp_path):
     )
     # Coefficients of a run are correlated: as many as half are independent.
     assert abs(held / len(found) - 0.95) < 3.0 * np.sqrt(0.95 * 0.05 / (0.5 * len(found)))
+
+
+@pytest.mark.parametrize(("lag_s", "dph_per_g"), [(600.0, 0.0), (200.0, 0.01), (600.0, 0.01), (600.0, 0.005)])
+def test_gyro_biases_that_lag_the_attitude_are_a_finding(tmp_path, lag_s, dph_per_g):
+    """The dwells, rotations and whole turns of a plateau at room temperature, from several seeds."""
+    document = yaml.safe_load(find_document("procedures", "full_calibration").read_text())
+    plateau = [
+        each for each in document["steps"][2]["repeat"]["steps"] if not {"chamber", "soak"} & each.keys()
+    ]
+    procedure, world_path = tmp_path / "plateau.yaml", tmp_path / "world.yaml"
+    steps = [{"power_on": {"settle_s": 600}}, *plateau, "power_off"]
+    procedure.write_text(yaml.safe_dump({"procedure": "plateau", "bin_width_c": 5, "steps": steps}))
+    world = yaml.safe_load(find_document("worlds", WORLD).read_text())
+    flagged, silent, worst = 0, 0, []
+    for seed in range(SEEDS):
+        sensitivities = dph_per_g * np.random.default_rng([seed, 77]).standard_normal((3, 3))
+        effect = {"kind": "g_sensitivity", "sensitivity_dph_per_g": sensitivities.tolist(), "lag_s": lag_s}
+        world_path.write_text(yaml.safe_dump(world | {"undeclared_effects": [effect]}))
+        out = tmp_path / str(seed)
+        run = gyrobench("run", procedure, "--world", world_path, "--seed", seed, "--out", out, cwd=tmp_path)
+        assert run.returncode == 0, run.stderr
+        rows = read_coefficients(out / "coefficients.csv")
+        worst.append(float(np.nanmax(np.abs(deviations(rows)))))
+        is_flagged = any("follow the attitude" in row.finding for row in rows)
+        flagged += is_flagged
+        silent += not any(row.finding or row.note for row in rows) and worst[-1] > 5.0
+    print(
+        f"\n{dph_per_g:g} deg/h/g, lag {lag_s:g} s: {flagged} of {SEEDS} runs flagged, {silent} silent; "
+        f"largest error {np.median(worst):.1f} (median), {max(worst):.1f} standard uncertainties"
+    )
+    assert silent == 0
+    if not dph_per_g:
+        assert flagged == 0
+    elif dph_per_g == 0.01:
+        assert flagged >= 0.95 * SEEDS

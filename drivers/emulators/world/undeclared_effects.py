@@ -249,6 +249,28 @@ class GSensitivity(_Effect):
     sensitivity_dph_per_g: _VectorOrMatrix = Field(
         description="bias per g along the gyro's own axis, three values, or three rows of three, deg/h/g"
     )
+    lag_s: NotNegative = Field(
+        0.0, description="time in which the bias follows a change of attitude to 63 %, as through heat, s"
+    )
+
+    @override
+    def start(self) -> AddedError:
+        if not self.lag_s:
+            return self.added_dph
+        followed: FloatArray | None = None  # starts at the first attitude
+        last_s = 0.0
+
+        def added_dph(now: Conditions) -> FloatArray:
+            nonlocal followed, last_s
+            ups = np.empty_like(now.optics_c)
+            ups[...] = now.up_body
+            for up, time_s in zip(np.atleast_2d(ups), np.ravel(now.time_s).tolist(), strict=True):
+                before = up.copy() if followed is None else followed
+                followed = before - math.expm1((last_s - time_s) / self.lag_s) * (up - before)
+                up[:], last_s = followed, time_s
+            return self.added_dph(now._replace(up_body=ups))
+
+        return added_dph
 
     @override
     def added_dph(self, now: Conditions) -> FloatArray:

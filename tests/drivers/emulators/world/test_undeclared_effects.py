@@ -332,6 +332,22 @@ def test_in_a_world_the_table_decides_where_up_is(make_world):
     np.testing.assert_allclose(world.undeclared_bias() / DPH_TO_RADPS, ROWS @ world.attitude()[2], atol=1e-9)
 
 
+def test_with_a_lag_the_bias_follows_a_new_attitude_after_it_however_time_is_cut(make_world):
+    effect = g_sensitivity(ROWS).model_dump() | {"lag_s": 100.0}
+    worlds = [make_world(undeclared_effects=[effect]) for _ in range(2)]
+    for world in worlds:
+        np.testing.assert_allclose(world.undeclared_bias() / DPH_TO_RADPS, [0.003, 0.006, 0.009], atol=1e-12)
+        world.axes[OUTER].move_to(90.0, 0.0)  # about East: y points up
+        world.advance(60.0)
+    settled = np.array(ROWS)[:, 1] * DPH_TO_RADPS
+    before = worlds[0].undeclared_bias() - settled
+    worlds[0].advance(160.0)
+    for time_s in np.arange(60.5, 160.5, 0.5):
+        worlds[1].advance(time_s)
+    np.testing.assert_allclose(worlds[0].undeclared_bias() - settled, before * np.exp(-1.0), rtol=1e-6)
+    np.testing.assert_allclose(worlds[1].undeclared_bias(), worlds[0].undeclared_bias(), rtol=1e-9)
+
+
 def test_in_the_turn_about_the_vertical_gravity_stays_where_it_is(make_world):
     world = make_world(undeclared_effects=[g_sensitivity(ROWS).model_dump()])
     before = world.undeclared_bias()
