@@ -126,7 +126,8 @@ def signal_map_checks(outcome: RunOutcome, folder: RunFolder) -> Iterator[Check]
             sigmas = max((abs(scale - 1.0) / sigma for scale, sigma in scales), default=0.0)
             if sigmas > _DOUBTFUL_SIGMAS or not dwell.are_signs_tested:
                 is_good = dwell.are_signs_tested or sigmas <= _MAX_SCALE_SIGMAS
-                found = "not tested" if is_good else "the velocities do not follow from the tilt of the INS"
+                found = "a velocity has a doubtful scale" if sigmas > _DOUBTFUL_SIGMAS else "not tested"
+                found = found if is_good else "the velocities do not follow from the tilt of the INS"
                 advice = "Check signals, signs and scale of velocities and attitude, and their resolution."
             if scales:
                 both, east, north = (f"{scale:.2f} ± {sigma:.2f}" for scale, sigma in scales)

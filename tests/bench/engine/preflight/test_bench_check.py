@@ -203,7 +203,13 @@ def test_a_mode_that_the_signal_map_lacks_fails_with_its_value(failures_of):
     [
         (0.9, 0.9, True, CheckVerdict.PASS, "agree with the tilt"),
         (0.9, 0.9, False, CheckVerdict.SKIPPED, "not tested; scale of the velocities 0.90 ± 0.20, of one"),
-        (0.0, 1.0, True, CheckVerdict.SKIPPED, "not tested; scale of the velocities 0.50 ± 0.20, of one"),
+        (
+            0.0,
+            1.0,
+            True,
+            CheckVerdict.SKIPPED,
+            "a velocity has a doubtful scale; scale of the velocities 0.50 ± 0.20, of one",
+        ),
         (1.0, 0.0, True, CheckVerdict.SKIPPED, "of one alone: East 1.00 ± 0.28, North 0.00 ± 0.28"),
         (-0.1, -0.1, False, CheckVerdict.FAIL, "do not follow from the tilt of the INS; scale of the"),
     ],
