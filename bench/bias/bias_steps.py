@@ -15,7 +15,7 @@ import numpy as np
 from gyrobench.bench.bias.statistics import chi2_p_value
 from gyrobench.bench.bias.window_filter import COLUMN_COUNT, DATA, MEASURED_STATES, WindowFilter
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, FloatArray, IntArray
-from gyrobench.bench.foundations.kernels import compiled
+from gyrobench.bench.foundations.kernels import compiled, copy_matrix
 from gyrobench.bench.navigation.error_model import STATES
 
 #: A step with a smaller p-value is significant: one in 250 dwells with constant biases.
@@ -145,12 +145,8 @@ def _backward(
     carried, gain_response, index = np.empty(size), np.empty(width), 0
     for k in range(len(rows) - 1, -2, -1):
         if index < len(saved) and saved[index] == k:
-            # Numba takes seconds to compile the assignment of a whole array.
-            for i in range(size):
-                for c in range(size):
-                    infos[index, i, c] = info[i, c]
-                for c in range(width):
-                    all_responses[index, i, c] = responses[i, c]
+            copy_matrix(infos[index], info)
+            copy_matrix(all_responses[index], responses)
             index += 1
         if k < 0:
             break
@@ -208,9 +204,7 @@ def _carry_back(
         for j in range(STATES):
             for c in range(width):
                 propagated[i, c] += transition[j, i] * both[j, c]
-    for i in range(STATES):
-        for c in range(width):
-            both[i, c] = propagated[i, c]
+    copy_matrix(both, propagated)
     for i in range(size):  # the information, which is symmetric, is multiplied from both sides
         for j in range(STATES):
             carried[j] = info[i, j]

@@ -17,7 +17,7 @@ from gyrobench.bench.bias.dwell import interval_indices
 from gyrobench.bench.bias.parameters import ErrorModel
 from gyrobench.bench.bias.statistics import compress
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray
-from gyrobench.bench.foundations.kernels import compiled
+from gyrobench.bench.foundations.kernels import compiled, copy_matrix
 from gyrobench.bench.navigation.attitude import rotation_vector_enu
 from gyrobench.bench.navigation.error_model import INPUTS, STATES, integrate
 
@@ -239,10 +239,7 @@ def _propagate_columns(
             propagated[i, INPUT + j] += response
             for c in range(DATA - SLOPE):
                 propagated[i, SLOPE + c] += response * varying_inputs[k, j, c]
-    # Numba takes seconds to compile the assignment of a whole array.
-    for i in range(6):
-        for c in range(COLUMN_COUNT):
-            columns[i, c] = propagated[i, c]
+    copy_matrix(columns, propagated)
 
 
 @compiled

@@ -36,7 +36,7 @@ from gyrobench.bench.calibration.rotation_list import (
     motion,
 )
 from gyrobench.bench.calibration.strapdown import ATTITUDE, QUADRATIC
-from gyrobench.bench.calibration.whitening import epoch_steps, propagate
+from gyrobench.bench.calibration.whitening import begin_turn, epoch_steps, propagate
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.kernels import compiled
@@ -317,14 +317,7 @@ def _filter(
     measured: int, white: float, turn: float, Z: FloatArray, P: FloatArray, information: FloatArray,
 ) -> None:  # fmt: skip
     if is_spin:
-        for i in range(3):
-            for a in range(Z.shape[1]):
-                Z[6 + i, a] = Z[i, a]
-            for a in range(9):
-                P[6 + i, a] = P[i, a]
-        for a in range(9):
-            for i in range(3):
-                P[a, 6 + i] = P[a, i]
+        begin_turn(Z, P, np.eye(3))
     is_turned = not is_spin
     for epoch in range(len(transition)):
         propagate(transition[epoch], Z)

@@ -28,7 +28,7 @@ import numpy as np
 from gyrobench.bench.calibration.coefficients import COUNT, LOWER, OPTIONAL_PARAMETERS, SensorErrors
 from gyrobench.bench.calibration.turns import Vector, add_scaled, cross_product, multiply, set_turn
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray
-from gyrobench.bench.foundations.kernels import compiled, multiply_3x3
+from gyrobench.bench.foundations.kernels import compiled, copy_matrix, multiply_3x3
 from gyrobench.bench.navigation.attitude import rotation_matrices
 from gyrobench.bench.navigation.earth import earth_rate_enu
 
@@ -170,8 +170,8 @@ def _integrate(
         samples = 0
         if is_end:
             epoch += 1
-            _store(attitudes[epoch], C)
-            _store(responses[epoch], response)
+            copy_matrix(attitudes[epoch], C)
+            copy_matrix(responses[epoch], response)
             for i in range(3):
                 integrals[epoch, i] = u[i]
 
@@ -281,14 +281,6 @@ def _update_responses(
             response[i, r] = earth[i, 0] * a + earth[i, 1] * b + earth[i, 2] * c
         response[3, r] += 0.5 * (north + response[1, r]) * gravity_change
         response[4, r] -= 0.5 * (east + response[0, r]) * gravity_change
-
-
-@compiled
-def _store(target: FloatArray, source: FloatArray) -> None:
-    """Copy an array of two dimensions; numba takes seconds to compile the assignment of whole arrays."""
-    for i in range(source.shape[0]):
-        for j in range(source.shape[1]):
-            target[i, j] = source[i, j]
 
 
 def attitudes(

@@ -163,7 +163,7 @@ def _whiten(
             _whiten_turn(X, P, stacked[n + turn], rows[used:], variances[turn])
             used += 3
         if starts[epoch] >= 0:
-            _begin_turn(X, P, rotations[starts[epoch]])
+            begin_turn(X, P, rotations[starts[epoch]])
     return rows[:used]
 
 
@@ -241,7 +241,7 @@ def _correct(
 
 
 @compiled
-def _begin_turn(X: FloatArray, P: FloatArray, R: FloatArray) -> None:
+def begin_turn(X: FloatArray, P: FloatArray, R: FloatArray) -> None:
     """Copy psi, rotated by ``R`` (3, 3), to the state of the psi before the turn."""
     for i in range(3):
         for j in range(X.shape[1]):

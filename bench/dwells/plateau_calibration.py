@@ -107,10 +107,8 @@ class PlateauCalibration:
             return []
         inputs, dof = dict(self.inputs), math.inf
         if self.rotations is not None and self.rotations.calibration is not None:
-            noise, dof = (
-                vars(self.rotations.calibration.problem.noise),
-                float(self.rotations.calibration.fit.dof),
-            )
+            calibration = self.rotations.calibration
+            noise, dof = vars(calibration.problem.noise), float(calibration.fit.dof)
             inputs |= {name: float(np.sqrt(np.mean(values**2))) for name, values in noise.items()}
         return [
             (

@@ -67,3 +67,11 @@ def multiply_3x3(product: FloatArray, a: FloatArray, b: FloatArray) -> None:
     for i in range(3):
         for j in range(3):
             product[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
+
+
+@compiled
+def copy_matrix(target: FloatArray, source: FloatArray) -> None:
+    """Copy a matrix to the upper left of ``target``; numba takes seconds to compile such an assignment."""
+    for i in range(source.shape[0]):
+        for j in range(source.shape[1]):
+            target[i, j] = source[i, j]
