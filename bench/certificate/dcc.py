@@ -2,8 +2,9 @@
 
 References
 ----------
-https://ptb.de/dcc/v3.3.0 (schema), https://ptb.de/si (D-SI). Documents are validated against schemas in a
-folder; nothing is fetched.
+https://ptb.de/dcc/v3.3.0 (schema), https://ptb.de/si (D-SI), https://digilab.ptb.de/dkd/refType/vocab (names
+``basic_...``), ILAC-G8:09/2019, 4.2.3 (conditional pass and fail). Documents are validated against schemas in
+a folder; nothing is fetched.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from gyrobench.bench import __version__
 from gyrobench.bench.bias.budget import COVERAGE, NORMAL_K
+from gyrobench.bench.bias.verdicts import Acceptance
 from gyrobench.bench.certificate.content import MODEL_DIGITS, BiasResult, Certificate, ModelNumber
 from gyrobench.bench.foundations.arrays import STANDARD_GRAVITY
 from gyrobench.bench.foundations.errors import DocumentError
@@ -29,8 +31,10 @@ if TYPE_CHECKING:
 
 _VERSION = "3.3.0"
 _DCC, _SI = "https://ptb.de/dcc", "https://ptb.de/si"
+_XSI = "http://www.w3.org/2001/XMLSchema-instance"
 _LANGUAGE = "en"
 _ROOT = "digitalCalibrationCertificate"
+_SERIAL_NUMBER, _MEASURED = "Serial number", "basic_measuredValue"
 _EMULATED = (
     "emulated instruments, no measurement; this document shows what a certificate contains and is none"
 )
@@ -56,7 +60,6 @@ _UNITS: Mapping[str, tuple[str, float]] = {
     "ug/g2": (r"\metre\tothe{-1}\second\tothe{2}", 1e-6 / STANDARD_GRAVITY),
     "Hz": (r"\hertz", 1.0),
 }
-_CONFORMITY = {"accepted": "pass", "rejected": "fail", "marginal": "conditionalPass"}
 _NO_NETWORK = "the schema names {}, which is not in {}. Copy it there: nothing is fetched"
 
 
@@ -110,9 +113,11 @@ def _si(name: str, *children: etree._Element | str | None) -> etree._Element:
 
 
 def _element(space: str, name: str, children: Iterable[Any], attributes: Mapping[str, str]) -> etree._Element:
-    """Element of a name space with children and text; children that are None are left out."""
+    """Element of a name space with children and text, without children that are None and empty attributes."""
     element: etree._Element = require("lxml.etree").Element(
-        f"{{{space}}}{name}", attributes, nsmap={"dcc": _DCC, "si": _SI} if name == _ROOT else None
+        f"{{{space}}}{name}",
+        {key: value for key, value in attributes.items() if value},
+        nsmap={"dcc": _DCC, "si": _SI, "xsi": _XSI} if name == _ROOT else None,
     )
     for child in children:
         if isinstance(child, str):
@@ -130,9 +135,10 @@ def _root(certificate: Certificate) -> etree._Element:
     return _dcc(
         _ROOT,
         _administration(certificate),
-        _dcc("measurementResults", *_common_elements(certificate), *_results(certificate)),
+        _dcc("measurementResults", _measurement(certificate)),
         comment,
         schemaVersion=_VERSION,
+        **{f"{{{_XSI}}}schemaLocation": f"{_DCC} {_DCC}/v{_VERSION}/dcc.xsd"},
     )
 
 
@@ -148,6 +154,7 @@ def _identifications(*identifications: tuple[str, str, str]) -> etree._Element |
             _dcc("issuer", issuer),
             _dcc("value", _collapse_spaces(value)),
             _text("name", name),
+            refType="basic_serialNumber" if name == _SERIAL_NUMBER else "",
         )
         for issuer, name, value in identifications
         if value.strip()
@@ -158,9 +165,6 @@ def _identifications(*identifications: tuple[str, str, str]) -> etree._Element |
 def _administration(certificate: Certificate) -> etree._Element:
     started, ended = certificate.performed
     order, lab = certificate.order, certificate.station.laboratory
-    software = _dcc(
-        "software", _text("name", "gyrobench"), _dcc("release", __version__), _dcc("type", "application")
-    )
     core = _dcc(
         "coreData",
         _dcc("countryCodeISO3166_1", lab.country if lab else "XX"),
@@ -177,11 +181,20 @@ def _administration(certificate: Certificate) -> etree._Element:
         _dcc("endPerformanceDate", f"{ended}"),
         _dcc("performanceLocation", "laboratory"),
         _dcc("issueDate", f"{certificate.issued}"),
+        _dcc(
+            "reportAmendedSubstituted",
+            _dcc("typeOfChange", "substituted"),
+            _dcc("replacedUniqueIdentifier", _collapse_spaces(order.replaces)),
+        )
+        if order.replaces
+        else None,
     )
+    identification = certificate.item.get("identification")
     item = _dcc(
         "item",
         _text("name", "Inertial navigation system"),
-        _identifications(("manufacturer", "Serial number", certificate.unit or "unknown")),
+        _text("description", identification) if identification else None,
+        _identifications(("manufacturer", _SERIAL_NUMBER, certificate.unit or "unknown")),
     )
     address = [
         _dcc(tag, value)
@@ -217,7 +230,7 @@ def _administration(certificate: Certificate) -> etree._Element:
     )
     return _dcc(
         "administrativeData",
-        _dcc("dccSoftware", software),
+        _dcc("dccSoftware", _software()),
         core,
         _dcc("items", item),
         laboratory,
@@ -227,54 +240,91 @@ def _administration(certificate: Certificate) -> etree._Element:
     )
 
 
+def _software() -> etree._Element:
+    return _dcc(
+        "software",
+        _text("name", "gyrobench"),
+        _dcc("release", f"v{__version__}"),
+        _dcc("type", "application"),
+    )
+
+
 def _statements(certificate: Certificate) -> etree._Element:
-    acceptance, (sentence, rule) = certificate.run.acceptance, certificate.conformity
-    status = _CONFORMITY.get(acceptance.verdict, "") if acceptance and acceptance.limits else ""
-    statements = [
-        (SIMULATED, _EMULATED if certificate.run.is_simulated else "", "", ""),
-        ("Statement of conformity", sentence, rule, status),
-        ("Deviations from the procedure", " ".join(certificate.deviations), "", ""),
-        ("Recalibration", certificate.order.recalibration, "", ""),
-        ("Replaced certificate", certificate.order.replaces, "ISO/IEC 17025:2017, 7.8.8", ""),
-    ]
-    return _dcc("statements", *(_statement(*each) for each in statements if each[1]))
+    sentence, rule = certificate.conformity
+    conformity = _conformity(certificate.run.acceptance)
+    return _dcc(
+        "statements",
+        _statement("", SIMULATED, _EMULATED if certificate.run.is_simulated else ""),
+        _statement("basic_conformity", "Statement of conformity", sentence, rule, conformity),
+        _statement("", "Deviations from the procedure", " ".join(certificate.deviations)),
+        _statement("basic_recalibration", "Recalibration", certificate.order.recalibration),
+    )
 
 
-def _statement(name: str, declaration: str, convention: str, status: str) -> etree._Element:
+def _conformity(acceptance: Acceptance | None) -> str:
+    """Status of conformity; empty without a judgement."""
+    if acceptance is None or acceptance.limits is None:
+        return ""
+    if acceptance.verdict == "marginal":
+        is_beyond = any(each.value_dph > each.limit_dph for each in acceptance.judgements)
+        return "conditionalFail" if is_beyond else "conditionalPass"
+    return {"accepted": "pass", "rejected": "fail"}.get(acceptance.verdict, "")
+
+
+def _statement(
+    ref_type: str, name: str, declaration: str, convention: str = "", conformity: str = ""
+) -> etree._Element | None:
+    """A statement; None without declaration."""
+    if not declaration:
+        return None
     return _dcc(
         "statement",
         _text("name", name),
         _dcc("convention", _collapse_spaces(convention)) if convention else None,
         _text("declaration", declaration),
-        _dcc("conformity", status) if status else None,
+        _dcc("conformity", conformity) if conformity else None,
+        refType=ref_type,
     )
 
 
-def _common_elements(certificate: Certificate) -> list[etree._Element | None]:
-    """Methods, instruments and conditions, which are common to all results."""
-    methods = _dcc(
-        "usedMethods",
-        _dcc(
-            "usedMethod",
-            _text("name", "Six-position calibration of gyro biases"),
-            _text("description", " ".join(certificate.method)),
-            _dcc("norm", "JCGM 100:2008"),
-            refType="basic_calibrationMethod",
-        ),
+def _measurement(certificate: Certificate) -> etree._Element:
+    """All results, with method, software, instruments and conditions.
+
+    The schema allows the latter also beside the results; PTB's Schematron rules require them here.
+    """
+    inputs = [
+        _dcc("usedMethodQuantity", _text("name", f"Input: {name}"), _text("noQuantity", value))
+        for name, value in certificate.inputs.items()
+    ]
+    method = _dcc(
+        "usedMethod",
+        _text("name", "Six-position calibration of gyro biases"),
+        _text("description", " ".join(certificate.method)),
+        _dcc("norm", "JCGM 100:2008"),
+        _dcc("usedMethodQuantities", *inputs),
+        refType="basic_calibrationMethod",
     )
     location, conditions = certificate.station.location, certificate.conditions
-    chamber_c = [round(each, 1) for each in certificate.chamber_c]
+    air = [
+        _dcc("quantity", _real_quantity(round(value, 1), "degC"), refType=f"basic_temperature{limit}")
+        for limit, value in zip(("Min", "Max"), certificate.chamber_c, strict=True)
+        if math.isfinite(value)
+    ]
     influences = [
-        _condition("Air in the chamber, lowest and highest", "degC", *chamber_c),
-        _condition("Latitude", "deg", location.latitude_deg),
-        _condition("Height above the ellipsoid", "m", location.height_m),
-        _dcc("influenceCondition", _text("name", "Room"), _dcc("data", _text("text", conditions["room"]))),
+        _condition("Air in the chamber, lowest and highest", *air, ref_type="basic_temperature"),
+        _condition("Latitude", _dcc("quantity", _real_quantity(location.latitude_deg, "deg"))),
+        _condition("Height above the ellipsoid", _dcc("quantity", _real_quantity(location.height_m, "m"))),
+        _condition("Room", _text("text", conditions["room"])),
     ]
-    return [
-        methods,
+    return _dcc(
+        "measurementResult",
+        _text("name", "Calibration of the inertial navigation system"),
+        _dcc("usedMethods", method),
+        _dcc("usedSoftware", _software()),
         _equipment(certificate),
-        _dcc("influenceConditions", *(each for each in influences if each is not None)),
-    ]
+        _dcc("influenceConditions", *influences),
+        _dcc("results", *_results(certificate)),
+    )
 
 
 def _equipment(certificate: Certificate) -> etree._Element | None:
@@ -282,10 +332,10 @@ def _equipment(certificate: Certificate) -> etree._Element | None:
         _dcc(
             "measuringEquipment",
             _text("name", plain_name(name)),
+            _text("description", f"Calibrated {each.calibrated}, due {each.due}."),
             _identifications(
-                ("manufacturer", "Serial number", each.serial_number),
-                ("calibrationLaboratory", "Certificate", f"{each.certificate} {each.issuer}".strip()),
-                ("calibrationLaboratory", "Valid until", f"{each.due}"),
+                ("manufacturer", _SERIAL_NUMBER, each.serial_number),
+                ("calibrationLaboratory", "Certificate", f"{each.certificate} {each.issuer}"),
             ),
             _dcc(
                 "measuringEquipmentQuantities",
@@ -301,11 +351,11 @@ def _equipment(certificate: Certificate) -> etree._Element | None:
     return _dcc("measuringEquipments", *elements) if elements else None
 
 
-def _condition(name: str, unit: str, *values: float) -> etree._Element | None:
-    if not all(map(math.isfinite, values)):
+def _condition(name: str, *data: etree._Element, ref_type: str = "") -> etree._Element | None:
+    """An influence condition; None without data."""
+    if not data:
         return None
-    quantities = [_dcc("quantity", _real_quantity(value, unit)) for value in values]
-    return _dcc("influenceCondition", _text("name", name), _dcc("data", *quantities))
+    return _dcc("influenceCondition", _text("name", name), _dcc("data", *data), refType=ref_type)
 
 
 def _results(certificate: Certificate) -> list[etree._Element]:
@@ -314,37 +364,31 @@ def _results(certificate: Certificate) -> list[etree._Element]:
     }
     for each in certificate.results:
         by_place[each.gyro, each.position].append(each)
-    bias_results = [
+    results = [
         _bias_result(*gyro_and_position, place_results)
         for gyro_and_position, place_results in by_place.items()
         if place_results
     ]
-    results = [_measurement("Gyro biases by position and temperature", bias_results)] if bias_results else []
     if certificate.model:
         quantities = [
             _named_quantity(f"{gyro_label(each.axis)}, {each.name}", each, MODEL_DIGITS)
             for each in certificate.model
         ]
-        numbers = _list_result("Numbers of the model", quantities, certificate.model_note)
-        results.append(_measurement("Bias model", [numbers]))
+        results.append(_list_result("Numbers of the bias model", quantities, certificate.model_note))
     if certificate.coefficients:
         quantities = [
             _named_quantity(
                 f"{each.name} {each.axis}, {each.temperature_c:.1f} °C "
                 f"({'gyro' if each.name.startswith('gyro') else 'case'})",
                 each,
+                ref_type=_MEASURED,
             )
             for each in certificate.coefficients
         ]
         rows = certificate.run.coefficients
         note = " ".join([FRAME_TEXT, *plateau_findings(rows), *plateau_notes(rows)])
-        coefficients = _list_result("Coefficients", quantities, note)
-        results.append(_measurement("Coefficients of the sensors", [coefficients]))
+        results.append(_list_result("Coefficients of the sensors", quantities, note))
     return results
-
-
-def _measurement(name: str, results: Sequence[etree._Element]) -> etree._Element:
-    return _dcc("measurementResult", _text("name", name), _dcc("results", *results))
 
 
 def _bias_result(gyro: str, position: str, results: Sequence[BiasResult]) -> etree._Element:
@@ -369,13 +413,15 @@ def _bias_result(gyro: str, position: str, results: Sequence[BiasResult]) -> etr
     )
     quantities = [
         _dcc("quantity", _text("name", "Temperature of the gyro"), temperatures),
-        _dcc("quantity", _text("name", "Bias"), biases),
+        _dcc("quantity", _text("name", "Bias"), biases, refType=_MEASURED),
     ]
     name = f"Bias of the {gyro_label(gyro)}, {position_label(position)}"
     return _dcc("result", _text("name", name), _dcc("data", _dcc("list", *quantities)))
 
 
-def _named_quantity(name: str, number: ModelNumber, more_digits: int = 0) -> etree._Element:
+def _named_quantity(
+    name: str, number: ModelNumber, more_digits: int = 0, ref_type: str = ""
+) -> etree._Element:
     dsi, factor = _UNITS[number.unit]
     value, expanded = with_expanded(factor * number.value, factor * number.expanded, more_digits).split(" ± ")
     uncertainty = _si(
@@ -389,21 +435,18 @@ def _named_quantity(name: str, number: ModelNumber, more_digits: int = 0) -> etr
         ),
     )
     real = _si("real", _si("value", value), _si("unit", dsi), uncertainty)
-    return _dcc("quantity", _text("name", name), real)
+    return _dcc("quantity", _text("name", name), real, refType=ref_type)
 
 
-def _list_result(name: str, quantities: Sequence[etree._Element], note: str = "") -> etree._Element:
+def _list_result(name: str, quantities: Sequence[etree._Element], note: str) -> etree._Element:
     return _dcc(
-        "result",
-        _text("name", name),
-        _text("description", note) if note else None,
-        _dcc("data", _dcc("list", *quantities)),
+        "result", _text("name", name), _text("description", note), _dcc("data", _dcc("list", *quantities))
     )
 
 
 def _real_quantity(value: float, unit: str) -> etree._Element:
     dsi, factor = _UNITS[unit]
-    return _si("real", _si("value", f"{factor * value:.9g}"), _si("unit", dsi))
+    return _si("real", _si("value", f"{factor * value:z.9g}"), _si("unit", dsi))
 
 
 def _distribution(k: float) -> str:

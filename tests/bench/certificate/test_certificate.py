@@ -14,6 +14,7 @@ import pytest
 
 from gyrobench.bench.bias.budget import NORMAL_K, Budget, Contribution, coverage_factor
 from gyrobench.bench.bias.dwell_table import read_dwells, write_dwells
+from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, Judgement
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS
 from gyrobench.bench.certificate import content, pdf
 from gyrobench.bench.certificate.content import BiasResult, ModelNumber, Order, certificate_of
@@ -165,9 +166,7 @@ def test_a_certificate_is_not_overwritten_and_another_one_names_the_one_that_it_
         issue_certificate(certificate, {"pdf"}, tmp_path / "first", None, None)
     assert first.read_bytes() == issued
     assert certificate.item["replaces the certificate"] == "C-1"
-    names = texts(issued, ".//dcc:statement/dcc:name/dcc:content")
-    declarations = texts(issued, ".//dcc:statement/dcc:declaration/dcc:content")
-    assert dict(zip(names, declarations, strict=True))["Replaced certificate"] == "C-1"
+    assert texts(issued, ".//dcc:coreData/dcc:reportAmendedSubstituted/*") == ["substituted", "C-1"]
 
 
 def test_a_run_that_changed_or_has_no_name_to_authorise_it_gets_none(measured_run):
@@ -192,6 +191,78 @@ def test_the_dcc_has_the_numbers_of_the_bins_and_d_si_units(measured_run):
     assert written == [with_expanded(each.bias_dph, each.expanded_dph) for each in made.results]
     assert set(texts(document, ".//si:unitXMLList")) == {r"\degreecelsius", r"\degree\hour\tothe{-1}"}
     assert b"SIMULATED" not in document
+
+
+def test_the_dcc_has_methods_software_instruments_and_conditions_with_the_results(measured_run):
+    made = certificate_of(measured_run, SIGNED_BY)
+    document = certificate_dcc(made)
+    [measurement] = etree.fromstring(document).find("dcc:measurementResults", NAMES)
+    assert [etree.QName(each).localname for each in measurement] == [
+        "name",
+        "usedMethods",
+        "usedSoftware",
+        "measuringEquipments",
+        "influenceConditions",
+        "results",
+    ]
+    assert re.fullmatch(r"v\d+\.\d+\.\d+", texts(document, ".//dcc:usedSoftware//dcc:release")[0])
+    inputs = texts(document, ".//dcc:usedMethodQuantity/dcc:noQuantity/dcc:content")
+    assert inputs == list(made.inputs.values())
+    assert texts(document, ".//dcc:item/dcc:description/dcc:content") == [made.item["identification"]]
+    dates = texts(document, ".//dcc:measuringEquipment/dcc:description/dcc:content")
+    assert dates == ["Calibrated 2026-01-15, due 2099-01-15."]
+
+
+def test_the_dcc_names_its_numbers_by_ref_types(measured_run):
+    made = certificate_of(measured_run, replace(SIGNED_BY, recalibration="Due in 2027."))
+    document = etree.fromstring(certificate_dcc(made))
+
+    def texts_of(ref_type, path):
+        return [
+            each.findtext(path, namespaces=NAMES)
+            for each in document.iterfind(f".//*[@refType='{ref_type}']")
+        ]
+
+    assert texts_of("basic_serialNumber", "dcc:value") == [made.unit, "RT-17"]
+    numbers = [*made.results, *made.coefficients]
+    assert len(texts_of("basic_measuredValue", "dcc:name/dcc:content")) == len(numbers)
+    limits = [texts_of(f"basic_temperature{each}", "si:real/si:value")[0] for each in ("Min", "Max")]
+    assert limits == [f"{each:.9g}" for each in (round(value, 1) for value in made.chamber_c)]
+    assert texts_of("basic_recalibration", "dcc:declaration/dcc:content") == ["Due in 2027."]
+
+
+@pytest.mark.parametrize(
+    ("verdict", "value_dph", "conformity"),
+    [
+        ("accepted", 0.004, ["pass"]),
+        ("marginal", 0.007, ["conditionalPass"]),
+        ("marginal", 0.009, ["conditionalFail"]),
+        ("rejected", 0.02, ["fail"]),
+        ("not judged", 0.004, []),
+    ],
+)
+def test_a_marginal_unit_passes_conditionally_up_to_the_limit(measured_run, verdict, value_dph, conformity):
+    made = certificate_of(measured_run, SIGNED_BY)
+    judgement = Judgement(
+        gyro="x",
+        quantity="position difference",
+        bin_low_c=20.0,
+        bin_high_c=25.0,
+        positions=["z_up", "z_down"],
+        worst=["z_up", "z_down"],
+        value_dph=value_dph,
+        sigma_dph=0.002,
+        at_least_dph=value_dph - 0.004,
+        at_most_dph=value_dph + 0.004,
+        limit_dph=0.008,
+        verdict={"accepted": "pass", "rejected": "fail"}.get(verdict, "marginal"),
+    )
+    limits = AcceptanceLimits(position_difference_dph=0.008)
+    acceptance = Acceptance(
+        verdict=verdict, limits=limits, gyros={"x": judgement.verdict}, judgements=[judgement]
+    )
+    document = certificate_dcc(replace(made, run=replace(made.run, acceptance=acceptance)))
+    assert texts(document, ".//dcc:statement[@refType='basic_conformity']/dcc:conformity") == conformity
 
 
 def test_the_dcc_rounds_to_two_digits_of_u_in_its_own_unit(measured_run):
