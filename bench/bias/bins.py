@@ -44,7 +44,6 @@ DEFAULT_WIDTH_C = 5.0
 #: Smallest width, K; narrower bins would fill the memory with empty ones.
 _MIN_WIDTH_C = 0.01
 _MAX_ROUNDING = 1e-9
-_NO_CURVE = CubicBiasCurve(0.0, np.zeros(3), np.zeros((3, 3)))
 
 
 @dataclass(frozen=True)
@@ -138,7 +137,7 @@ def bin_biases(rows: Iterable[DwellRow], width_c: float = DEFAULT_WIDTH_C) -> li
     measured = {row.position for row in rows}
     positions = [name for name in POSITIONS if name in measured]
     result = []
-    for axis, gyro in enumerate(AXES):
+    for axis in range(len(AXES)):
         members = _by_position_and_number(axis, rows, width_c)
         curve = curve_of_dwells(axis, [row for dwells in members.values() for row in dwells])
         numbers = [number for _, number in members]
@@ -148,9 +147,7 @@ def bin_biases(rows: Iterable[DwellRow], width_c: float = DEFAULT_WIDTH_C) -> li
                 dwells = members.get((position, number), [])
                 runs = {row.run for name in positions for row in members.get((name, number), [])}
                 by_cycle = _by_power_cycle(axis, dwells, power_cycles) if len(runs) > 1 else ()
-                result.append(
-                    replace(_bin(axis, gyro, position, ends, dwells, curve), by_power_cycle=by_cycle)
-                )
+                result.append(replace(_bin(axis, position, ends, dwells, curve), by_power_cycle=by_cycle))
     return result
 
 
@@ -234,28 +231,18 @@ def curve_of_dwells(axis: int, rows: Sequence[DwellRow]) -> CubicBiasCurve:
 
 
 def _bin(
-    axis: int,
-    gyro: str,
-    position: str,
-    ends_c: tuple[float, float],
-    rows: Sequence[DwellRow],
-    curve: CubicBiasCurve,
+    axis: int, position: str, ends_c: tuple[float, float], rows: Sequence[DwellRow], curve: CubicBiasCurve
 ) -> BiasBin:
     if not rows:
-        return BiasBin(gyro, position, *ends_c, math.nan, math.nan, math.nan, 0, math.nan, math.nan)
-    sigmas = [row.sigma_dph[axis] for row in rows]
-    bias = weighted_mean([row.bias_dph[axis] for row in rows], sigmas)
-    temperature_c = weighted_mean([row.gyro_c[axis] for row in rows], sigmas).value
-    spread = _reduced_mean(
-        curve,
-        np.array([row.bias_dph[axis] for row in rows]),
-        np.array(sigmas),
-        np.array([row.gyro_c[axis] for row in rows]),
-        temperature_c,
-    )
+        return BiasBin(AXES[axis], position, *ends_c, math.nan, math.nan, math.nan, 0, math.nan, math.nan)
+    values = [(row.bias_dph[axis], row.sigma_dph[axis], row.gyro_c[axis]) for row in rows]
+    bias_dph, sigma_dph, gyro_c = np.array(values).T
+    bias = weighted_mean(bias_dph, sigma_dph)
+    temperature_c = weighted_mean(gyro_c, sigma_dph).value
+    spread = _reduced_mean(curve, bias_dph, sigma_dph, gyro_c, temperature_c)
     paper_bias_dph, paper_sigma_dph = _paper_mean(axis, rows)
     return BiasBin(
-        gyro,
+        AXES[axis],
         position,
         *ends_c,
         temperature_c=temperature_c,
@@ -339,7 +326,7 @@ def compare_positions(bins: Iterable[BiasBin]) -> list[PositionComparison]:
         gyro: _curve_of_means([mean for group, means in groups if group[0].gyro == gyro for mean in means])
         for gyro in dict.fromkeys(group[0].gyro for group, _ in groups)
     }
-    compared = (_compare_group(group, means, curves[group[0].gyro]) for group, means in groups)
+    compared = (_compare(group, means, curves[group[0].gyro]) for group, means in groups)
     return [each for each in compared if each is not None]
 
 
@@ -348,8 +335,12 @@ def disconnected_bins(bins: Iterable[BiasBin]) -> list[BiasBin]:
 
     There, power cycles have no position in common.
     """
-    compared = ((group[0], _compare(_power_cycle_means(group), _NO_CURVE)) for group in _groups(bins))
-    return [each for each, comparison in compared if not comparison.are_all_connected]
+    result = []
+    for group in _groups(bins):
+        of_positions, _, dof = _columns(_power_cycle_means(group))
+        if dof < of_positions.shape[1] - 1:
+            result.append(group[0])
+    return result
 
 
 def _groups(bins: Iterable[BiasBin]) -> list[list[BiasBin]]:
@@ -401,66 +392,55 @@ def _curve_of_means(means: Sequence[tuple[str, PowerCycleMean]]) -> CubicBiasCur
     return fit_curve(gyro_c, bias_dph, sigma_dph, runs, positions)
 
 
-def _compare_group(
+def _columns(means: Sequence[tuple[str, PowerCycleMean]]) -> tuple[FloatArray, FloatArray, int]:
+    """Responses of means (n, g) to the biases of positions and to the constants of power cycles.
+
+    Also returns the degrees of freedom of equal positions: one less than positions if all are connected.
+    """
+    of_positions = indicator_columns([position for position, _ in means])
+    constants = indicator_columns([each.number for _, each in means])
+    rank = int(np.linalg.matrix_rank(np.hstack([of_positions, constants])))
+    return of_positions, constants, rank - constants.shape[1]
+
+
+def _compare(
     group: Sequence[BiasBin], means: Sequence[tuple[str, PowerCycleMean]], curve: CubicBiasCurve
 ) -> PositionComparison | None:
-    comparison = _compare(means, curve)
-    if not comparison.dof:
+    """Compare positions at one temperature by their means in each power cycle; None if none are connected."""
+    of_positions, constants, dof = _columns(means)
+    if not dof:
         return None
-    return PositionComparison(
-        gyro=group[0].gyro,
-        bin_low_c=group[0].bin_low_c,
-        bin_high_c=group[-1].bin_high_c,
-        p_value=comparison.p_value,
-        largest_pair=comparison.pair,
-        largest_difference_dph=comparison.difference_dph,
-        largest_difference_sigma_dph=comparison.sigma_dph,
-        temperature_spread_c=float(np.ptp([each.temperature_c for each in group])),
-    )
-
-
-@dataclass(frozen=True)
-class _Comparison:
-    """Comparison of the positions of a bin at one temperature, with a constant for each power cycle."""
-
-    #: dof, p_value: Of the chi-square test of equal positions; 0 and NaN if none are comparable.
-    dof: int
-    p_value: float
-    #: pair, difference_dph, sigma_dph: The largest difference of two positions that are connected.
-    pair: tuple[str, str]
-    difference_dph: float
-    sigma_dph: float
-    are_all_connected: bool  #: Whether every position is compared with every other.
-
-
-def _compare(means: Sequence[tuple[str, PowerCycleMean]], curve: CubicBiasCurve) -> _Comparison:
-    """Compare positions by their means in each power cycle."""
-    positions = list(dict.fromkeys(position for position, _ in means))
-    constants = indicator_columns([each.number for _, each in means])
-    design = np.hstack([indicator_columns([position for position, _ in means]), constants])
     values = [(each.bias_dph, each.sigma_dph, each.temperature_c) for _, each in means]
     bias_dph, sigma_dph, gyro_c = np.array(values).T
     reduced_dph, _, white = curve.reduce(bias_dph, sigma_dph, gyro_c, float(gyro_c.mean()))
+    design = np.hstack([of_positions, constants])
     data, rows = white @ reduced_dph, white @ design
 
     def chi2(columns: FloatArray) -> float:
         return float(((data - columns @ np.linalg.lstsq(columns, data)[0]) ** 2).sum())
 
-    dof = int(np.linalg.matrix_rank(design)) - constants.shape[1]
-    p_value = chi2_p_value(dof, chi2(white @ constants) - chi2(rows)) if dof else math.nan
     covariance = np.linalg.pinv(rows.T @ rows)
     values_dph = covariance @ (rows.T @ data)
     projection = np.linalg.pinv(design) @ design  # onto the combinations that the data determine
-    largest = ("", ""), -math.inf, math.nan
-    are_all_connected = True
+    largest_pair, largest_dph, largest_sigma_dph = ("", ""), -math.inf, math.nan
+    positions = list(dict.fromkeys(position for position, _ in means))
     for a, b in permutations(range(len(positions)), 2):
         contrast = np.zeros(design.shape[1])
         contrast[[a, b]] = 1.0, -1.0
-        if np.abs(projection @ contrast - contrast).max() > _MAX_ROUNDING:
-            are_all_connected = False
-        elif (difference := float(contrast @ values_dph)) > largest[1]:
-            largest = (positions[a], positions[b]), difference, math.sqrt(contrast @ covariance @ contrast)
-    return _Comparison(dof, p_value, *largest, are_all_connected)
+        is_determined = np.abs(projection @ contrast - contrast).max() <= _MAX_ROUNDING
+        if is_determined and (difference_dph := float(contrast @ values_dph)) > largest_dph:
+            largest_pair, largest_dph = (positions[a], positions[b]), difference_dph
+            largest_sigma_dph = math.sqrt(contrast @ covariance @ contrast)
+    return PositionComparison(
+        gyro=group[0].gyro,
+        bin_low_c=group[0].bin_low_c,
+        bin_high_c=group[-1].bin_high_c,
+        p_value=chi2_p_value(dof, chi2(white @ constants) - chi2(rows)),
+        largest_pair=largest_pair,
+        largest_difference_dph=largest_dph,
+        largest_difference_sigma_dph=largest_sigma_dph,
+        temperature_spread_c=float(np.ptp([each.temperature_c for each in group])),
+    )
 
 
 def _reduced_mean(
