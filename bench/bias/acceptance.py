@@ -83,14 +83,6 @@ class _JudgedValue:
     common_dph: float = 0.0  #: Part of the standard uncertainty that is the same in each pass.
 
 
-@dataclass(frozen=True)
-class _Factors:
-    """Least distances of a value from its limit to pass and to fail, in standard uncertainties."""
-
-    to_pass: float
-    to_fail: float
-
-
 def judge(
     rows: Iterable[DwellRow],
     limits: AcceptanceLimits | None,
@@ -208,7 +200,8 @@ def _biases(valid: Iterable[Iterable[_Plateau]]) -> list[_JudgedValue]:
 
 def _judgements(values: Sequence[_JudgedValue], limits: AcceptanceLimits, width_c: float) -> list[Judgement]:
     risk = 1.0 - limits.confidence
-    factors = _Factors(*(-NormalDist().inv_cdf(each) for each in (risk, risk / max(len(values), 1))))
+    # Least distances of a value from its limit to pass and to fail, in standard uncertainties.
+    factors = -NormalDist().inv_cdf(risk), -NormalDist().inv_cdf(risk / max(len(values), 1))
     bins: dict[tuple[int, int, int], list[_JudgedValue]] = {}
     for each in values:
         order = get_args(JudgedQuantity).index(each.quantity)
@@ -221,13 +214,17 @@ def _judgements(values: Sequence[_JudgedValue], limits: AcceptanceLimits, width_
 
 
 def _judge_bin(
-    values: Sequence[_JudgedValue], ends_c: tuple[float, float], limits: AcceptanceLimits, factors: _Factors
+    values: Sequence[_JudgedValue],
+    ends_c: tuple[float, float],
+    limits: AcceptanceLimits,
+    factors: tuple[float, float],
 ) -> Judgement:
     """Judge all values of one gyro, bin and quantity."""
     quantity = values[0].quantity
     limit_dph = limits.of(quantity)
-    at_most_dph = max(each.value_dph + factors.to_pass * each.sigma_dph for each in values)
-    at_least_dph = max(each.value_dph - factors.to_fail * each.sigma_dph for each in values)
+    to_pass, to_fail = factors
+    at_most_dph = max(each.value_dph + to_pass * each.sigma_dph for each in values)
+    at_least_dph = max(each.value_dph - to_fail * each.sigma_dph for each in values)
     worst = max(values, key=lambda each: each.value_dph)
     measured = {position for each in values for position in each.positions}
     verdict: Verdict = "marginal"

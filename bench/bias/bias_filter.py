@@ -342,10 +342,8 @@ class BiasFilter:
         prior_root = self._prior_root.copy()
         prior_root[transient_indices, transient_indices] = _WIDE_ACCELERATION
         values, covariance = solve(information.rows, information.data, prior_root)
-        changes_mps2, covariance = (
-            values[transient_indices],
-            covariance[np.ix_(transient_indices, transient_indices)],
-        )
+        changes_mps2 = values[transient_indices]
+        covariance = covariance[np.ix_(transient_indices, transient_indices)]
         # Short windows can't distinguish settling from a bias, so they are no evidence of it.
         if np.sqrt(np.diag(covariance)).max() > self._model.prior.accelerometer_transient:
             return 1.0
@@ -384,12 +382,8 @@ class BiasFilter:
     ) -> Chi2Test:
         totals = [window.minute_sums() for window in self._windows]
         sums = np.concatenate([each[:, window_filter.DATA] for each in totals])
-        responses = np.concatenate(
-            [
-                _expand_rows(total, expansion, len(values))
-                for total, expansion in zip(totals, expansions, strict=True)
-            ]
-        )
+        pairs = zip(totals, expansions, strict=True)
+        responses = np.concatenate([_expand_rows(*pair, len(values)) for pair in pairs])
         return chi2_test(sums - responses @ values, responses, covariance)
 
 

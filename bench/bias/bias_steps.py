@@ -65,7 +65,8 @@ def find_bias_step(
     for index in reversed(range(len(windows))):
         window, expansion = windows[index], expansions[index]
         epochs = window.filtered_epochs
-        trial_epochs = _trial_epochs(len(epochs.time_s))
+        # Those at which a step is tested, last first.
+        trial_epochs = np.arange(len(epochs.time_s) - 1 - _MARGIN, _MARGIN - 1, -_TRIAL_SPACING)
         information, responses = _backward(
             epochs.rows, epochs.gains, epochs.scales, epochs.transition,
             np.ascontiguousarray(epochs.response[:, :, :_GYROS] @ window.C_nb), np.append(trial_epochs, -1),
@@ -114,11 +115,6 @@ def _most_significant(time_s: FloatArray, score: FloatArray, variance: FloatArra
         float(score[best, gyro] / variance[best, gyro, gyro]) * RADPS_TO_DPH,
         min(1.0, _INDEPENDENT_TESTS * smallest),
     )
-
-
-def _trial_epochs(epochs: int) -> IntArray:
-    """Epochs of a window at which a step is tested, last first."""
-    return np.arange(epochs - 1 - _MARGIN, _MARGIN - 1, -_TRIAL_SPACING)
 
 
 @compiled(fastmath=True)

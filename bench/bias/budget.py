@@ -240,22 +240,20 @@ class _ExternalErrors:
     #: temperatures.
     curves: Mapping[str, np.poly1d | None]
 
-    @classmethod
-    def of(
-        cls, axis: int, rows: Sequence[DwellRow], errors: SplitErrors, inputs: BudgetInputs
-    ) -> _ExternalErrors:
-        positions = {row.position for row in rows}
-        curves = {
-            position: _curve([row for row in rows if row.position == position], axis)
-            for position in (positions if inputs.temperature_c else ())
-        }
-        return cls(*_between_power_cycles(axis, rows, errors), curves)
-
 
 def _external_errors(dwells: Sequence[BudgetedDwell], inputs: BudgetInputs) -> list[_ExternalErrors]:
     good = [each for each in dwells if not each.row.flags]
     errors = split_errors({each.row.dwell: each.parts for each in good})
-    return [_ExternalErrors.of(axis, [each.row for each in good], errors, inputs) for axis in range(3)]
+    of_positions: dict[str, list[DwellRow]] = defaultdict(list)
+    for each in good if inputs.temperature_c else ():
+        of_positions[each.row.position].append(each.row)
+    return [
+        _ExternalErrors(
+            *_between_power_cycles(axis, [each.row for each in good], errors),
+            {position: _curve(rows, axis) for position, rows in of_positions.items()},
+        )
+        for axis in range(3)
+    ]
 
 
 #: Range of temperatures within which power cycles are compared, K.
@@ -342,6 +340,11 @@ def _budget(
         sigma, dof = combine([(part.columns[axis] * RADPS_TO_DPH, part.dof, w) for part, w in of_source])
         input_sigma = math.sqrt(float(np.mean([part.sigma**2 for part, _ in of_source])))
         is_resolution = math.isinf(dof) and 0.0 < input_sigma <= 1.001 * resolutions.get(name, 0.0)
+        note = SOURCES[name].note or "declared in ins.noise"
+        if is_resolution:
+            note = "resolution of the output"
+        elif math.isfinite(dof):
+            note = "estimated from the output of the dwell"
         contributions.append(
             Contribution(
                 name,
@@ -349,17 +352,12 @@ def _budget(
                 sigma,
                 dof,
                 "rectangular" if is_resolution else "normal",
-                note="resolution of the output" if is_resolution else _note(name, dof),
+                note=note,
             )
         )
     if "accelerometer_settling" not in names:
         contributions.append(Contribution("accelerometer_settling", math.nan, math.nan, note=_SETTLED_NOTE))
     return Budget((*contributions, *_external_contributions(dwells, inputs, external, axis, weights)))
-
-
-def _note(name: str, dof: float) -> str:
-    declared = SOURCES[name].note or "declared in ins.noise"
-    return "estimated from the output of the dwell" if math.isfinite(dof) else declared
 
 
 def _parts_as_stated(axis: int, dwell: BudgetedDwell) -> Mapping[str, ErrorPart]:

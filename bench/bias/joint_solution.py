@@ -206,10 +206,14 @@ def free_root(root: FloatArray, gyro_scale_factors: bool = True) -> FloatArray:
     return free
 
 
-def _solve_single(dwell: JointInformation, shared_root: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Solve one dwell by itself; its biases (3,) and their covariance (3, 3)."""
-    values, covariance = solve(*_system([dwell], shared_root))
-    return values[SHARED_COUNT:], covariance[SHARED_COUNT:, SHARED_COUNT:]
+def _solve_singly(dwells: Sequence[JointInformation], shared_root: FloatArray) -> JointBiases:
+    """Solve each dwell by itself."""
+    own = slice(SHARED_COUNT, None)
+    solutions = [solve(*_system([dwell], shared_root)) for dwell in dwells]
+    return JointBiases(
+        np.vstack([values[own] for values, _ in solutions]),
+        block_diagonal(*(covariance[own, own] for _, covariance in solutions)),
+    )
 
 
 def solve_together(dwells: Sequence[JointInformation], shared_root: FloatArray) -> JointFit:
@@ -302,7 +306,8 @@ class JointSolution:
     @property
     def accelerometer_bias(self) -> tuple[FloatArray, FloatArray]:
         """Biases (3,) and their standard uncertainties, m/s^2, body axes."""
-        return self._shared(SHARED_ACCELEROMETER_BIAS)
+        part = SHARED_ACCELEROMETER_BIAS
+        return self.fit.values[part], self.fit.sigmas[part]
 
     @property
     def north_rate(self) -> tuple[float, float]:
@@ -332,9 +337,6 @@ class JointSolution:
             removal @ biases.covariance @ removal.T + extra_variance * np.outer(response, response),
         )
 
-    def _shared(self, part: slice) -> tuple[FloatArray, FloatArray]:
-        return self.fit.values[part], self.fit.sigmas[part]
-
 
 def solve_jointly(dwells: Sequence[JointDwell], prior: PriorKnowledge) -> JointSolution:
     """Solve the dwells of one plateau together.
@@ -355,7 +357,7 @@ def solve_jointly(dwells: Sequence[JointDwell], prior: PriorKnowledge) -> JointS
     pairs = _vertical_pairs(dwells, north_free_fit, prior.bias_slope)
     return JointSolution(
         dwells=tuple(dwells),
-        single=_stack_biases([_solve_single(each, root) for each in information]),
+        single=_solve_singly(information, root),
         together=fit.biases,
         north_free=north_free_fit.biases,
         fit=fit.shared,
@@ -429,11 +431,6 @@ def pooled_up_rate(solutions: Sequence[JointSolution], prior: PriorKnowledge) ->
     return up_rate([each.pairs for each in agreeing], earth_rate, prior.latitude)
 
 
-def _stack_biases(singles: Sequence[tuple[FloatArray, FloatArray]]) -> JointBiases:
-    biases, covariances = zip(*singles, strict=True)
-    return JointBiases(np.vstack(biases), block_diagonal(*covariances))
-
-
 def _vertical_indices(dwells: Sequence[JointDwell]) -> IntArray:
     """Index of each dwell's vertical gyro among all biases."""
     return np.array([3 * index + dwell.position.up_axis for index, dwell in enumerate(dwells)])
@@ -463,15 +460,8 @@ def _vertical_pairs(dwells: Sequence[JointDwell], fit: JointFit, bias_slope: flo
 
 def _half_difference(dwells: Sequence[JointDwell], axis: int) -> dict[int, float]:
     """Weight of each dwell in half the difference of a gyro's bias, up minus down; empty without both."""
-    both = [
-        [
-            dwell.number
-            for dwell in dwells
-            if dwell.position.up_axis == axis and dwell.position.up_sign == sign
-        ]
-        for sign in (1, -1)
-    ]
-    up, down = both
+    vertical = [dwell for dwell in dwells if dwell.position.up_axis == axis]
+    up, down = ([dwell.number for dwell in vertical if dwell.position.up_sign == sign] for sign in (1, -1))
     if not (up and down):
         return {}
     return {number: 0.5 / len(up) for number in up} | {number: -0.5 / len(down) for number in down}

@@ -278,31 +278,30 @@ class NoiseComparison:
 
 def compare_noise(estimate: NoiseEstimate, declared: NoiseModel) -> list[NoiseComparison]:
     """Compare measured noise with the declared one: gyro by gyro, then the other parameters."""
-    arw = ("deg/sqrt(h)", DEG_PER_SQRT_H_TO_SI)
-    rows = [
-        (f"angle random walk of the {axis} gyro", *arw, walk, declared.angle_random_walk)
+    per_gyro = [
+        (f"angle random walk of the {axis} gyro", walk)
         for axis, walk in zip(AXES, estimate.angle_random_walks, strict=True)
     ]
-    rows += [
-        ("angle random walk of all gyros", *arw, estimate.angle_random_walk, declared.angle_random_walk),
-        (
-            "angle random walk by the velocities",
-            *arw,
-            estimate.angle_random_walk_of_tilt,
-            declared.angle_random_walk,
+    all_gyros = ("angle random walk of all gyros", estimate.angle_random_walk)
+    by_tilt = ("angle random walk by the velocities", estimate.angle_random_walk_of_tilt)
+    return [
+        *(
+            NoiseComparison(name, "deg/sqrt(h)", walk, declared.angle_random_walk, DEG_PER_SQRT_H_TO_SI)
+            for name, walk in (*per_gyro, all_gyros, by_tilt)
         ),
-        (
+        NoiseComparison(
             "velocity random walk",
             "ug/sqrt(Hz)",
-            UG_PER_SQRT_HZ_TO_SI,
             estimate.velocity_random_walk,
             declared.velocity_random_walk,
+            UG_PER_SQRT_HZ_TO_SI,
         ),
-        ("noise of the velocity output", "m/s", 1.0, estimate.velocity_white, declared.velocity_white),
-        ("noise of the attitude output", "urad", 1e-6, estimate.heading_white, declared.heading_white),
-    ]
-    return [
-        NoiseComparison(name, unit, measured, value, unit_si) for name, unit, unit_si, measured, value in rows
+        NoiseComparison(
+            "noise of the velocity output", "m/s", estimate.velocity_white, declared.velocity_white, 1.0
+        ),
+        NoiseComparison(
+            "noise of the attitude output", "urad", estimate.heading_white, declared.heading_white, 1e-6
+        ),
     ]
 
 

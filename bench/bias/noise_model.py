@@ -121,14 +121,13 @@ class NoiseModel:
         return np.asarray(walk + self.heading_white**2 * (weights**2).sum(axis=0))
 
 
-def _middles(time: FloatArray) -> FloatArray:
-    """Middle of each interval (n - 1,), at which its noise is assumed to act."""
-    return 0.5 * (time[:-1] + time[1:])
-
-
 def _tails(time: FloatArray, weights: FloatArray, rate: float) -> NDArray[np.complex128]:
-    """Compute ``sum over t_k > s of w_k exp(i rate (t_k - s))`` for the middle s of each interval."""
+    """Compute ``sum over t_k > s of w_k exp(i rate (t_k - s))`` for the middle s of each interval.
+
+    There, the noise of the interval is assumed to act.
+    """
+    middles = 0.5 * (time[:-1] + time[1:])
     column = (slice(None),) + (None,) * (weights.ndim - 1)
     weighted = weights * np.exp(1j * rate * (time - time[0]))[column]
     tails = np.cumsum(weighted[:0:-1], axis=0)[::-1]
-    return np.asarray(tails * np.exp(-1j * rate * (_middles(time) - time[0]))[column])
+    return np.asarray(tails * np.exp(-1j * rate * (middles - time[0]))[column])

@@ -143,7 +143,12 @@ def up_rate(
             float(part @ group.half_difference) for part, group in zip(weights_of_groups, groups, strict=True)
         ),
         sigma=total**-0.5,
-        weights=_dwell_weights(groups, weights_of_groups),
+        weights={
+            dwell: float(part * weight)
+            for group, weights in zip(groups, weights_of_groups, strict=True)
+            for part, of_pair in zip(weights, group.weights, strict=True)
+            for dwell, weight in of_pair.items()
+        },
         p_value=p_value,
         latitude_error=latitude.error,
         latitude_sigma=latitude.sigma,
@@ -231,17 +236,6 @@ def _latitude_error(rates: FloatArray, covariance: FloatArray, earth_rate: Float
         p_value=_p_value(float(significance**2), 1),
         significance=float(abs(axis[1] * rates[1]) / axis_sigma),
     )
-
-
-def _dwell_weights(
-    groups: Sequence[VerticalPairs], weights_of_groups: Sequence[FloatArray]
-) -> dict[int, float]:
-    return {
-        dwell: float(part * weight)
-        for group, weights in zip(groups, weights_of_groups, strict=True)
-        for part, of_pair in zip(weights, group.weights, strict=True)
-        for dwell, weight in of_pair.items()
-    }
 
 
 def _finding(gyros: int, p_value: float, latitude: _LatitudeError, declared: float) -> Finding:

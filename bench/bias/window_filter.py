@@ -98,12 +98,8 @@ class WindowFilter:
     def new_epochs(self, time_s: FloatArray) -> IntArray:
         """Indices of the epochs to use: the first one of each second that has none yet."""
         indices = interval_indices(time_s, self.first_s, EPOCH_S)
-        last = (
-            -1
-            if math.isnan(self.last_s)
-            else interval_indices(np.array([self.last_s]), self.first_s, EPOCH_S)[0]
-        )
-        return np.flatnonzero(indices > np.maximum.accumulate(np.append(last, indices[:-1])))
+        used = interval_indices(np.array([self.last_s]), self.first_s, EPOCH_S) if self.epochs else [-1]
+        return np.flatnonzero(indices > np.maximum.accumulate(np.append(used, indices[:-1])))
 
     def add(
         self, time_s: FloatArray, velocity_en_mps: FloatArray, C_nb: FloatArray, temperatures: FloatArray

@@ -111,7 +111,10 @@ def test_accelerometer_biases_and_misalignments_are_found_with_their_uncertainty
         solution = joint_solution_of(dwells, ANY_LATITUDE)
         bias, sigma = solution.accelerometer_bias
         total += (((bias - unit.accelerometer_ug * UG) / sigma) ** 2).sum()
-        matrix, sigma = (each.reshape(3, 3) for each in solution._shared(SHARED_ACCELEROMETER_MATRIX))
+        matrix, sigma = (
+            each[SHARED_ACCELEROMETER_MATRIX].reshape(3, 3)
+            for each in (solution.fit.values, solution.fit.sigmas)
+        )
         beside = ~np.eye(3, dtype=bool)
         total += (((matrix - unit.accelerometer_matrix)[beside] / sigma[beside]) ** 2).sum()
         dof += 9
