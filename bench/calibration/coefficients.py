@@ -31,14 +31,15 @@ from gyrobench.bench.foundations.arrays import (
     UG_TO_MPS2,
     BoolArray,
     FloatArray,
+    IntArray,
 )
 from gyrobench.bench.foundations.text import format_number
 from gyrobench.bench.navigation.positions import AXES
 
 #: Word in tables for a coefficient that the measurement does not determine.
 NOT_OBSERVABLE = "not observable"
-#: Elements of the accelerometers' matrix that are free, by rows.
-LOWER = np.tril_indices(3)
+#: Elements of a matrix by rows: those of the triad that defines the body frame, and all.
+LOWER, _ALL = np.tril_indices(3), np.nonzero(np.ones((3, 3)))
 
 
 @dataclass(frozen=True)
@@ -70,25 +71,20 @@ def _element(sensor: str, i: int, j: int) -> SensorCoefficient:
     return SensorCoefficient(sensor, "misalignment", AXES[i] + AXES[j], "arcsec", RAD_TO_ARCSEC, 0.01)
 
 
-_ALL = tuple((i, j) for i in range(3) for j in range(3))
-_LOWER = tuple((int(i), int(j)) for i, j in zip(*LOWER, strict=True))
-
-
-def _coefficients(
-    gyro: Sequence[tuple[int, int]], force: Sequence[tuple[int, int]]
-) -> tuple[SensorCoefficient, ...]:
+def _coefficients(gyro: Sequence[IntArray], force: Sequence[IntArray]) -> tuple[SensorCoefficient, ...]:
+    """Coefficients with these elements of the matrices."""
     return (
         *(_bias("gyro", axis) for axis in AXES),
-        *(_element("gyro", *indices) for indices in gyro),
+        *(_element("gyro", i, j) for i, j in zip(*gyro, strict=True)),
         *(_bias("accelerometer", axis) for axis in AXES),
-        *(_element("accelerometer", *indices) for indices in force),
+        *(_element("accelerometer", i, j) for i, j in zip(*force, strict=True)),
     )
 
 
 #: The 21 independent coefficients in the body frame of the accelerometers, in the order of vectors.
-COEFFICIENTS = _coefficients(_ALL, _LOWER)
+COEFFICIENTS = _coefficients(_ALL, LOWER)
 #: The 21 independent coefficients in the body frame of the gyros.
-_GYRO_FRAME_COEFFICIENTS = _coefficients(_LOWER, _ALL)
+_GYRO_FRAME_COEFFICIENTS = _coefficients(LOWER, _ALL)
 _DPH_PER_G = RADPS_TO_DPH * STANDARD_GRAVITY
 #: Parameters that may be estimated in addition: positions of the accelerometers in the unit (lever arms),
 #: their delay relative to the gyros, and their quadratic terms, ``K2 f^2``; sensitivities of the gyro biases
@@ -97,8 +93,7 @@ _DPH_PER_G = RADPS_TO_DPH * STANDARD_GRAVITY
 OPTIONAL_PARAMETERS = (
     *(
         SensorCoefficient("accelerometer", "lever_arm", AXES[i] + AXES[j], "mm", 1e3, 0.2)
-        for i in range(3)
-        for j in range(3)
+        for i, j in zip(*_ALL, strict=True)
     ),
     SensorCoefficient("accelerometer", "delay", "", "ms", 1e3, 0.01),
     *(
@@ -107,8 +102,7 @@ OPTIONAL_PARAMETERS = (
     ),
     *(
         SensorCoefficient("gyro", "g_sensitivity", AXES[i] + AXES[j], "deg/h/g", _DPH_PER_G, 1e-4)
-        for i in range(3)
-        for j in range(3)
+        for i, j in zip(*_ALL, strict=True)
     ),
     *(SensorCoefficient("gyro", "scale_factor_asymmetry", axis, "ppm", 1e6, 1e-5) for axis in AXES),
 )
@@ -138,14 +132,7 @@ class SensorErrors:
     def vector(self) -> FloatArray:
         """Values (21,) of :data:`COEFFICIENTS`, SI, after a change to the accelerometers' body frame."""
         converted, _ = self.in_accelerometer_frame()
-        return np.concatenate(
-            [
-                converted.gyro_bias,
-                converted.gyro_matrix.ravel(),
-                converted.force_bias,
-                converted.force_matrix[LOWER],
-            ]
-        )
+        return _stacked(converted, _ALL, LOWER)
 
     def in_accelerometer_frame(self) -> tuple[SensorErrors, FloatArray]:
         """Errors of the same sensors in the accelerometers' body frame, and the rotation (3, 3) to it."""
@@ -156,6 +143,11 @@ class SensorErrors:
         """Errors of the same sensors in the gyros' body frame, and the rotation (3, 3) to it."""
         rotation = _rotation_to_lower(self.gyro_matrix)
         return self.rotated(rotation), rotation
+
+    def gyro_frame_vector(self) -> FloatArray:
+        """Values (21,) of the coefficients in the gyros' body frame, SI."""
+        converted, _ = self.in_gyro_frame()
+        return _stacked(converted, LOWER, _ALL)
 
     def rotated(self, rotation: FloatArray) -> SensorErrors:
         """Errors of the same sensors in another body frame; ``rotation`` (3, 3) converts vectors to it."""
@@ -176,6 +168,12 @@ class SensorErrors:
         """Increments (n, 3) of angle (rad) and velocity (m/s) corrected for these errors."""
         gyro, force = self.correction(interval_s)
         return angle @ gyro[:, :3].T + gyro[:, 3], velocity @ force[:, :3].T + force[:, 3]
+
+
+def _stacked(errors: SensorErrors, gyro: Sequence[IntArray], force: Sequence[IntArray]) -> FloatArray:
+    """Biases and these elements of the matrices."""
+    gyro_elements, force_elements = errors.gyro_matrix[*gyro], errors.force_matrix[*force]
+    return np.concatenate([errors.gyro_bias, gyro_elements, errors.force_bias, force_elements])
 
 
 def _rotation_to_lower(matrix: FloatArray) -> FloatArray:
@@ -221,24 +219,25 @@ class CoefficientEstimate:
 
         A converted coefficient is observed if all coefficients on which it depends are.
         """
+
+        def converted(values: FloatArray) -> FloatArray:
+            return SensorErrors.from_vector(values).gyro_frame_vector()
+
         is_observed = self.is_observed[:COUNT]
         values = np.where(is_observed, self.values[:COUNT], 0.0)
         steps = _DERIVATIVE_STEP * np.array([each.size for each in COEFFICIENTS])
         jacobian = np.eye(len(self.values))
-        jacobian[:COUNT, :COUNT] = np.column_stack(
-            [
-                (_gyro_frame_vector(values + step) - _gyro_frame_vector(values - step)) / (2.0 * step.sum())
-                for step in np.diag(steps)
-            ]
-        )
-        depends_on_unobserved = (np.abs(jacobian[:COUNT, :COUNT]) > _MIN_DERIVATIVE)[:, ~is_observed].any(
-            axis=1
-        )
+        for column, step in zip(jacobian[:COUNT, :COUNT].T, np.diag(steps), strict=True):
+            above, below = (converted(values + sign * step) for sign in (1.0, -1.0))
+            column[:] = (above - below) / (2.0 * step.sum())
+        is_dependent = np.abs(jacobian[:COUNT, :COUNT]) > _MIN_DERIVATIVE
         return replace(
             self,
-            values=np.concatenate([_gyro_frame_vector(values), self.values[COUNT:]]),
+            values=np.concatenate([converted(values), self.values[COUNT:]]),
             covariance=jacobian @ self.covariance @ jacobian.T,
-            is_observed=np.concatenate([~depends_on_unobserved, self.is_observed[COUNT:]]),
+            is_observed=np.concatenate(
+                [~is_dependent[:, ~is_observed].any(axis=1), self.is_observed[COUNT:]]
+            ),
             coefficients=(*_GYRO_FRAME_COEFFICIENTS, *self.coefficients[COUNT:]),
             parts={name: jacobian @ part @ jacobian.T for name, part in self.parts.items()},
         )
@@ -247,18 +246,6 @@ class CoefficientEstimate:
 #: Step of a numerical derivative, relative to the sizes of the coefficients; and the smallest derivative that
 #: counts as a dependence, since smaller ones are of second order.
 _DERIVATIVE_STEP, _MIN_DERIVATIVE = 1e-3, 0.1
-
-
-def _gyro_frame_vector(values: FloatArray) -> FloatArray:
-    converted, _ = SensorErrors.from_vector(values).in_gyro_frame()
-    return np.concatenate(
-        [
-            converted.gyro_bias,
-            converted.gyro_matrix[LOWER],
-            converted.force_bias,
-            converted.force_matrix.ravel(),
-        ]
-    )
 
 
 def correlation_cells(values: FloatArray) -> list[str]:

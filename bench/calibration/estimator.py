@@ -118,12 +118,11 @@ def calibrate(
     _check_angle(recordings)
     rotations, problem = _problem(recordings, noise, site, options)
     options = problem.options
-    estimates, note, hidden = problem.solve(), "", _HiddenSensitivity.none()
+    estimates, note = problem.solve(), ""
     if options.g_sensitivity is None and estimates.fit.p_value < UNEXPLAINED_P_VALUE:
         problem, estimates, note = problem.with_g_sensitivity(estimates)
         options = problem.options
-    if options.g_sensitivity is None:
-        hidden = _HiddenSensitivity.of(problem, estimates)
+    shift, hidden_parts, hidden_note = _hidden_sensitivity(problem, estimates)
     turns = [turn for each in rotations for turn in each]
     is_observed = estimates.is_observed
     if all(turn.kind == "disturbance" for turn in turns):
@@ -143,12 +142,12 @@ def calibrate(
     listed = [k for k, each in enumerate(options.columns) if options.quadratic or each not in _QUADRATICS]
     coefficients = tuple((*COEFFICIENTS, *OPTIONAL_PARAMETERS)[options.columns[k]] for k in listed)
     both_listed = np.ix_(listed, listed)
-    parts = {**problem.site_covariances(estimates.information), **hidden.covariances}
+    parts = {**problem.site_covariances(estimates.information), **hidden_parts}
     site_covariances = {name: part[both_listed] for name, part in parts.items()}
     quadratic = _quadratic_note(estimates.values, covariance, options)
     coning = _coning_finding(recordings, np.where(is_observed[:3], np.sqrt(np.diag(covariance)[:3]), np.inf))
     return Calibration(
-        values=estimates.values[listed] + (hidden.shift[listed] if hidden.covariances else 0.0),
+        values=estimates.values[listed] + shift[listed],
         covariance=covariance[both_listed] + sum(site_covariances.values()),
         is_observed=is_observed[listed],
         coefficients=coefficients,
@@ -161,53 +160,48 @@ def calibrate(
         trajectories=tuple(estimates.trajectories),
         site_covariances=site_covariances,
         findings=tuple(filter(None, (contradiction, misfit, coning))),
-        notes=tuple(filter(None, (note, hidden.note, quadratic))),
+        notes=tuple(filter(None, (note, hidden_note, quadratic))),
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _HiddenSensitivity:
-    """Effect of gyro biases that follow the specific force, if the rotations are too few to show them."""
+def _hidden_sensitivity(
+    problem: CalibrationProblem, estimates: Estimates
+) -> tuple[FloatArray, Mapping[str, FloatArray], str]:
+    """Effect of gyro biases that follow the specific force, if the rotations are too few to show them.
 
-    shift: FloatArray  #: Of the estimates if such biases are allowed for; empty if they are not.
-    covariances: Mapping[str, FloatArray]  #: Covariance that they add, by source.
-    note: str
-
-    @classmethod
-    def none(cls) -> _HiddenSensitivity:
-        """No effect."""
-        return cls(np.zeros(0), {}, "")
-
-    @classmethod
-    def of(cls, problem: CalibrationProblem, estimates: Estimates) -> _HiddenSensitivity:
-        """Effect of sensitivities of the usual size; none if it is small."""
-        with_sensitivity = problem.with_options(g_sensitivity=True)
-        options = with_sensitivity.options
-        trajectories = with_sensitivity.integrate(estimates.starts, estimates.common)
-        information = with_sensitivity.information(trajectories, estimates.common)
-        is_sensitivity = np.zeros(len(information.sizes), dtype=bool)
-        is_sensitivity[: len(options.columns)] = [
-            each in range(G_SENSITIVITIES.start, G_SENSITIVITIES.stop) for each in options.columns
-        ]
-        kept = np.flatnonzero(~is_sensitivity)[: len(problem.options.columns)]
-        solutions = []
-        for size in (_NO_SENSITIVITY, USUAL_SENSITIVITY):
-            sizes = np.where(is_sensitivity, size, information.sizes)
-            values, covariance, _ = replace(information, sizes=sizes).solve()
-            solutions.append((values[kept], covariance[np.ix_(kept, kept)]))
-        (values, covariance), (with_values, with_covariance) = solutions
-        growth = np.sqrt(np.diag(with_covariance) / np.diag(covariance))[:COUNT]
-        growth[~estimates.is_observed[:COUNT]] = 1.0
-        if growth.max() < _MIN_SENSITIVE_GROWTH:
-            return cls.none()
-        each = COEFFICIENTS[int(growth.argmax())]
-        return cls(
-            with_values - values,
-            {"g_sensitivity": with_covariance - covariance},
-            "too few rotations to show gyro biases that follow the specific force: the uncertainties allow "
-            f"for {USUAL_SENSITIVITY * _SENSITIVITY_PER_SI:.2g} deg/h for each g, which makes that of the "
-            f"{each.sensor} {each.kind.replace('_', ' ')} {each.axis} {growth.max():.2g} times as large",
-        )
+    Shift of the estimates if sensitivities of the usual size are allowed for, the covariance that they add,
+    by source, and a note; none if they are estimated, or the effect is small.
+    """
+    no_effect: tuple[FloatArray, Mapping[str, FloatArray], str]
+    no_effect = np.zeros(len(problem.options.columns)), {}, ""
+    if problem.options.g_sensitivity is not None:
+        return no_effect
+    with_sensitivity = problem.with_options(g_sensitivity=True)
+    options = with_sensitivity.options
+    trajectories = with_sensitivity.integrate(estimates.starts, estimates.common)
+    information = with_sensitivity.information(trajectories, estimates.common)
+    is_sensitivity = np.zeros(len(information.sizes), dtype=bool)
+    is_sensitivity[: len(options.columns)] = [
+        each in range(G_SENSITIVITIES.start, G_SENSITIVITIES.stop) for each in options.columns
+    ]
+    kept = np.flatnonzero(~is_sensitivity)[: len(problem.options.columns)]
+    solutions = []
+    for size in (_NO_SENSITIVITY, USUAL_SENSITIVITY):
+        sizes = np.where(is_sensitivity, size, information.sizes)
+        values, covariance, _ = replace(information, sizes=sizes).solve()
+        solutions.append((values[kept], covariance[np.ix_(kept, kept)]))
+    (values, covariance), (with_values, with_covariance) = solutions
+    growth = np.sqrt(np.diag(with_covariance) / np.diag(covariance))[:COUNT]
+    growth[~estimates.is_observed[:COUNT]] = 1.0
+    if growth.max() < _MIN_SENSITIVE_GROWTH:
+        return no_effect
+    each = COEFFICIENTS[int(growth.argmax())]
+    note = (
+        "too few rotations to show gyro biases that follow the specific force: the uncertainties allow "
+        f"for {USUAL_SENSITIVITY * _SENSITIVITY_PER_SI:.2g} deg/h for each g, which makes that of the "
+        f"{each.sensor} {each.kind.replace('_', ' ')} {each.axis} {growth.max():.2g} times as large"
+    )
+    return with_values - values, {"g_sensitivity": with_covariance - covariance}, note
 
 
 def _problem(

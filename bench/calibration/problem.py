@@ -378,7 +378,8 @@ class CalibrationProblem:
 
         ``retimed``: problems at other sample intervals with their solutions.
         """
-        if not _may_be_mistake(estimates):
+        # A mistake in the map may only be the cause of large residuals.
+        if estimates.fit.chi2 < _MIN_CHI2_PER_DOF * estimates.fit.dof:
             return
         opposite = replace(self, site=replace(self.site, latitude=-self.site.latitude))
         alternatives = [
@@ -418,11 +419,6 @@ class CalibrationProblem:
                 sections = [each.with_interval(factor, are_rates) for each in self.sections]
                 problems.append(replace(self, sections=sections))
         return [(each, _solution(each)) for each in problems]
-
-
-def _may_be_mistake(estimates: Estimates) -> bool:
-    """Whether the residuals are so large that a mistake in the map may be the cause."""
-    return estimates.fit.chi2 >= _MIN_CHI2_PER_DOF * estimates.fit.dof
 
 
 def _solution(problem: CalibrationProblem) -> Estimates | None:

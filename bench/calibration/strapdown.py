@@ -48,7 +48,7 @@ _ALL = tuple(range(LATITUDE))
 #: and of optional parameters: kernels know no slices.
 _FIRST_GYRO_ELEMENT, _FIRST_FORCE_BIAS, _FIRST_FORCE_ELEMENT = 3, 12, 15
 _FIRST_QUADRATIC, _FIRST_G_SENSITIVITY = QUADRATIC.start, G_SENSITIVITIES.start
-_FIRST_ASYMMETRY, _FIRST_DRIFT = ASYMMETRIES.start, DRIFT.start
+_FIRST_ASYMMETRY, _FIRST_ATTITUDE, _FIRST_DRIFT = ASYMMETRIES.start, ATTITUDE.start, DRIFT.start
 _ROWS, _COLUMNS = LOWER
 #: Rotations, rad, after which the attitude, and after which the responses are updated. In between, increments
 #: are summed with their coning and sculling, and the responses use the mean attitude.
@@ -83,23 +83,14 @@ def integrate_increments(
     ``columns``: of the responses. ``errors``: of the sensors. ``are_corrected``: whether the increments are
     already corrected for ``errors``, as they must be with columns of optional parameters.
     """
-    steps = interval_s * np.arange(np.diff(ends, prepend=0).max() + 1.0)
-    earth = rotation_matrices(-earth_rate_enu(latitude) * steps[:, np.newaxis])
-    half = rotation_matrices(-0.5 * earth_rate_enu(latitude) * steps[:, np.newaxis])
-    attitude = np.empty((len(ends) + 1, 3, 3))
-    integral = np.zeros((len(ends) + 1, 3))
-    column_array = np.array(columns, np.int64)
-    response = np.zeros((len(ends) + 1, 6, len(column_array)))
-    attitude[0] = C_nb
-    response[0, :3] = column_array == np.arange(ATTITUDE.start, ATTITUDE.stop)[:, np.newaxis]
-    turns = earth, half, np.cross([1.0, 0.0, 0.0], earth_rate_enu(latitude))
-    states = attitude, integral, response
+    half_samples_s = 0.5 * interval_s * np.arange(2.0 * np.diff(ends, prepend=0).max() + 1.0)
+    earth = rotation_matrices(-earth_rate_enu(latitude) * half_samples_s[:, np.newaxis])
+    latitude_response = np.cross([1.0, 0.0, 0.0], earth_rate_enu(latitude))
     error_correction = (errors or SensorErrors()).correction(interval_s)
     correction = SensorErrors().correction(interval_s) if are_corrected else error_correction
-    has_sums = any(COUNT <= each < G_SENSITIVITIES.start for each in columns)
-    _integrate(
-        angle, velocity, correction, error_correction, interval_s, ends, has_sums, *turns, gravity,
-        column_array, *states,
+    attitude, integral, response = _integrate(
+        angle, velocity, correction, error_correction, interval_s, ends, C_nb, earth, latitude_response,
+        gravity, np.array(columns, np.int64),
     )  # fmt: skip
     return Trajectory(attitude, integral, gravity, response)
 
@@ -107,16 +98,22 @@ def integrate_increments(
 @compiled
 def _integrate(
     angle: FloatArray, velocity: FloatArray, correction: FloatArray, error_correction: FloatArray,
-    interval_s: float, ends: IntArray, has_sums: bool, earth: FloatArray, half: FloatArray,
-    latitude_response: FloatArray, gravity: float, columns: IntArray, attitudes: FloatArray,
-    integrals: FloatArray, responses: FloatArray,
-) -> None:  # fmt: skip
-    """Integrate from ``attitudes[0]`` and ``responses[0]``; writes the states at the ends of the epochs.
+    interval_s: float, ends: IntArray, start: FloatArray, earth: FloatArray, latitude_response: FloatArray,
+    gravity: float, columns: IntArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """Attitudes, integrals and responses at the start and at the ends of the epochs.
 
-    ``correction``, ``error_correction`` (2, 3, 4): of the increments, and of the sensors' errors;
-    ``earth``, ``half`` (s, 3, 3): the Earth's rotation in 0, 1, ... samples, and half of it.
+    ``correction``, ``error_correction`` (2, 3, 4): of the increments, and of the sensors' errors; ``start``
+    (3, 3): C_nb; ``earth`` (s, 3, 3): the Earth's rotation in 0, 1, ... half samples.
     """
-    C, begin = attitudes[0].copy(), attitudes[0].copy()
+    attitudes, integrals = np.empty((len(ends) + 1, 3, 3)), np.zeros((len(ends) + 1, 3))
+    responses, has_sums = np.zeros((len(ends) + 1, 6, len(columns))), False
+    for r, column in enumerate(columns):
+        has_sums |= COUNT <= column < _FIRST_G_SENSITIVITY
+        for i in range(3):
+            responses[0, i, r] = column == _FIRST_ATTITUDE + i
+    copy_matrix(attitudes[0], start)
+    C, begin = start.copy(), start.copy()
     u, angles, sums = np.zeros(3), np.zeros(3), np.zeros((5, 3))
     response, drive = responses[0].copy(), np.zeros((6, LATITUDE + 1))
     middle, turn, product, gyro_axes, force_axes = np.empty((5, 3, 3))
@@ -137,10 +134,10 @@ def _integrate(
         is_end = k + 1 == ends[epoch]
         if not is_end and _square(alpha) < _MAX_SUM**2:
             continue
-        velocity_change = multiply(half[summed], multiply(C, _force_sum(alpha, speed, sculling)))
+        velocity_change = multiply(earth[summed], multiply(C, _force_sum(alpha, speed, sculling)))
         set_turn(turn, add_scaled(alpha, coning, 1.0))
         multiply_3x3(product, C, turn)
-        multiply_3x3(C, earth[summed], product)
+        multiply_3x3(C, earth[2 * summed], product)
         for i in range(3):
             angles[i] += alpha[i]
             u[i] += velocity_change[i]
@@ -166,7 +163,7 @@ def _integrate(
         for i in range(3):
             drive[i, LATITUDE] = latitude_response[i] * length_s
             angles[i] = 0.0
-        _update_responses(response, columns, drive, earth[samples], gravity * length_s)
+        _update_responses(response, columns, drive, earth[2 * samples], gravity * length_s)
         samples = 0
         if is_end:
             epoch += 1
@@ -174,6 +171,7 @@ def _integrate(
             copy_matrix(responses[epoch], response)
             for i in range(3):
                 integrals[epoch, i] = u[i]
+    return attitudes, integrals, responses
 
 
 @compiled

@@ -100,19 +100,18 @@ def _intervals(
     trajectory: Trajectory, lengths_s: FloatArray, noise: SensorNoise, latitude: float
 ) -> tuple[FloatArray, FloatArray]:
     """Transition and noise (n, 6, 6) of psi and u over each epoch."""
-    transition, covariance = np.zeros((2, len(lengths_s), 6, 6))
-    _set_intervals(
+    return _compiled_intervals(
         trajectory.attitude, trajectory.gravity, lengths_s, noise.angle_random_walk**2,
-        noise.velocity_random_walk**2, earth_rate_enu(latitude), transition, covariance,
+        noise.velocity_random_walk**2, earth_rate_enu(latitude),
     )  # fmt: skip
-    return transition, covariance
 
 
 @compiled
-def _set_intervals(
+def _compiled_intervals(
     attitude: FloatArray, gravity: float, lengths_s: FloatArray, angle_walk: FloatArray,
-    velocity_walk: FloatArray, earth: FloatArray, transition: FloatArray, covariance: FloatArray,
-) -> None:  # fmt: skip
+    velocity_walk: FloatArray, earth: FloatArray,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    transition, covariance = np.zeros((len(lengths_s), 6, 6)), np.zeros((len(lengths_s), 6, 6))
     cross, tilts, lifts, tilts_to_velocity, twice = np.zeros((5, 3, 3))
     for n, time in enumerate(lengths_s):
         F, Q, C = transition[n], covariance[n], 0.5 * (attitude[n] + attitude[n + 1])
@@ -132,6 +131,7 @@ def _set_intervals(
                 F[3 + i, j] = cross[i, j]
                 Q[i, j], Q[3 + i, 3 + j] = tilts[i, j], lifts[i, j] - twice[i, j] / 3.0
                 Q[3 + i, j] = Q[j, 3 + i] = 0.5 * tilts_to_velocity[i, j]
+    return transition, covariance
 
 
 @compiled
