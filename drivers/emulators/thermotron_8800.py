@@ -97,28 +97,29 @@ class Thermotron8800Emulator(TextInstrument):
             "MRMP": partial(self._set_value, "ramp"),
             "DEVN": partial(self._set_value, "deviation"),
             "AUXE": self._set_auxiliaries,
-            "RUNM": lambda number, value: self._without_parameters(number, value, self._run),
-            "STOP": lambda number, value: self._without_parameters(
-                number, value, lambda: self._stop(Stop.COMPUTER)
-            ),
-            "INIT": lambda number, value: self._without_parameters(number, value, self._initialise),
-            "HOLD": lambda number, value: self._without_parameters(number, value, lambda: Code.NOT_NOW),
-            "RESM": lambda number, value: self._without_parameters(number, value, lambda: Code.NOT_NOW),
         }
-        self._queries: dict[str, Callable[[str], str | None]] = {
-            "PVAR": lambda channel: self._for_channel(channel, self._shown(self.air.read_c)),
-            "SETP": lambda channel: self._for_channel(channel, self._shown(self._set_point_c)),
-            "MRMP": lambda channel: self._for_channel(channel, self._shown(self._ramp_c_per_min, 0.0)),
-            "DEVN": lambda channel: self._for_channel(channel, self._shown(self._deviation_c, 0.0)),
-            "ALRM": lambda channel: self._for_channel(channel, str(self._alarms)),
-            "THTL": lambda channel: self._for_channel(channel, f"{100.0 * self.air.power:.1f}"),
-            "AUXE": lambda group: str(self._auxiliaries[group]) if group in self._auxiliaries else None,
-            "MODE": lambda number: None if number else str(self._mode),
-            "SCOD": lambda number: None if number else str(int(self.stop_code)),
-            "OPTN": lambda number: None if number else "0",
-            "CHST": lambda number: None if number else str(1 << 8 | 1),
-            "IDEN": lambda number: None if number else "8800",
-            "VRSN": lambda number: None if number else "gyrobench emulator",
+        self._actions: dict[str, Callable[[], Code]] = {
+            "RUNM": self._run,
+            "STOP": lambda: self._stop(Stop.COMPUTER),
+            "INIT": self._initialise,
+            "HOLD": lambda: Code.NOT_NOW,
+            "RESM": lambda: Code.NOT_NOW,
+        }
+        self._queries: dict[str, Callable[[], str]] = {
+            f"PVAR{_CHANNEL}": lambda: self._shown(self.air.read_c),
+            f"SETP{_CHANNEL}": lambda: self._shown(self._set_point_c),
+            f"MRMP{_CHANNEL}": lambda: self._shown(self._ramp_c_per_min, 0.0),
+            f"DEVN{_CHANNEL}": lambda: self._shown(self._deviation_c, 0.0),
+            f"ALRM{_CHANNEL}": lambda: str(self._alarms),
+            f"THTL{_CHANNEL}": lambda: f"{100.0 * self.air.power:.1f}",
+            "AUXE1": lambda: str(self._auxiliaries["1"]),
+            "AUXE2": lambda: str(self._auxiliaries["2"]),
+            "MODE": lambda: str(self._mode),
+            "SCOD": lambda: str(int(self.stop_code)),
+            "OPTN": lambda: "0",
+            "CHST": lambda: str(1 << 8 | 1),
+            "IDEN": lambda: "8800",
+            "VRSN": lambda: "gyrobench emulator",
         }
 
     def power_off(self, now_s: float) -> None:  # noqa: ARG002
@@ -175,10 +176,11 @@ class Thermotron8800Emulator(TextInstrument):
     def _reply(self, request: str) -> bytes:
         text = request.upper()
         if query := _QUERY.fullmatch(text):
-            handle = self._queries.get(query[1])
-            answer = handle(query[2]) if handle else str(int(Code.UNKNOWN_COMMAND))
-            if answer is None:
-                answer = str(int(Code.WRONG_PARAMETER))
+            if handle := self._queries.get(query[1] + query[2]):
+                answer = handle()
+            else:
+                is_known = any(name.startswith(query[1]) for name in self._queries)
+                answer = str(int(Code.WRONG_PARAMETER if is_known else Code.UNKNOWN_COMMAND))
         else:
             answer = str(int(self._execute(text)))
             if self._echo == "instead" and answer == "0":
@@ -188,18 +190,16 @@ class Thermotron8800Emulator(TextInstrument):
 
     def _execute(self, text: str) -> Code:
         command = _COMMAND.fullmatch(text)
-        handle = self._commands.get(command[1]) if command else None
-        return handle(command[2], command[3]) if command and handle else Code.UNKNOWN_COMMAND
+        if not command:
+            return Code.UNKNOWN_COMMAND
+        name, number, value = command.groups()
+        if name in self._actions:
+            return Code.WRONG_PARAMETER if number or value is not None else self._actions[name]()
+        return self._commands[name](number, value) if name in self._commands else Code.UNKNOWN_COMMAND
 
     def _shown(self, value_c: float, zero: float | None = None) -> str:
         """A temperature in the controller's unit; a difference with a ``zero`` of 0."""
         return f"{self._per_c * value_c + (self._zero if zero is None else zero):.3f}"
-
-    def _for_channel(self, channel: str, answer: str) -> str | None:
-        return answer if channel == _CHANNEL else None
-
-    def _without_parameters(self, number: str, value: str | None, action: Callable[[], Code]) -> Code:
-        return Code.WRONG_PARAMETER if number or value is not None else action()
 
     def _set_value(self, name: str, channel: str, text: str | None) -> Code:
         low, high = {

@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 from datetime import datetime, timedelta
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import Literal
 
 from gyrobench.drivers.emulators.dialect import ChamberEmulation, OnEvent
 from gyrobench.drivers.emulators.modbus_rtu import HoldingRegister, ModbusRtuDevice, exception_frame
@@ -32,15 +32,6 @@ _DIGITAL_INPUTS, _INPUT_CONDITIONS = (201, 213, 225, 237), (1061, 1063, 1065, 10
 #: The clock: first of six registers, and what each holds.
 _CLOCK, _CLOCK_FIELDS = 1916, ("hour", "minute", "second", "month", "day", "year")
 _INT16_MIN, _INT16_MAX = -32768, 32767
-
-
-class _Settings(NamedTuple):
-    """Settings in the controller's non-volatile memory."""
-
-    set_point_c: float
-    decimals: int
-    limits_c: dict[int, float]
-    ramp: tuple[RampAction, float, bool]
 
 
 class WatlowF4Emulator:
@@ -85,7 +76,7 @@ class WatlowF4Emulator:
         if model != "F4P":
             self.remove_ramp()
         self._device = ModbusRtuDevice(self._holding, address)
-        self._memory = self._present_settings()
+        self._save(0)
 
     def feed(self, data: bytes, now_s: float) -> bytes:
         """Receive bytes at time ``now_s``; returns the reply to the request that they complete."""
@@ -106,12 +97,10 @@ class WatlowF4Emulator:
         self.alarm_1 = self.alarm_2 = _NO_ALARM
         self.sensor_error = self._sensor_fault
         self.air.faults.blind = bool(self._sensor_fault)
-        saved = self._memory
         self._loop.end_profile()
-        self.air.set_point_c = saved.set_point_c
-        self.decimals = saved.decimals
-        self._limits_c = dict(saved.limits_c)
-        self._loop.set_ramp(*saved.ramp)
+        self.air.set_point_c, self.decimals, limits_c, ramp = self._saved
+        self._limits_c = dict(limits_c)
+        self._loop.set_ramp(*ramp)
 
     def break_sensor(self, error: int) -> None:
         """Make input 1 fail: the control outputs stop. The error stays until register 311 clears it."""
@@ -137,7 +126,7 @@ class WatlowF4Emulator:
 
     def use_fahrenheit(self, fahrenheit: bool) -> None:
         """Change the unit at the panel; temperatures keep their value."""
-        self._loop.degrees_per_kelvin = 1.8 if fahrenheit else 1.0
+        self._loop.is_fahrenheit = fahrenheit
 
     def remove_ramp(self) -> None:
         """Change the emulated model to one that ramps only in profiles."""
@@ -188,7 +177,7 @@ class WatlowF4Emulator:
                 lambda value: 0 <= value <= _MAX_DECIMALS,
             ),
             901: HoldingRegister(
-                lambda: _CELSIUS if self._loop.degrees_per_kelvin == 1.0 else _FAHRENHEIT,
+                lambda: _FAHRENHEIT if self._loop.is_fahrenheit else _CELSIUS,
                 lambda value: self.use_fahrenheit(value == _FAHRENHEIT),
                 _is_bit,
             ),
@@ -243,12 +232,10 @@ class WatlowF4Emulator:
         return number / 10.0**self.decimals
 
     def _temperature(self, temperature_c: float) -> int:
-        scale = self._loop.degrees_per_kelvin
-        return self._number(temperature_c if scale == 1.0 else temperature_c * scale + 32.0)
+        return self._number(self._loop.shown(temperature_c))
 
     def _celsius(self, number: int) -> float:
-        value, scale = self._value(number), self._loop.degrees_per_kelvin
-        return value if scale == 1.0 else (value - 32.0) / scale
+        return self._loop.celsius(self._value(number))
 
     def _limit(self, register: int) -> int:
         return self._temperature(self._limits_c[register])
@@ -256,12 +243,10 @@ class WatlowF4Emulator:
     def _set_limit(self, register: int, number: int) -> None:
         self._limits_c[register] = self._celsius(number)
 
-    def _present_settings(self) -> _Settings:
-        ramp = (self._loop.action, self._loop.ramp_rate, self._loop.per_hour)
-        return _Settings(self._loop.set_point_c, self.decimals, dict(self._limits_c), ramp)
-
     def _save(self, _: int) -> None:
-        self._memory = self._present_settings()
+        """Copy the settings to the controller's non-volatile memory."""
+        ramp = (self._loop.action, self._loop.ramp_rate, self._loop.per_hour)
+        self._saved = self._loop.set_point_c, self.decimals, dict(self._limits_c), ramp
 
     def _clear_input_error(self, clear: int) -> None:
         if clear and not self._sensor_fault:

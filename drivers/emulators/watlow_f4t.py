@@ -45,7 +45,6 @@ class WatlowF4TEmulator(TextInstrument):
         self._loop = WatlowLoop(air, on_event, _DEFAULT_RAMP)
         self._decimals = decimals
         self._action = "OFF"
-        self._fahrenheit = False
         self._error = False
         self._commands: dict[str, Callable[[str], None]] = {
             _LOOP + "SPOINT": self._set_set_point,
@@ -63,7 +62,7 @@ class WatlowF4TEmulator(TextInstrument):
             _LOOP + "RACTION": lambda: self._action,
             _LOOP + "RSCALE": lambda: "HOURS" if self._loop.per_hour else "MINUTES",
             _LOOP + "RRATE": lambda: self._format_number(self._loop.ramp_rate),
-            "UNIT:TEMPERATURE": lambda: "F" if self._fahrenheit else "C",
+            "UNIT:TEMPERATURE": lambda: "F" if self._loop.is_fahrenheit else "C",
             _PROGRAM: lambda: "RUNNING" if self._loop.in_profile else "IDLE",
         }
         for number in OUTPUTS:
@@ -106,18 +105,16 @@ class WatlowF4TEmulator(TextInstrument):
         return b""
 
     def _format_temperature(self, temperature_c: float) -> str:
-        return self._format_number(temperature_c * 1.8 + 32.0 if self._fahrenheit else temperature_c)
+        return self._format_number(self._loop.shown(temperature_c))
 
     def _format_number(self, value: float) -> str:
         return f"{value:.{self._decimals}f}"
 
     def _set_set_point(self, text: str) -> None:
         value = decimal(text)
-        if value is None:
-            return
-        value_c = (value - 32.0) / 1.8 if self._fahrenheit else value
-        if self.air.parameters.low_c <= value_c <= self.air.parameters.high_c:
-            self._loop.set_set_point(value_c)
+        limits = self.air.parameters
+        if value is not None and limits.low_c <= self._loop.celsius(value) <= limits.high_c:
+            self._loop.set_set_point(self._loop.celsius(value))
 
     def _set_action(self, text: str) -> None:
         if text in _ACTIONS:
@@ -135,8 +132,7 @@ class WatlowF4TEmulator(TextInstrument):
 
     def _set_unit(self, text: str) -> None:
         if text in ("C", "F"):
-            self._fahrenheit = text == "F"
-            self._loop.degrees_per_kelvin = 1.8 if self._fahrenheit else 1.0
+            self._loop.is_fahrenheit = text == "F"
 
     def _set_program(self, text: str) -> None:
         if text == "STOP":

@@ -31,7 +31,7 @@ class WatlowLoop:
         self.action = RampAction.OFF  #: Event at which the set point ramps.
         self.ramp_rate = ramp_rate  #: Ramp rate in degrees per minute, or per hour with ``per_hour``.
         self.per_hour = False
-        self.degrees_per_kelvin = 1.0  #: 1 for degC, 1.8 for degF.
+        self.is_fahrenheit = False  #: Whether the controller's temperatures are in degF.
         self.is_held = False  #: Whether the profile is held.
         self._static_c: float | None = None  # set point that has no effect while a profile runs
         self._on_event = on_event
@@ -45,6 +45,14 @@ class WatlowLoop:
     def in_profile(self) -> bool:
         """Whether a profile controls the air."""
         return self._static_c is not None
+
+    def shown(self, temperature_c: float) -> float:
+        """Convert a temperature to the controller's unit."""
+        return temperature_c * 1.8 + 32.0 if self.is_fahrenheit else temperature_c
+
+    def celsius(self, value: float) -> float:
+        """Convert a temperature from the controller's unit."""
+        return (value - 32.0) / 1.8 if self.is_fahrenheit else value
 
     def start_profile(self, to_c: float) -> None:
         """Start a profile with one step, which switches the chamber on."""
@@ -96,4 +104,4 @@ class WatlowLoop:
 
     @property
     def _ramp_c_per_min(self) -> float:
-        return self.ramp_rate / (60.0 if self.per_hour else 1.0) / self.degrees_per_kelvin
+        return self.ramp_rate / (60.0 if self.per_hour else 1.0) / (1.8 if self.is_fahrenheit else 1.0)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -29,15 +28,6 @@ from gyrobench.drivers.emulators.world.world_file import NeighbourHeating, Table
 
 OUTER, INNER = 1, 2
 _AXIS_KEYS = {"rate_limit_dps", "acceleration_limit_dps2", "jerk_limit_dps3", "position_error_arcsec"}
-
-
-class AirSeconds(NamedTuple):
-    """The air around one unit in n successive seconds."""
-
-    air_c: FloatArray  #: Shape (n,). Temperature of the air around the unit.
-    duty: FloatArray  #: Shape (n,). Share of the time that the chamber's compressor runs.
-    #: Shape (n,). Rise of the air temperature there caused by the heat of neighbouring units, K.
-    neighbours_k: FloatArray
 
 
 class Surroundings:
@@ -97,13 +87,15 @@ class UnitAir:
         self._heating = heating
         self._rises_k = [0.0] * len(heating)
 
-    def take(self, seconds: int) -> AirSeconds:
-        """Return the air of the next seconds, to which the surroundings have been advanced."""
+    def take(self, seconds: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the air of the next seconds, to which the surroundings have been advanced.
+
+        For each second (n,) the temperature of the air around the unit, the share of the time that the
+        chamber's compressor runs, and the rise of that temperature by the heat of neighbouring units, K.
+        """
         course = np.concatenate(self._course, axis=1)
         self._course[:] = [course[:, seconds:]]
         air_c, duty = course[:, :seconds]
-        if not self._heating:
-            return AirSeconds(air_c, duty, np.zeros(seconds))
         added_k = np.zeros(seconds)
         for index, each in enumerate(self._heating):
             final_k = each.coupling_k_per_w * self._surroundings.dissipated_w.get(each.from_unit, 0.0)
@@ -111,7 +103,7 @@ class UnitAir:
             course_k = final_k + (self._rises_k[index] - final_k) * decay
             self._rises_k[index] = float(course_k[-1])
             added_k += course_k
-        return AirSeconds(air_c + added_k, duty, added_k)
+        return air_c + added_k, duty, added_k
 
 
 _DT_S = 1.0 / SAMPLE_RATE_HZ
