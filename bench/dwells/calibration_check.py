@@ -24,16 +24,16 @@ import numpy as np
 
 from gyrobench.bench.bias import parameters
 from gyrobench.bench.bias.bias_filter import BiasFilter
-from gyrobench.bench.bias.dwell import Dwell, NavigationWindow
+from gyrobench.bench.bias.dwell import Dwell
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.paper import TURN_TOLERANCE, PolynomialTrend
 from gyrobench.bench.bias.parameters import ErrorModel
 from gyrobench.bench.bias.plateaus import MAX_FROM_MEAN_K, group_plateaus
 from gyrobench.bench.bias.statistics import solve
 from gyrobench.bench.dwells.earlier_calibration import AccelerometerBiases, EarlierCalibration
-from gyrobench.bench.dwells.measure_dwell import CheckDwell
+from gyrobench.bench.dwells.measure_dwell import CheckDwell, only_window
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
-from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, UG_TO_MPS2, FloatArray, Triple
+from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, UG_TO_MPS2, FloatArray, Triple, triple
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import flag_text
 from gyrobench.bench.navigation.attitude import UP, angle_between, rotation_matrix, rotation_vector_enu
@@ -279,7 +279,7 @@ def bias_from_velocity(
     ``dwell``: with one window. ``align_s``: length of the alignment, s; sets the noise of the first attitude.
     Raises MeasurementError if there is not one window.
     """
-    window = _only_window(dwell)
+    window = only_window(dwell)
     bias_filter = BiasFilter(model)
     bias_filter.begin_window(window.time_s[0], window.C_nb[0])
     bias_filter.add(window)
@@ -288,7 +288,8 @@ def bias_from_velocity(
     values, covariance = solve(information.rows, information.data - information.rows @ mean, root)
     north = window.C_nb[0].T @ _NORTH
     weights = north @ information.bias_at_mean
-    return _axis_bias(north, float(weights @ (values + mean)), math.sqrt(weights @ covariance @ weights))
+    sigma = math.sqrt(weights @ covariance @ weights)
+    return AxisBias(triple(north), float(weights @ (values + mean)), sigma)
 
 
 def bias_from_velocity_slope(
@@ -299,7 +300,7 @@ def bias_from_velocity_slope(
     For comparison: neglects the Schuler loop and the Earth's rotation, as the paper does. Raises
     MeasurementError if there is not one window.
     """
-    window, site = _only_window(dwell), model.site
+    window, site = only_window(dwell), model.site
     time = window.time_s - window.time_s[0]
     weights = PolynomialTrend(time, 2).weights / site.gravity
     apparent = float(window.velocity_enu_mps[:, 0] @ weights)
@@ -314,15 +315,6 @@ def _check_half_turn(first: Dwell, second: Dwell) -> None:
             f"{first.position_name}: two alignments give a bias only if they are half a turn apart. "
             "Align once at an azimuth and once 180 deg from it"
         )
-
-
-def _only_window(dwell: Dwell) -> NavigationWindow:
-    if len(dwell.windows) != 1:
-        raise MeasurementError(
-            f"{dwell.position_name}: {len(dwell.windows)} windows of navigation; a calibration check has "
-            "one, straight from the alignment"
-        )
-    return dwell.windows[0]
 
 
 def _heading_error(dwell: Dwell) -> float:
@@ -363,11 +355,5 @@ def _correct_for_accelerometer(
     """Correct the apparent bias for the accelerometer bias along ``direction``."""
     factor = earth_rate_enu(site.latitude)[2] / site.gravity
     accelerometer_bias, accelerometer_sigma = accelerometers.along(direction)
-    return _axis_bias(
-        direction, apparent + factor * accelerometer_bias, math.hypot(sigma, factor * accelerometer_sigma)
-    )
-
-
-def _axis_bias(direction: FloatArray, bias: float, sigma: float) -> AxisBias:
-    x, y, z = (float(value) for value in direction)
-    return AxisBias((x, y, z), bias, sigma)
+    bias, bias_sigma = apparent + factor * accelerometer_bias, factor * accelerometer_sigma
+    return AxisBias(triple(direction), bias, math.hypot(sigma, bias_sigma))

@@ -171,20 +171,17 @@ class InterpolatedCurve:
         if len(nodes) == 2:
             weights = np.array([-1.0, 1.0]) / (nodes[1] - nodes[0]) ** 2
             return self._excess_over_noise(slice(0, 2), weights)
-        firsts = range(max(low - 1, 0), min(low + 1, len(nodes) - 2))
-        triples = [slice(first, first + 3) for first in firsts]
-        return max(self._excess_over_noise(triple, _divided_difference(nodes[triple])) for triple in triples)
+        curvatures = []
+        for first in range(max(low - 1, 0), min(low + 1, len(nodes) - 2)):
+            triple = slice(first, first + 3)
+            differences = nodes[triple][:, np.newaxis] - nodes[triple] + np.eye(3)
+            curvatures.append(self._excess_over_noise(triple, 1.0 / differences.prod(axis=1)))
+        return max(curvatures)
 
     def _excess_over_noise(self, nodes: slice, weights: FloatArray) -> float:
         """Absolute value of a weighted sum of values, without the contribution of their noise."""
         total, noise = weights @ self._value[nodes], np.linalg.norm(weights * self._sigma[nodes])
         return math.sqrt(max(float(total**2 - noise**2), 0.0))
-
-
-def _divided_difference(nodes: FloatArray) -> FloatArray:
-    """Weights of three values in their second divided difference."""
-    differences = nodes[:, np.newaxis] - nodes + np.eye(3)
-    return np.asarray(1.0 / differences.prod(axis=1))
 
 
 def _group_by_temperature(

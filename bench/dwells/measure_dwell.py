@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from gyrobench.bench.bias.bias_filter import StateSpaceEstimate, estimate_state_space, navigation_fit
 from gyrobench.bench.bias.damping import Damping
-from gyrobench.bench.bias.dwell import BiasEstimate, Dwell
+from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow
 from gyrobench.bench.bias.dwell_table import NEIGHBOURS_ON, NOT_MEASURED, DwellRow
 from gyrobench.bench.bias.error_split import ErrorParts
 from gyrobench.bench.bias.joint_solution import JointInformation
@@ -36,7 +37,6 @@ from gyrobench.bench.dwells.temperatures import DwellTemperatures, dwell_tempera
 from gyrobench.bench.foundations.arrays import UG_TO_MPS2, Triple, triple
 from gyrobench.bench.foundations.errors import MeasurementError, SignalMapError
 from gyrobench.bench.navigation.earth import earth_rate_enu
-from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.marks import DwellMarks
 from gyrobench.drivers.frames import FrameBlock
@@ -150,7 +150,8 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
         faults = setup.output_faults(dwell.windows, noise)
         evidence = None if decoder.flags else setup.evidence(dwell, noise, faults, navigation.latitude)
         raise_setup_fault(evidence)
-        paper = _paper_estimate(dwell, setup.site, noise)
+        with suppress(MeasurementError):  # the paper's method does not apply
+            paper = estimate_paper(dwell, setup.site.gravity, noise)
         damping = evidence.velocities.damping if evidence else None
         estimated = estimate_dwell(dwell, setup, noise, faults, damping)
         estimate, persistent_flags = estimated.estimate, estimated.persistent_flags
@@ -272,14 +273,6 @@ def _contradictions(estimate: StateSpaceEstimate) -> list[str]:
     return flags
 
 
-def _paper_estimate(dwell: Dwell, site: Site, noise: NoiseModel) -> BiasEstimate | None:
-    """Estimate by the paper's method; None if it does not apply to the dwell."""
-    try:
-        return estimate_paper(dwell, site.gravity, noise)
-    except MeasurementError:
-        return None
-
-
 def lack_of_fit_text(fit: Chi2Test) -> str:
     """Flag of a dwell whose data the error model and the noise do not explain."""
     return (
@@ -394,12 +387,12 @@ def measure_check_dwell(marks: DwellMarks, frames: FrameBlock, setup: Measuremen
         data = decoder.decode(marks, frames, setup)
         alignment_c = _mean_alignment_c(data, marks.span[0], decoder.temperatures)
         dwell = dwell_at_rest(marks, data, setup)
-        navigation = _navigation(dwell, setup)
+        window = only_window(dwell).thinned(EPOCH_S)
+        navigation = AlignedNavigation(replace(dwell, windows=(window,)), setup.noise_in(dwell.windows))
         faults = setup.output_faults(dwell.windows, navigation.noise)
         if not decoder.flags:
             raise_setup_fault(setup.evidence(dwell, navigation.noise, faults, data.latitude))
         decoder.flags += [fault.text for fault in faults]
-        (window,) = navigation.dwell.windows
         fit = navigation_fit(window, setup.error_model(navigation.noise))
         if fit.p_value < _MIN_FIT_P_VALUE:
             decoder.flags.append(lack_of_fit_text(fit))
@@ -417,13 +410,13 @@ def measure_check_dwell(marks: DwellMarks, frames: FrameBlock, setup: Measuremen
     )
 
 
-def _navigation(dwell: Dwell, setup: MeasurementSetup) -> AlignedNavigation:
+def only_window(dwell: Dwell) -> NavigationWindow:
+    """Window of a dwell of a calibration check; raises MeasurementError if there is not one."""
     if len(dwell.windows) != 1:
         raise MeasurementError(
             f"{len(dwell.windows)} navigations; a calibration check has one, straight from the alignment"
         )
-    thinned = tuple(window.thinned(EPOCH_S) for window in dwell.windows)
-    return AlignedNavigation(replace(dwell, windows=thinned), setup.noise_in(dwell.windows))
+    return dwell.windows[0]
 
 
 def _mean_alignment_c(data: NavigationData, end_frame: int, temperatures: DwellTemperatures) -> Triple:

@@ -138,7 +138,8 @@ def _check_axes(sent: Increments, navigated: Increments, marks: DwellMarks) -> N
                 navigated_sum *= sent_s / max(navigated_s, navigated.interval_s)
             is_complete = name == "velocity" or sent.is_consecutive[parts[0]].all()
             limit = _MAX_DEVIATION if is_complete else _MAX_DEVIATION_IN_GAPS
-            if name == "angle" and _max_rate(sent, span) * navigated.interval_s > _MAX_ROTATION:
+            max_rate = np.linalg.norm(sent.angle[parts[0]], axis=1).max(initial=0.0) / sent.interval_s
+            if name == "angle" and max_rate * navigated.interval_s > _MAX_ROTATION:
                 continue  # attitudes do not determine so large a rotation between two epochs
             size = np.linalg.norm(navigated_sum)
             if size > _MIN_SUM and np.linalg.norm(sent_sum - navigated_sum) > limit * size:
@@ -146,12 +147,6 @@ def _check_axes(sent: Increments, navigated: Increments, marks: DwellMarks) -> N
                     f"the {name} increments add up to {_triple_text(sent_sum)}, by attitude and velocity "
                     f"{_triple_text(navigated_sum)}. Check axes, signs and units of ins.signals.increments"
                 )
-
-
-def _max_rate(sent: Increments, span: tuple[int, int]) -> float:
-    """Largest angular rate in a span of frames, rad/s."""
-    angle = sent.angle[slice(*np.searchsorted(sent.row, span))]
-    return float(np.linalg.norm(angle, axis=1).max(initial=0.0)) / sent.interval_s
 
 
 def _triple_text(values: FloatArray) -> str:

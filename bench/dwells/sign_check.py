@@ -59,10 +59,6 @@ def _wrong_sign(name: str) -> str:
     return f"{name} has the wrong sign"
 
 
-def _wrong_direction(axis: str) -> str:
-    return f"rate_table.{axis} has the wrong direction (watch which way positive angles turn)"
-
-
 def _exchanged(name: str, other: str) -> str:
     return f"{name} and {other} are exchanged"
 
@@ -136,7 +132,8 @@ class SignCheck:
         candidates: list[tuple[tuple[str, ...], _Evidence]] = [((), declared)]
         for axes, table in self.table.reversed_axes():
             if evidence := self._evidence(marks, navigation, table=table):
-                candidates.append((tuple(map(_wrong_direction, axes)), evidence))
+                text = "has the wrong direction (watch which way positive angles turn)"
+                candidates.append((tuple(f"rate_table.{axis} {text}" for axis in axes), evidence))
         if evidence := self._evidence(marks, navigation, -1.0):
             candidates.append(((_wrong_sign("location.latitude_deg"),), evidence))
         for faults, signal_map in _attitude_changes(self.signals):

@@ -138,12 +138,13 @@ def valid_temperatures(
     values_c = np.column_stack([series.optics_c, series.electronics_c, series.case_c])
     dwell_c = values_c[inside]
     faults = [
-        _sensor_fault(series.ins_time_s[inside], each, begin_s, end_s) or _spread_fault(spread_k)
+        _sensor_fault(series.ins_time_s[inside], each, spread_k, begin_s, end_s)
         for each, spread_k in zip(dwell_c.T, series.spread_k[inside].T, strict=True)
     ]
-    ranges_k = np.array(
-        [0.0 if fault else np.ptp(_finite(each)) for fault, each in zip(faults, dwell_c.T, strict=True)]
-    )
+    ranges_k = np.zeros(len(faults))
+    for index, (fault, each) in enumerate(zip(faults, dwell_c.T, strict=True)):
+        if not fault:
+            ranges_k[index] = np.ptp(each[np.isfinite(each)])
     for sensor in np.flatnonzero(ranges_k == 0.0):
         if ranges_k.max() > _MIN_NEIGHBOUR_CHANGE_K and not faults[sensor]:
             faults[sensor] = (
@@ -158,11 +159,9 @@ def valid_temperatures(
     )
 
 
-def _finite(values_c: FloatArray) -> FloatArray:
-    return values_c[np.isfinite(values_c)]
-
-
-def _sensor_fault(time_s: FloatArray, values_c: FloatArray, begin_s: float, end_s: float) -> str:
+def _sensor_fault(
+    time_s: FloatArray, values_c: FloatArray, spread_k: FloatArray, begin_s: float, end_s: float
+) -> str:
     """Fault of a sensor by its own readings; empty if there is none."""
     valid = np.isfinite(values_c)
     if not valid.any():
@@ -181,13 +180,11 @@ def _sensor_fault(time_s: FloatArray, values_c: FloatArray, begin_s: float, end_
     jumps = np.flatnonzero(steps_k > _MAX_STEP_K + _MAX_STEP_K_PER_S * np.diff(time_s))
     if len(jumps):
         return f"jumps by {steps_k[jumps[0]]:.1f} K at {time_s[jumps[0] + 1]:.0f} s on the clock of the INS"
+    if (spread_k > _MAX_SPREAD_K).any():
+        return (
+            f"gives readings at a time that differ by {spread_k.max():.1f} K: does a second node send them?"
+        )
     return ""
-
-
-def _spread_fault(spread_k: FloatArray) -> str:
-    if not (spread_k > _MAX_SPREAD_K).any():
-        return ""
-    return f"gives readings at a time that differ by {spread_k.max():.1f} K: does a second node send them?"
 
 
 #: Largest slope of a sensor that is constant, K/h: only rounding of the arithmetic.
@@ -226,22 +223,16 @@ def stuck_sensors(rows: Sequence[DwellRow]) -> Iterator[tuple[int, str]]:
 
 def _constant_since(rows: Sequence[DwellRow], axis: int) -> int:
     """Index of the first of the latest dwells in which a sensor was constant at one value."""
-    first_stuck = len(rows)
-    while (
-        first_stuck
-        and _is_constant(rows[first_stuck - 1], axis)
-        and _have_same_reading(rows[first_stuck - 1], rows[-1], axis)
-    ):
-        first_stuck -= 1
-    return first_stuck
+    for index in reversed(range(len(rows))):
+        if not (_is_constant(rows[index], axis) and _have_same_reading(rows[index], rows[-1], axis)):
+            return index + 1
+    return 0
 
 
 def _last_reading_before(rows: Sequence[DwellRow], first_stuck: int, axis: int) -> int:
     """Index of the last dwell before ``first_stuck`` with a reading of a sensor; 0 if there is none."""
-    index_before = max(first_stuck - 1, 0)
-    while index_before and not np.isfinite(rows[index_before].gyro_c[axis]):
-        index_before -= 1
-    return index_before
+    before = range(first_stuck)
+    return max((index for index in before if np.isfinite(rows[index].gyro_c[axis])), default=0)
 
 
 def _divergence(earlier: DwellRow, later: DwellRow, axis: int) -> float:

@@ -202,5 +202,5 @@ def test_alignments_that_are_not_half_a_turn_apart_determine_nothing():
 
 @pytest.mark.parametrize("method", [velocity, slope])
 def test_a_navigation_with_a_turn_is_no_calibration_check(method):
-    with pytest.raises(MeasurementError, match="2 windows of navigation; a calibration check has one"):
+    with pytest.raises(MeasurementError, match="2 navigations; a calibration check has one"):
         method(emulate("z_up", window_s=60.0))
