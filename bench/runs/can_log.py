@@ -279,76 +279,23 @@ class CanLog:
 
     def __init__(self, folder: Path, is_virtual: bool = False) -> None:
         self._folder = folder
-        self._is_virtual = is_virtual
-        make_folder(folder)
-        self._next_number = 1 + max(find_parts(folder, _SUFFIX), default=0)
-        self._part: _OpenPart | None = None
-
-    @property
-    def next_part(self) -> int:
-        """Number of the part that the next frame begins after :meth:`cut`."""
-        return self._next_number
-
-    def write(self, block: FrameBlock) -> None:
-        """Add frames in the order received; in real time they are written after a few seconds at most."""
-        if self._part is None:
-            path = log_path(self._folder, self._next_number)
-            try:
-                self._part = _OpenPart(path, self._is_virtual)
-            except OSError as error:
-                raise write_error(path, error) from error
-            self._next_number += 1
-        try:
-            self._part.write(block)
-        except OSError as error:
-            raise self._abandon(self._part, error) from error
-
-    def write_waiting(self, now_s: float) -> None:
-        """Write pending frames if none has followed for some seconds; ``now_s``: time on the run's clock."""
-        if self._part is not None:
-            try:
-                self._part.write_waiting(now_s)
-            except OSError as error:
-                raise self._abandon(self._part, error) from error
-
-    def sync(self) -> None:
-        """Sync all frames so far to the disk; the part continues."""
-        if self._part is not None:
-            try:
-                self._part.sync()
-                sync_folder(self._folder)
-            except OSError as error:
-                raise self._abandon(self._part, error) from error
-
-    def cut(self) -> None:
-        """End the current part; all frames so far are on the disk when this returns."""
-        self.sync()
-        if self._part is not None:
-            self._part.close()
-            self._part = None
-
-    def _abandon(self, part: _OpenPart, error: OSError) -> RunFolderError:
-        """Close a part that can't be written; returns the error to raise."""
-        self._part = None
-        part.close()
-        return write_error(part.path, error)
-
-
-class _OpenPart:
-    """The part that is being written."""
-
-    def __init__(self, path: Path, is_virtual: bool) -> None:
-        self.path = path
-        self._stream: BinaryIO = path.open("xb")
         self._max_frames = _CONTAINER_FRAMES if is_virtual else _MAX_PENDING_FRAMES
         self._max_pending_s = math.inf if is_virtual else _MAX_PENDING_S
-        self._writer = BlfWriter(self._stream)
+        make_folder(folder)
+        #: Number of the part that the next frame begins after :meth:`cut`.
+        self.next_part = 1 + max(find_parts(folder, _SUFFIX), default=0)
+        self._path: Path  # of the part that is being written
+        self._stream: BinaryIO | None = None  # of that part; None between two parts
+        self._writer: BlfWriter
         self._pending: list[FrameBlock] = []
         self._pending_count = 0
         self._pending_since_s = 0.0
         self._idle_since_s: float | None = None  # run's clock at the first check of the pending frames
 
     def write(self, block: FrameBlock) -> None:
+        """Add frames in the order received; in real time they are written after a few seconds at most."""
+        if self._stream is None:
+            self._begin_part()
         if not len(block):
             return
         if self._pending_count + len(block) > _CONTAINER_FRAMES:
@@ -364,24 +311,53 @@ class _OpenPart:
         ):
             self._flush()
 
-    def _flush(self) -> None:
-        self._writer.write(concatenate(self._pending))
-        self._pending, self._pending_count, self._idle_since_s = [], 0, None
-
     def write_waiting(self, now_s: float) -> None:
+        """Write pending frames if none has followed for some seconds; ``now_s``: time on the run's clock."""
         if self._idle_since_s is None:
             self._idle_since_s = now_s if self._pending else None
         elif now_s - self._idle_since_s >= self._max_pending_s:
             self._flush()
 
     def sync(self) -> None:
-        self._flush()
-        self._writer.finish()
-        os.fsync(self._stream.fileno())
+        """Sync all frames so far to the disk; the part continues."""
+        if self._stream is not None:
+            self._flush()
+            with self._part_ended_by_error():
+                self._writer.finish()
+                os.fsync(self._stream.fileno())
+                sync_folder(self._folder)
 
-    def close(self) -> None:
-        with contextlib.suppress(OSError):
-            self._stream.close()
+    def cut(self) -> None:
+        """End the current part; all frames so far are on the disk when this returns."""
+        self.sync()
+        self._end_part()
+
+    def _begin_part(self) -> None:
+        self._path = log_path(self._folder, self.next_part)
+        with self._part_ended_by_error():
+            self._stream = self._path.open("xb")
+            self._writer = BlfWriter(self._stream)
+        self.next_part += 1
+
+    def _flush(self) -> None:
+        pending = concatenate(self._pending)
+        self._pending, self._pending_count, self._idle_since_s = [], 0, None
+        with self._part_ended_by_error():
+            self._writer.write(pending)
+
+    def _end_part(self) -> None:
+        if self._stream is not None:
+            with contextlib.suppress(OSError):
+                self._stream.close()
+            self._stream = None
+
+    @contextlib.contextmanager
+    def _part_ended_by_error(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            self._end_part()
+            raise write_error(self._path, error) from error
 
 
 def log_path(folder: Path, number: int) -> Path:
