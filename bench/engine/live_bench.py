@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
+import numpy as np
+
 from gyrobench.bench.engine.bench_state import BenchState, Readings
 from gyrobench.bench.engine.interlocks.watch import SILENT_INSTRUMENT, InterlockWatch, Trip
 from gyrobench.bench.engine.live_unit import BUS_SILENCE_S, LiveUnit
-from gyrobench.bench.engine.tick_lateness import TickLateness
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import ConnectionFailedError, FaultError, InstrumentError, ReplyError
 from gyrobench.bench.foundations.text import capitalised
@@ -459,3 +461,36 @@ class LiveBench:
             row["outer_deg"], row["inner_deg"] = self.table_angles()
             row["outer_rate_dps"], row["inner_rate_dps"] = self.station.table_axes_of(readings.table.rate_dps)
         return row
+
+
+class TickLateness:
+    """How late the ticks of a run came, counted to 10 us."""
+
+    def __init__(self) -> None:
+        self._counts: Counter[float] = Counter()  # ticks by their lateness, s
+        self._max_s = 0.0
+        self._missed = 0
+        self._last_s = math.nan
+
+    def add(self, due_s: float, now_s: float, period_s: float) -> None:
+        """Count the tick that was due at ``due_s`` and came at ``now_s``."""
+        late_s = now_s - due_s
+        self._counts[round(late_s, 5) if late_s > 0.0 else 0.0] += 1
+        if late_s > self._max_s:
+            self._max_s = late_s
+        if due_s - self._last_s > 1.5 * period_s:
+            self._missed += round((due_s - self._last_s) / period_s) - 1
+        self._last_s = due_s
+
+    def summary(self) -> dict[str, float | int]:
+        """Return the numbers of ticks and of ticks missed because one took too long, and the lateness, s."""
+        late_s, counts = np.array(sorted(self._counts.items()) or [(0.0, 0)]).T
+        ranks = np.searchsorted(np.cumsum(counts), np.array([0.5, 0.99]) * counts.sum())
+        median_s, late_99_percent_s = late_s[ranks].tolist()
+        return {
+            "count": int(counts.sum()),
+            "missed": self._missed,
+            "late_median_s": median_s,
+            "late_99_percent_s": late_99_percent_s,
+            "late_max_s": round(self._max_s, 6),
+        }

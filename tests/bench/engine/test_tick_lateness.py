@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gyrobench.bench.engine.tick_lateness import TickLateness
+from gyrobench.bench.engine.live_bench import TickLateness
 
 
 def counted(late_s, period_s=1.0):
