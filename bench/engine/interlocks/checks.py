@@ -91,16 +91,14 @@ def _too_old(instrument: str, age_s: float, limit_s: float) -> str:
 
 
 class RateWindow:
-    """The newest values of a quantity, for its rate of change over ``window_s``."""
+    """The newest values of a quantity, for its rate of change over ``window_s``.
 
-    def __init__(self, window_s: float) -> None:
-        self._window_s = window_s
+    The window is wide enough for three readings at intervals of ``period_s``.
+    """
+
+    def __init__(self, window_s: float, period_s: float) -> None:
+        self._window_s = max(window_s, _MIN_PERIODS * period_s)
         self._values: deque[tuple[float, float]] = deque()
-
-    @classmethod
-    def for_readings(cls, window_s: float, period_s: float) -> RateWindow:
-        """Make a window that holds at least three readings at intervals of ``period_s``."""
-        return cls(max(window_s, _MIN_PERIODS * period_s))
 
     def add(self, time_s: float, value: float) -> None:
         """Add a value; one that is not finite, or not newer than the last, is ignored.
@@ -259,7 +257,7 @@ class _UnitAirCheck:
         has_case = station.file.ins.signals.case_temperature is not None
         self._temperatures = [each.read for each in (temperatures[:1] if has_case else temperatures)]
         self._lag_s = _CASE_LAG_S if has_case else max(_CASE_LAG_S, _LAG_FRACTION * thermal.time_constant_s)
-        self._rate = RateWindow.for_readings(self._lag_s, station.file.instruments_period_s)
+        self._rate = RateWindow(self._lag_s, station.file.instruments_period_s)
         self._observed_s, self._far_since_s = -math.inf, math.inf
         self.problem = ""  #: Empty if the unit follows the air.
 
@@ -298,9 +296,7 @@ class ChamberChecks:
         rules, limits = station.file.interlocks, station.file.chamber.limits
         self._range_c = rules.chamber_air.range_c((limits.low_c, limits.high_c))
         self._rate_c_per_min = rules.chamber_air_rate.limit_or_default_c_per_min(limits.ramp_c_per_min)
-        self._rate = RateWindow.for_readings(
-            rules.chamber_air_rate.window_s, station.file.instruments_period_s
-        )
+        self._rate = RateWindow(rules.chamber_air_rate.window_s, station.file.instruments_period_s)
         self._tolerance_c = rules.chamber_command.tolerance_c
         self._deviation_c = rules.chamber_deviation.tolerance_c
         self._silence_s = rules.chamber_silence.limit_or_default_s(station.file.instruments_period_s)
@@ -399,7 +395,7 @@ class _WatchedTemperature:
         self._rate_c_per_min = source.rate.limit_or_default_c_per_min(
             station.file.chamber.limits.ramp_c_per_min
         )
-        self._rate = RateWindow.for_readings(source.rate.window_s, station.file.instruments_period_s)
+        self._rate = RateWindow(source.rate.window_s, station.file.instruments_period_s)
         self.value_c = math.nan
         self.valid_s = -math.inf
 
