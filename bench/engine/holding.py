@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 
 from gyrobench.bench.engine.interlocks.watch import Trip, TrippedError, text_of_trips
 from gyrobench.bench.engine.operator import ReceivedCommand, RunCommand, take_sender
@@ -107,12 +107,8 @@ def _refusal_in_hold(command: RunCommand) -> str:
     return f"the run holds: it accepts continue or abort, not {command}"
 
 
-@dataclass(frozen=True)
-class _Continuation:
-    """What continues a run, and the operator if one did."""
-
-    source: str
-    operator: str = ""
+#: What continues a run, and the operator if one did.
+_Continuation = tuple[str, str]
 
 
 class Holding:
@@ -139,11 +135,10 @@ class Holding:
         run.observers.noted(f"Holding, waiting for {waits_for}: {reason}")
         begin_s = self._bench.clock.now()
         try:
-            continuation = self._wait(reason, trips, after_s)
+            source, operator = self._wait(reason, trips, after_s)
         finally:
             run.operator.withdraw()
             run.observers.continued()
-        source, operator = continuation.source, continuation.operator
         if source == ITSELF:
             run.progress.resumes.update(trip_names)
         held_s = self._bench.clock.now() - begin_s
@@ -166,7 +161,7 @@ class Holding:
             if continuation and self._is_clear(trips):
                 return continuation
             if after_s is not None and self._untripped_for_s(trips, held_s) >= after_s:
-                return _Continuation(ITSELF)
+                return ITSELF, ""
             if held_s > max_hold_s:
                 break
         raise RunStoppedError(f"held for longer than {span(max_hold_s)}: {reason}")
@@ -208,8 +203,8 @@ class Holding:
         if answer == RunCommand.ABORT:
             raise RunStoppedError(f"the operator answered '{answer}' to: {reason}")
         if received:
-            return _Continuation(describe_source(received.source), received.operator)
-        return _Continuation("the operator", operator_name()) if answer else None
+            return describe_source(received.source), received.operator
+        return ("the operator", operator_name()) if answer else None
 
     def _is_clear(self, trips: Sequence[Trip]) -> bool:
         """Clear latched alarms, and return whether nothing is tripped; notes remaining trips."""
