@@ -36,7 +36,7 @@ from gyrobench.bench.foundations.errors import ConnectionFailedError, DocumentEr
 from gyrobench.bench.foundations.files import read_limited
 from gyrobench.bench.foundations.text import hours_minutes, listed
 from gyrobench.bench.station.receivers import SECRET, Email, EventName, Ntfy, Receiver, Webhook
-from gyrobench.bench.station.time_limit import call_within
+from gyrobench.bench.station.time_limit import LimitedCall
 
 #: Event of a message. Receivers select events with their key ``on``; the last two go to all.
 Event = Literal[EventName, "guard_acted", "test"]
@@ -385,12 +385,11 @@ def deliver(receiver: Receiver, message: Message) -> str:
     except DocumentError as error:  # a file may be provided later
         raise UndeliveredError(str(error), is_final=receiver.secret_env is not None) from error
     try:
-        answer = call_within(
-            WallClock(),
-            MAX_EXCHANGE_S,
-            receiver.name,
-            lambda: _SEND[receiver.kind](receiver, secret, message),
+        send = _SEND[receiver.kind]
+        call = LimitedCall(
+            WallClock(), MAX_EXCHANGE_S, receiver.name, lambda: send(receiver, secret, message)
         )
+        answer = call.result()
     except UndeliveredError as error:
         raise UndeliveredError(without_secret(secret, str(error)), error.is_final) from None
     except ConnectionFailedError:

@@ -31,7 +31,7 @@ from gyrobench.bench.station.absent_instruments import AbsentInstrument, disconn
 from gyrobench.bench.station.instrument_sections import DialectSection
 from gyrobench.bench.station.station import Station
 from gyrobench.bench.station.station_file import load_station_file
-from gyrobench.bench.station.time_limit import LimitedCall, call_within, opening_time_s
+from gyrobench.bench.station.time_limit import LimitedCall, opening_time_s
 from gyrobench.drivers.chamber import Chamber, ChamberDialect, ChamberReading, running_profile
 from gyrobench.drivers.chamber.software_ramp import SoftwareRamp
 from gyrobench.drivers.ins.can_bus import close_bus, open_bus
@@ -50,7 +50,9 @@ CHECK_SUPPLY = (
 _LATE_REPLY_S = 1.0
 
 _close_driver = methodcaller("close")
-_OpenedT = TypeVar("_OpenedT")
+_DriverT = TypeVar("_DriverT")
+#: Functions that open the port of an instrument, and that close what comes too late.
+_Opening = tuple[Callable[[], Any], Callable[[Any], None]]
 
 
 @dataclass(frozen=True)
@@ -174,21 +176,10 @@ class Outputs:
         Raises ConnectionFailedError if it can't be opened, does not answer, or has another identity than
         before: adapters that were reconnected may have exchanged their names.
         """
-        self._reopen(instrument, opening_time_s(self.clock))
-
-    def _reopen(self, instrument: str, limit_s: float | None = None) -> None:
-        """As :meth:`reopen`; a thread that has begun is awaited for ``limit_s``, by default for its limit."""
-        opening = self._reopenings.pop(instrument, None)
-        try:
-            if opening is not None:
-                opened = opening.result(limit_s)
-            else:
-                opened = self._within_time_limit(instrument, *self._reopening(instrument))
-        except ConnectionFailedError:
-            raise
-        except InstrumentError as error:
-            raise ConnectionFailedError(instrument, f"its port is open, but {error.message}") from error
-        self._replace(instrument, opened)
+        limit_s = opening_time_s(self.clock)
+        if instrument not in self._reopenings:
+            self._begin_reopening(instrument, limit_s)
+        self._finish_reopening(instrument, limit_s)
 
     def try_reopen(self, instrument: str) -> bool:
         """Reopen as :meth:`reopen`, in a thread: returns False until it has ended; call again until then.
@@ -201,12 +192,26 @@ class Outputs:
             return True
         if instrument not in self._reopenings:
             # Twice the time of opening, as the instrument must also answer.
-            opening, limit_s = self._reopening(instrument, must_answer=True), 2.0 * opening_time_s(self.clock)
-            self._reopenings[instrument] = LimitedCall(self.clock, limit_s, instrument, *opening)
+            self._begin_reopening(instrument, 2.0 * opening_time_s(self.clock), must_answer=True)
         if not self._reopenings[instrument].is_over:
             return False
-        self._reopen(instrument)
+        self._finish_reopening(instrument)
         return True
+
+    def _begin_reopening(self, instrument: str, limit_s: float, must_answer: bool = False) -> None:
+        opening = self._reopening(instrument, must_answer)
+        self._reopenings[instrument] = LimitedCall(self.clock, limit_s, instrument, *opening)
+
+    def _finish_reopening(self, instrument: str, limit_s: float | None = None) -> None:
+        """Use what was opened, awaited for ``limit_s`` from now, by default for the limit of its thread."""
+        opening = self._reopenings.pop(instrument)
+        try:
+            opened = opening.result(limit_s)
+        except ConnectionFailedError:
+            raise
+        except InstrumentError as error:
+            raise ConnectionFailedError(instrument, f"its port is open, but {error.message}") from error
+        self._replace(instrument, opened)
 
     def is_reopening(self, instrument: str) -> bool:
         """Whether a thread of :meth:`try_reopen` has begun whose result has not been taken."""
@@ -218,9 +223,7 @@ class Outputs:
             opening.abandon()
             self._drivers.pop(instrument, None)  # closed by the thread
 
-    def _reopening(
-        self, instrument: str, must_answer: bool = False
-    ) -> tuple[Callable[[], Any], Callable[[Any], None]]:
+    def _reopening(self, instrument: str, must_answer: bool) -> _Opening:
         """Functions that open the port of an instrument again, and that close what comes too late."""
         if instrument not in (RATE_TABLE, CHAMBER):
             raise ValueError(f"no instrument is called {instrument!r}")
@@ -257,9 +260,7 @@ class Outputs:
         if instrument in self._reopenings:
             self.reopen(instrument)
         if instrument not in self._drivers:
-            self._drivers[instrument] = self._within_time_limit(
-                instrument, partial(self._open_driver, instrument), _close_driver
-            )
+            self._drivers[instrument] = self._open_in_time(instrument, partial(self._open_driver, instrument))
         return self._drivers[instrument]
 
     def _open_driver(self, instrument: str) -> RateTable | Chamber:
@@ -303,10 +304,10 @@ class Outputs:
             )
         return identity
 
-    def _within_time_limit(
-        self, instrument: str, open_it: Callable[[], _OpenedT], discard: Callable[[_OpenedT], None]
-    ) -> _OpenedT:
-        return call_within(self.clock, opening_time_s(self.clock), instrument, open_it, discard)
+    def _open_in_time(self, instrument: str, open_it: Callable[[], _DriverT]) -> _DriverT:
+        return LimitedCall(
+            self.clock, opening_time_s(self.clock), instrument, open_it, _close_driver
+        ).result()
 
 
 class Instruments(Outputs):
@@ -342,9 +343,8 @@ class Instruments(Outputs):
             self._open(CHAMBER, may_be_absent, ChamberReading(math.nan, alarms=()))
             for name, unit in self._stations.items():
                 try:
-                    self.units[name] = self._within_time_limit(
-                        name, partial(open_ins, unit, clock, emulation, station), _close_driver
-                    )
+                    open_unit = partial(open_ins, unit, clock, emulation, station)
+                    self.units[name] = self._open_in_time(name, open_unit)
                 except InstrumentError as error:
                     self._leave_out(error, may_be_absent)
                     self.units[name] = disconnected_ins(unit, clock)
@@ -378,9 +378,7 @@ class Instruments(Outputs):
             raise error
         self.absent[error.instrument] = error
 
-    def _reopening(
-        self, instrument: str, must_answer: bool = False
-    ) -> tuple[Callable[[], Any], Callable[[Any], None]]:
+    def _reopening(self, instrument: str, must_answer: bool) -> _Opening:
         """As :meth:`Outputs._reopening`, also of an INS, which need not send."""
         ins = self.units.get(instrument)
         if ins is None:

@@ -10,7 +10,7 @@ from enum import StrEnum
 from gyrobench.bench.foundations.errors import ConnectionFailedError, InstrumentError, RefusedError
 from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE, Outputs
 from gyrobench.bench.station.station import Station
-from gyrobench.bench.station.time_limit import call_within
+from gyrobench.bench.station.time_limit import LimitedCall
 from gyrobench.drivers.chamber import Chamber
 
 #: Time limits, far longer than healthy instruments need. A release waits until the table is at rest.
@@ -218,7 +218,8 @@ def _error_of(
     step: _Step, instruments: Outputs, apply: Callable[[], object], meanwhile: Callable[[], object]
 ) -> Exception | None:
     try:
-        call_within(instruments.clock, step.limit_s, step.action.instrument, apply, meanwhile=meanwhile)
+        call = LimitedCall(instruments.clock, step.limit_s, step.action.instrument, apply)
+        call.result(meanwhile=meanwhile)
     except Exception as error:  # noqa: BLE001 - the next action must be attempted in any case
         return error
     return None

@@ -22,28 +22,13 @@ def opening_time_s(clock: Clock) -> float:
     return _OPENING_TIME_S * clock.speed
 
 
-def call_within(
-    clock: Clock,
-    limit_s: float,
-    instrument: str,
-    action: Callable[[], _ResultT],
-    discard: Callable[[_ResultT], None] = lambda _: None,
-    meanwhile: Callable[[], object] = lambda: None,
-) -> _ResultT:
-    """Call ``action`` with a time limit and return its result.
+class LimitedCall(Generic[_ResultT]):
+    """A call of ``action`` with a time limit on the run's clock.
 
     On a wall clock it runs in a separate thread, which is abandoned at the limit. In virtual time nothing can
-    hang, and the call is direct. ``limit_s`` is on the run's clock. ``discard`` receives a result that comes
-    too late, for instance to close a port; ``meanwhile`` is called repeatedly while waiting. Raises
-    ConnectionFailedError if the time is over. Errors of ``action`` are raised as they are.
+    hang, and the call is direct. ``discard`` receives a result that comes too late, for instance to close a
+    port.
     """
-    if clock.is_virtual:
-        return action()
-    return LimitedCall(clock, limit_s, instrument, action, discard).result(meanwhile=meanwhile)
-
-
-class LimitedCall(Generic[_ResultT]):
-    """A call in a separate thread with a time limit; parameters as of :func:`call_within`."""
 
     def __init__(
         self,
@@ -51,14 +36,16 @@ class LimitedCall(Generic[_ResultT]):
         limit_s: float,
         instrument: str,
         action: Callable[[], _ResultT],
-        discard: Callable[[_ResultT], None],
+        discard: Callable[[_ResultT], None] = lambda _: None,
     ) -> None:
         self._clock, self._deadline, self._instrument = clock, Deadline(clock, limit_s), instrument
         self._discard = discard
         self._outcome: Future[_ResultT] = Future()
-        threading.Thread(
-            target=self._perform, args=(action,), name=f"limited: {instrument}", daemon=True
-        ).start()
+        if clock.is_virtual:
+            self._perform(action)
+        else:
+            name = f"limited: {instrument}"
+            threading.Thread(target=self._perform, args=(action,), name=name, daemon=True).start()
 
     def _perform(self, action: Callable[[], _ResultT]) -> None:
         try:
@@ -80,7 +67,10 @@ class LimitedCall(Generic[_ResultT]):
     def result(
         self, limit_s: float | None = None, meanwhile: Callable[[], object] = lambda: None
     ) -> _ResultT:
-        """Wait for the result, for at most ``limit_s`` from now if given; raises as :func:`call_within`."""
+        """Wait for the result, for at most ``limit_s`` from now if given; calls ``meanwhile`` repeatedly.
+
+        Raises ConnectionFailedError if the time is over. Errors of ``action`` are raised as they are.
+        """
         deadline = self._deadline if limit_s is None else Deadline(self._clock, limit_s)
         while not wait([self._outcome], timeout=min(_POLL_S, deadline.remaining_s())).done:
             if deadline.expired() and self._outcome.cancel():
