@@ -260,17 +260,15 @@ class LiveBench:
         """Report a failed exchange; the instrument is reopened until it answers."""
         ins = self.instruments.units.get(error.instrument)
         if isinstance(error, ReplyError) and ins is not None and ins.status().age_s <= BUS_SILENCE_S:
-            self._report_loss(error)  # reopening a bus that receives frames would lose more of them
+            # Not reopened: a bus that receives frames would lose more of them.
+            if self.clock.now() >= self._next_loss_s:
+                self._next_loss_s = self.clock.now() + _LOSS_PERIOD_S
+                self._report_failure(error.instrument, error)
+                self._report_failure(error.instrument, None)
             return
         if error.instrument not in self._failing:
             self._failing.append(error.instrument)
             self._report_failure(error.instrument, error)
-
-    def _report_loss(self, error: ReplyError) -> None:
-        if self.clock.now() >= self._next_loss_s:
-            self._next_loss_s = self.clock.now() + _LOSS_PERIOD_S
-            self._report_failure(error.instrument, error)
-            self._report_failure(error.instrument, None)
 
     def _reopen(self) -> None:
         """Reopen an instrument that does not answer, as an unplugged adapter requires."""
@@ -342,7 +340,8 @@ class LiveBench:
         self._next_reading_s = self.clock.now() + self.station.file.instruments_period_s
         statuses = [unit.status() for unit in self.units]
         changes: dict[str, Any] = {"ins": statuses[0], "polled_s": (polled_s := self.clock.now())}
-        if (table := self._query_plausible(RATE_TABLE, self._table_reading)) is not None:
+        table = self._query_plausible(RATE_TABLE, lambda: (self.instruments.table.read(), self.clock.now()))
+        if table is not None:
             changes["table"], changes["table_s"] = table
         if (chamber := self._query_plausible(CHAMBER, self._chamber_reading)) is not None:
             changes["chamber"], changes["chamber_s"] = chamber
@@ -353,9 +352,6 @@ class LiveBench:
             self._telemetry.add(row)
         for unit, ins in zip(self.units, statuses, strict=True):
             unit.observe(readings if ins is readings.ins else replace(readings, ins=ins), row)
-
-    def _table_reading(self) -> tuple[TableReading, float]:
-        return self.instruments.table.read(), self.clock.now()
 
     def _chamber_reading(self) -> tuple[ChamberReading, float]:
         """Return a reading and its time; if the sensor is faulty, the last one with this alarm."""

@@ -54,6 +54,9 @@ class InterlockFinding(NamedTuple):
     advice: str
 
 
+Findings = Iterator[InterlockFinding]
+
+
 def text_of_findings(findings: Iterable[InterlockFinding]) -> str:
     """Return all findings as text, each advice once."""
     problems: dict[str, list[str]] = {}
@@ -156,9 +159,7 @@ class TableChecks:
         )
         self._rates = (readings.table_s, rates_dps)
 
-    def findings(
-        self, readings: Readings, expected: ExpectedState, now_s: float
-    ) -> Iterator[InterlockFinding]:
+    def findings(self, readings: Readings, expected: ExpectedState, now_s: float) -> Findings:
         """Yield the violations at ``now_s``."""
         if expected.table_prepared and not self._prepared:
             self._prepared_s = now_s
@@ -202,7 +203,7 @@ class TableChecks:
         """Return the time until which nothing trips without a new reading or command, s."""
         return readings.table_s + self._silence_s
 
-    def _motion(self, readings: Readings) -> Iterator[InterlockFinding]:
+    def _motion(self, readings: Readings) -> Findings:
         angles_deg = self._station.table_axes_of(readings.table.position_deg)
         rates_dps = self._station.table_axes_of(readings.table.rate_dps)
         for (axis, range_deg), angle_deg, rate_dps, acceleration_dps2 in zip(
@@ -223,14 +224,14 @@ class TableChecks:
                     problem = _out_of_range(f"the {quantity} of the {axis} axis", value, -limit, limit, unit)
                     yield InterlockFinding(interlock, problem, _CHECK_SERVO)
 
-    def _motion_although_stopped(self, readings: Readings) -> Iterator[InterlockFinding]:
+    def _motion_although_stopped(self, readings: Readings) -> Findings:
         rates_dps = self._station.table_axes_of(readings.table.rate_dps)
         for axis, rate_dps in zip(self._angles_deg, rates_dps, strict=True):
             if not abs(rate_dps) <= _REST_DPS:
                 problem = f"the {axis} axis turns at {rate_dps:.2f} deg/s although the table was stopped"
                 yield InterlockFinding("table_fault", problem, "Use its emergency stop, and find the cause.")
 
-    def _faults(self, readings: Readings) -> Iterator[InterlockFinding]:
+    def _faults(self, readings: Readings) -> Findings:
         for fault in readings.table.faults:
             yield InterlockFinding(
                 "table_fault",
@@ -309,9 +310,7 @@ class ChamberChecks:
         self._rate.add(readings.chamber_s, readings.chamber.temperature_c)
         self._unit.observe(readings, now_s)
 
-    def findings(
-        self, readings: Readings, expected: ExpectedState, now_s: float
-    ) -> Iterator[InterlockFinding]:
+    def findings(self, readings: Readings, expected: ExpectedState, now_s: float) -> Findings:
         """Yield the violations at ``now_s``."""
         commanded = (expected.chamber_set_c, expected.chamber_on)
         if commanded != self._commanded:
@@ -363,7 +362,7 @@ class ChamberChecks:
 
     def _deviations_from_command(
         self, chamber: ChamberReading, set_c: float | None, on: bool | None
-    ) -> Iterator[InterlockFinding]:
+    ) -> Findings:
         if on is not None and chamber.is_on is not None and chamber.is_on != on:
             yield InterlockFinding(
                 "chamber_command",
@@ -405,7 +404,7 @@ class _WatchedTemperature:
             self._rate.add(now_s, self.value_c)
             self.valid_s = now_s
 
-    def findings(self, is_checked: bool) -> Iterator[InterlockFinding]:
+    def findings(self, is_checked: bool) -> Findings:
         """Yield the violations; ``is_checked``: the value is valid, or has been missing for long."""
         problem = _out_of_range(self._description, self.value_c, self._low_c, self._high_c, "degC")
         if problem and is_checked:
@@ -437,9 +436,7 @@ class InsChecks:
         for temperature in self._temperatures:
             temperature.observe(readings.ins, now_s)
 
-    def findings(
-        self, readings: Readings, expected: ExpectedState, now_s: float
-    ) -> Iterator[InterlockFinding]:
+    def findings(self, readings: Readings, expected: ExpectedState, now_s: float) -> Findings:
         """Yield the violations at ``now_s``."""
         if expected.ins_on and not self._on:
             self._on_s = now_s
