@@ -15,7 +15,7 @@ import numpy as np
 from gyrobench.bench.bias.statistics import chi2_p_value
 from gyrobench.bench.bias.window_filter import COLUMN_COUNT, DATA, MEASURED_STATES, WindowFilter
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, FloatArray, IntArray
-from gyrobench.bench.foundations.kernels import compiled, copy_matrix
+from gyrobench.bench.foundations.kernels import compiled_fastmath, copy_matrix
 from gyrobench.bench.navigation.error_model import STATES
 
 #: A step with a smaller p-value is significant: one in 250 dwells with constant biases.
@@ -117,7 +117,7 @@ def _most_significant(time_s: FloatArray, score: FloatArray, variance: FloatArra
     )
 
 
-@compiled(fastmath=True)
+@compiled_fastmath
 def _backward(
     rows: FloatArray, gains: FloatArray, scales: FloatArray, transitions: FloatArray,
     bias_response: FloatArray, saved: IntArray,
@@ -155,7 +155,7 @@ def _backward(
     return infos, all_responses
 
 
-@compiled(fastmath=True)
+@compiled_fastmath
 def _use_datum(
     responses: FloatArray, info: FloatArray, h: int, row: FloatArray, gain: FloatArray, scale: float,
     gain_response: FloatArray, carried: FloatArray,
@@ -183,7 +183,7 @@ def _use_datum(
     info[h, h] += scale * scale
 
 
-@compiled(fastmath=True)
+@compiled_fastmath
 def _carry_back(
     both: FloatArray, info: FloatArray, transition: FloatArray, response: FloatArray, propagated: FloatArray,
     carried: FloatArray,

@@ -7,8 +7,8 @@ without calling any.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property, partial, update_wrapper
-from typing import Any, ClassVar, Generic, ParamSpec, TypeVar, overload
+from functools import cached_property, update_wrapper
+from typing import Any, ClassVar, Generic, ParamSpec, TypeVar
 
 from gyrobench.bench.foundations.arrays import FloatArray
 
@@ -48,17 +48,14 @@ class Kernel(Generic[_P, _R]):
         return sum(sum(each.dispatcher.stats.cache_misses.values()) for each in cls._called)
 
 
-@overload
-def compiled(function: Callable[_P, _R]) -> Kernel[_P, _R]: ...
+def compiled(function: Callable[_P, _R]) -> Kernel[_P, _R]:
+    """Decorate a function as a kernel."""
+    return Kernel(function, fastmath=False)
 
 
-@overload
-def compiled(*, fastmath: bool) -> Callable[[Callable[_P, _R]], Kernel[_P, _R]]: ...
-
-
-def compiled(function: Any = None, *, fastmath: bool = False) -> Any:
-    """Decorate a function as a kernel; ``fastmath`` allows the compiler to reorder sums."""
-    return partial(Kernel, fastmath=fastmath) if function is None else Kernel(function, fastmath=fastmath)
+def compiled_fastmath(function: Callable[_P, _R]) -> Kernel[_P, _R]:
+    """Decorate a function as a kernel in which the compiler may reorder sums."""
+    return Kernel(function, fastmath=True)
 
 
 @compiled

@@ -12,7 +12,7 @@ from gyrobench.bench.foundations.kernels import compiled
 SOURCE = """
 import sys
 import numpy as np
-from gyrobench.bench.foundations.kernels import Kernel, compiled
+from gyrobench.bench.foundations.kernels import Kernel, compiled, compiled_fastmath
 
 assert "numba" not in sys.modules
 from numba.core.codegen import CPUCodeLibrary
@@ -28,7 +28,7 @@ def halves(values):
         total += 0.5 * each
     return total
 
-@compiled(fastmath=True)
+@compiled_fastmath
 def twice(values):
     fours = np.empty(1)  # allocates
     fours[0] = 4.0
