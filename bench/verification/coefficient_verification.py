@@ -121,7 +121,7 @@ class CoefficientResult:
         return max(compared, key=lambda each: float(each.error.stated_nmi[-1]))
 
 
-def corrections(rows: Iterable[PlateauCoefficientRow]) -> dict[str, Correction]:
+def corrections(rows: Sequence[PlateauCoefficientRow]) -> dict[str, Correction]:
     """Polynomials over temperature of all observable coefficients except gyro biases.
 
     Each has the lowest degree that fits within the uncertainties. It is a function of the temperature of the
@@ -129,9 +129,9 @@ def corrections(rows: Iterable[PlateauCoefficientRow]) -> dict[str, Correction]:
     """
     gyro_c = {(row.plateau, row.axis): row.temperature_c for row in rows if row.coefficient == "gyro_bias"}
     by_name = {}
-    for name, coefficient_rows in _by_name(rows).items():
+    for name in _NAMES:
         axis = name.rpartition("_")[2][0]
-        measured = [row for row in coefficient_rows if np.isfinite([row.value, row.sigma]).all()]
+        measured = [row for row in rows if row.name == name and np.isfinite([row.value, row.sigma]).all()]
         measured = [row for row in measured if np.isfinite(gyro_c[row.plateau, axis])]
         if measured and not name.startswith("gyro_bias"):
             temperature_c = np.array([gyro_c[row.plateau, axis] for row in measured])
@@ -272,34 +272,23 @@ def _with_rotations(rows: Sequence[PlateauCoefficientRow]) -> Sequence[PlateauCo
     return [row for row in rows if row.plateau in rotated] or rows
 
 
-def _joint_numbers(runs: Iterable[CoefficientRun]) -> list[dict[int, int]]:
+def _joint_numbers(runs: Sequence[CoefficientRun]) -> list[dict[int, int]]:
     """Number of each plateau in the joint order of all runs, by its number in the run."""
-    by_plateau: list[dict[int, list[PlateauCoefficientRow]]] = []
-    for run in runs:
-        plateaus: dict[int, list[PlateauCoefficientRow]] = {}
-        for row in run.rows:
-            plateaus.setdefault(row.plateau, []).append(row)
-        by_plateau.append(plateaus)
-    properties = [
-        [PlateauProperties(rows[0].cycle, rows[0].chamber_set_c, _gyro_c(rows)) for rows in plateaus.values()]
-        for plateaus in by_plateau
-    ]
+    plateaus = [dict.fromkeys(row.plateau for row in run.rows) for run in runs]
+    properties = []
+    for run, numbers in zip(runs, plateaus, strict=True):
+        by_plateau = [[row for row in run.rows if row.plateau == number] for number in numbers]
+        properties.append(
+            [PlateauProperties(rows[0].cycle, rows[0].chamber_set_c, _gyro_c(rows)) for rows in by_plateau]
+        )
     return [
-        dict(zip(plateaus, numbers, strict=True))
-        for plateaus, numbers in zip(by_plateau, pair_plateaus(properties), strict=True)
+        dict(zip(numbers, joint_numbers, strict=True))
+        for numbers, joint_numbers in zip(plateaus, pair_plateaus(properties), strict=True)
     ]
 
 
 def _gyro_c(rows: Iterable[PlateauCoefficientRow]) -> float:
     return float(np.mean([row.temperature_c for row in rows if row.coefficient == "gyro_bias"]))
-
-
-def _by_name(rows: Iterable[PlateauCoefficientRow]) -> dict[str, list[PlateauCoefficientRow]]:
-    by_name: dict[str, list[PlateauCoefficientRow]] = {name: [] for name in _NAMES}
-    for row in rows:
-        if row.name in by_name:
-            by_name[row.name].append(row)
-    return by_name
 
 
 def write_coefficient_tables(folder: Path, results: Sequence[CoefficientResult]) -> None:

@@ -430,30 +430,17 @@ def _with_largest(
 
     Each with the noise of its plateau; both stay NaN without such a plateau.
     """
-
-    def largest(size: str, noise: str) -> tuple[float, float]:
-        plateaus_with_size = [
-            {row.plateau for row in run if not math.isnan(getattr(row, size))} for run in runs
-        ]
-        pairs = [
-            (float(getattr(row, size)), float(getattr(row, noise)))
-            for row in rows
-            if row.plateau in set.intersection(*plateaus_with_size)
-        ]
-        return max(pairs, default=(math.nan, math.nan))
-
-    spread, spread_noise = largest("spread_dph", "spread_noise_dph")
-    velocity, velocity_noise = largest("velocity_east_mps", "velocity_noise_mps")
-    position, position_noise = largest("position_nmi", "position_noise_nmi")
-    return replace(
-        total,
-        spread_dph=spread,
-        spread_noise_dph=spread_noise,
-        velocity_east_mps=velocity,
-        velocity_noise_mps=velocity_noise,
-        position_nmi=position,
-        position_noise_nmi=position_noise,
-    )
+    largest: dict[str, Any] = {}
+    for size, noise in (
+        ("spread_dph", "spread_noise_dph"),
+        ("velocity_east_mps", "velocity_noise_mps"),
+        ("position_nmi", "position_noise_nmi"),
+    ):
+        with_size = [{row.plateau for row in run if not math.isnan(getattr(row, size))} for run in runs]
+        in_all = set.intersection(*with_size)
+        pairs = [(getattr(row, size), getattr(row, noise)) for row in rows if row.plateau in in_all]
+        largest[size], largest[noise] = max(pairs, default=(math.nan, math.nan))
+    return replace(total, **largest)
 
 
 def _relation_to_fit(gyro_c: float, fitted_c: FloatArray) -> str:

@@ -152,8 +152,8 @@ def measured_change(
     )
     information = np.sum(weights * expected**2, axis=0)
     fits = [_fit(expected, change[:, gyro], weights[:, gyro], gyro) for gyro in range(3)]
+    scatter, contradicts = map(np.array, zip(*fits, strict=True))
     # Scatter beyond the noise increases all uncertainties.
-    scatter = np.array([fit.scatter for fit in fits])
     with np.errstate(divide="ignore", invalid="ignore"):
         factors = np.sum(weights * expected * change, axis=0) / information
         errors = scatter * information**-0.5
@@ -168,22 +168,18 @@ def measured_change(
     return MeasuredChange(
         factors=np.where(is_determined, factors, np.nan),
         sigmas=np.where(is_determined, errors, np.nan),
-        contradicts=is_determined & np.array([fit.contradicts for fit in fits]),
+        contradicts=is_determined & contradicts,
         is_applied=is_applied,
         is_smaller=is_smaller,
     )
 
 
-@dataclass(frozen=True)
-class _Fit:
-    """Fit of a gyro's change by the loaded changes of all gyros."""
+def _fit(expected: FloatArray, change: FloatArray, weights: FloatArray, gyro: int) -> tuple[float, bool]:
+    """F-test of a gyro's own loaded change against any linear combination of those of all gyros.
 
-    scatter: float  #: Rms residual in standard deviations; at least 1.
-    contradicts: bool  #: Whether its own loaded change does not explain it.
-
-
-def _fit(expected: FloatArray, change: FloatArray, weights: FloatArray, gyro: int) -> _Fit:
-    """F-test of a gyro's own loaded change against any linear combination of those of all gyros."""
+    Returns the rms residual of the combination in standard deviations, at least 1, and whether the gyro's own
+    loaded change does not explain its change.
+    """
     roots = np.sqrt(weights)
     columns, values = expected * roots[:, np.newaxis], change * roots
     solution, _, rank, _ = np.linalg.lstsq(columns, values, rcond=1e-6)
@@ -193,7 +189,7 @@ def _fit(expected: FloatArray, change: FloatArray, weights: FloatArray, gyro: in
     variance = max(residual_square / dof, 1.0)
     own_square = float(np.sum(columns[:, gyro] ** 2))
     is_unlikely = f.sf(excess / max(int(rank), 1) / variance, max(int(rank), 1), dof) < _CONTRADICTION_P
-    return _Fit(math.sqrt(variance), bool(is_unlikely and excess > _EVALUATION_ERROR**2 * own_square))
+    return math.sqrt(variance), bool(is_unlikely and excess > _EVALUATION_ERROR**2 * own_square)
 
 
 def error_parts(rows: Sequence[DwellRow]) -> tuple[FloatArray, FloatArray]:
