@@ -24,7 +24,7 @@ from gyrobench.bench.exchange.import_map import LogMap
 from gyrobench.bench.foundations.documents import Document, StrictModel, read_document, validate
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
 from gyrobench.bench.foundations.json_schema import Schema, json_schema
-from gyrobench.bench.foundations.shipped import shipped_folders
+from gyrobench.bench.foundations.shipped import shipped_folder
 from gyrobench.bench.foundations.text import counted, hours_minutes, listed
 from gyrobench.bench.investigation.external_bench import BlockPlan
 from gyrobench.bench.procedure.checks import check_plan
@@ -242,8 +242,8 @@ def editor_line(kind: FileKind, path: Path) -> str:
     Installed packages contain the schemas; in a checkout they are written when first needed. Empty if
     they can't be written.
     """
-    folder = next(iter(shipped_folders(_FOLDER)), None)
-    if folder is None:
+    folder = shipped_folder(_FOLDER)
+    if not folder.is_dir():
         return ""
     if not (folder / kind.schema_name).is_file():
         try:

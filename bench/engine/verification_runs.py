@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 
@@ -102,7 +101,10 @@ class VerificationRuns:
         self._measured: dict[str, _Measured] = {}
         self._has_coefficients = coefficients
         #: Searches in the other coefficients of the run.
-        self.searches = _searches(run) if coefficients else ()
+        self.searches: tuple[Closure, ...] = ()
+        if coefficients:
+            folders = [run.closure.with_name(f"{run.closure.name}_{each.name}") for each in QUANTITIES]
+            self.searches = tuple(repeat_search(each) for each in folders if holds_search(each))
         declared, with_effects = declared_model(closure), model_with_effects(closure)
         if coefficients:
             declared, with_effects = _with_coefficients(run, self.searches, declared, with_effects)
@@ -120,24 +122,17 @@ class VerificationRuns:
         self.selected = [name for name in compensations if name in only or not only]
         unit = closure.campaign.reported_unit
         #: Job for each compensation that is selected or has a run already, in order.
-        self.jobs: Mapping[str, Job] = MappingProxyType(
-            {
-                name: replace(
-                    prepare_job(
-                        procedure, station, emulation, compensation=compensation, acknowledged=acknowledged
-                    ),
-                    unit=unit,
+        self.jobs: dict[str, Job] = {}
+        for name, compensation in compensations.items():
+            if name in self.selected or (folder / name).exists():
+                job = prepare_job(
+                    procedure, station, emulation, compensation=compensation, acknowledged=acknowledged
                 )
-                for name, compensation in compensations.items()
-                if name in self.selected or (folder / name).exists()
-            }
-        )
+                self.jobs[name] = replace(job, unit=unit)
         self._job = self.jobs[self.selected[0]]
         load = self._job.station.file.ins.commands.load_compensation
         #: Models that can be loaded; without "effect" if the search found no effect to load.
-        self.models: Mapping[str, LoadableModel] = MappingProxyType(
-            {name: _with_limit_note(model, load) for name, model in models.items()}
-        )
+        self.models = {name: _with_limit_note(model, load) for name, model in models.items()}
         _check_other_seed(run, self._job)
         if coefficients and not any(each.step.name in _ROTATIONS for each in self._job.plan.steps):
             raise DocumentError(
@@ -176,7 +171,10 @@ class VerificationRuns:
     def result(self) -> VerificationResult:
         """Evaluate all finished runs. Raises RunFolderError if an earlier run can't be read."""
         measured = {
-            name: self._measured.get(name) or self._read(name) for name in self.jobs if self.is_finished(name)
+            name: self._measured.get(name)
+            or measure_recorded(RunFolder(self.folder / name), measurement_setup(job.station))
+            for name, job in self.jobs.items()
+            if self.is_finished(name)
         }
         rows = {name: [dwell.row for dwell in dwells] for name, (dwells, _) in measured.items()}
         fitted_c = self._closure.campaign.gyro_c[self._closure.searched]
@@ -232,9 +230,6 @@ class VerificationRuns:
         ]
         return compare_coefficients(runs, site)
 
-    def _read(self, name: str) -> _Measured:
-        return measure_recorded(RunFolder(self.folder / name), measurement_setup(self.jobs[name].station))
-
     def _notes(self, rows: Mapping[str, Sequence[DwellRow]], *, has_coefficients: bool) -> Iterator[str]:
         units = {row.unit for row in read_dwells(self._run.dwells)}
         before = ins_identity(self._run)
@@ -276,12 +271,6 @@ def new_emulation(run: RunFolder, world: str | None = None, seed: int | None = N
     """
     original = emulation_of(run)
     return Emulation(world or original.world, original.seed + 1 if seed is None else seed)
-
-
-def _searches(run: RunFolder) -> tuple[Closure, ...]:
-    """The searches of the run in coefficients beyond the gyros' biases."""
-    folders = [run.closure.with_name(f"{run.closure.name}_{each.name}") for each in QUANTITIES]
-    return tuple(repeat_search(folder) for folder in folders if holds_search(folder))
 
 
 def _coefficients_of(run: RunFolder) -> list[PlateauCoefficientRow]:

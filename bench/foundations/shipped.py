@@ -41,21 +41,16 @@ USES = MappingProxyType(
 )
 
 
-def shipped_folders(kind: str) -> list[Path]:
-    """Existing folders with shipped files of a kind, such as ``procedures``."""
-    folder = _folder(kind)
-    return [folder] if folder.is_dir() else []
-
-
 @cache
-def _folder(kind: str) -> Path:
+def shipped_folder(kind: str) -> Path:
+    """Folder with the shipped files of a kind, such as ``procedures``; it may not exist."""
     # In the repository, parents[2] holds links to the folders at the top.
     return (Path(__file__).parents[2] / kind).resolve()
 
 
 def shipped_names(kind: str) -> list[str]:
     """Names of the shipped YAML files of a kind, without suffix."""
-    return sorted({path.stem for folder in shipped_folders(kind) for path in folder.glob("*.yaml")})
+    return sorted(path.stem for path in shipped_folder(kind).glob("*.yaml"))
 
 
 def world_for(station: str, world: str | None, default: str = DEFAULT_WORLD) -> str:
@@ -83,10 +78,9 @@ def find_document(kind: str, name: str) -> Path:
     new_name = _NEW_NAMES.get(kind, {}).get(name)
     if new_name is not None:
         logging.getLogger("gyrobench").warning(f"{name}: this {kind.removesuffix('s')} is called {new_name}")
-    for folder in shipped_folders(kind):
-        candidate = folder / f"{new_name or name}.yaml"
-        if candidate.is_file():
-            return candidate
+    candidate = shipped_folder(kind) / f"{new_name or name}.yaml"
+    if candidate.is_file():
+        return candidate
     if (path / "journal.jsonl").is_file():
         raise DocumentError(f"{name}: {_RUN_FOLDER}")
     if (file := Path(f"{name}.yaml")).is_file():

@@ -243,13 +243,7 @@ class Station:
     def bench_at_rest(self) -> BenchEstimate:
         """State of the bench before a run, for estimates of duration."""
         thermal, limits = self.file.unit.thermal, self.file.rate_table.limits
-        bench = BenchEstimate.at_rest(
-            ThermalEstimate(
-                time_constant_s=thermal.time_constant_s,
-                self_heating_c=thermal.self_heating_c,
-                room_c=thermal.room_c,
-            )
-        )
+        bench = BenchEstimate.at_rest(ThermalEstimate(**thermal.model_dump()))
         table = TableEstimate(self.table, limits.acceleration_dps2, limits.jerk_dps3, self.file.tick_s)
         return replace(bench, table=table, angles_deg=(0.0, 0.0))
 

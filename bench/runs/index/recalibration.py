@@ -70,14 +70,13 @@ class _Unit:
         )
 
     def inverse_covariance(self, sigmas: FloatArray) -> FloatArray:
-        """Inverse covariance of the runs; ``sigmas``, shape (g, 3), gives shape (g, n, n)."""
-        return np.asarray(np.linalg.inv(self.covariance(sigmas)), dtype=float)
+        """Inverse covariance of the runs for a given bias of the unit and mean drift.
 
-    def covariance(self, sigmas: FloatArray) -> FloatArray:
-        """Covariance of the runs for a given bias of the unit and mean drift; shapes as above."""
+        ``sigmas``, shape (g, 3), gives shape (g, n, n).
+        """
         t, drift, walk, scatter = self.months, *(sigmas**2).T[:, :, None, None]
         covariance = drift * np.outer(t, t) + walk * np.minimum.outer(t, t) + scatter * np.eye(len(t))
-        return np.asarray(covariance + np.diag(self.variance), dtype=float)
+        return np.asarray(np.linalg.inv(covariance + np.diag(self.variance)), dtype=float)
 
 
 def recalibration(runs: Mapping[str, Sequence[RunBias]], unit: str, limit_dph: float) -> Recalibration:

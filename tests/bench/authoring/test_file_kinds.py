@@ -23,7 +23,7 @@ from gyrobench.bench.authoring.file_kinds import (
     schema_of,
 )
 from gyrobench.bench.foundations.documents import read_document
-from gyrobench.bench.foundations.shipped import find_document, shipped_folders, shipped_names
+from gyrobench.bench.foundations.shipped import find_document, shipped_folder, shipped_names
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.emulators.check_file import main as emulators_program
 from tests.bench.command_line import gyrobench
@@ -362,19 +362,20 @@ def test_every_key_says_what_it_means(kind):
 
 
 def test_schemas_that_a_checkout_lacks_are_written_when_a_file_names_them(tmp_path, monkeypatch):
-    monkeypatch.setattr(file_kinds, "shipped_folders", lambda name: [tmp_path / name])
+    (tmp_path / "schemas").mkdir()
+    monkeypatch.setattr(file_kinds, "shipped_folder", lambda name: tmp_path / name)
     line = editor_line(STATION, Path("/elsewhere/mine.yaml"))
     assert line == f"# yaml-language-server: $schema={tmp_path}/schemas/station.schema.json\n"
     assert json.loads((tmp_path / "schemas" / "station.schema.json").read_text()) == validator(STATION).schema
-    (tmp_path / "file").touch()
-    monkeypatch.setattr(file_kinds, "shipped_folders", lambda name: [tmp_path / "file" / name])
+    (tmp_path / "full" / "schemas" / "procedure.schema.json").mkdir(parents=True)  # can't be written
+    monkeypatch.setattr(file_kinds, "shipped_folder", lambda name: tmp_path / "full" / name)
     assert editor_line(STATION, Path("/elsewhere/mine.yaml")) == ""
-    monkeypatch.setattr(file_kinds, "shipped_folders", lambda name: [])
+    monkeypatch.setattr(file_kinds, "shipped_folder", lambda name: tmp_path / "none" / name)
     assert editor_line(STATION, Path("/elsewhere/mine.yaml")) == ""
 
 
 def test_a_file_elsewhere_names_the_schema_by_its_whole_path(tmp_path):
     line = editor_line(PROCEDURE, tmp_path / "mine.yaml")
     path = Path(line.strip().partition("=")[2])
-    assert path == shipped_folders("schemas")[0].resolve() / "procedure.schema.json"
+    assert path == shipped_folder("schemas") / "procedure.schema.json"
     assert path.is_file()
