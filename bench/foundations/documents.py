@@ -250,29 +250,23 @@ def log_once(note: str) -> None:
 def _update_names(model: type[StrictModel], data: dict[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
     """Replace old names in data; returns the new data, and the old key of each renamed key by the new one."""
     notes, renamed, old_keys = _renaming_notes.get(), {}, {}
+    if notes is None:
+        notes = set()
     for key, value in data.items():
         new_key = model.renamed_keys.get(key, key)
+        if new_key != key and new_key in data:  # both are given: the old one is reported as unknown
+            new_key = key
         if new_key != key:
-            if new_key in data:  # both are given: the old one is reported as unknown
-                new_key = key
-            else:
-                old_keys[new_key] = key
-                if notes is not None:
-                    notes.add((key, key, new_key))
-        new_values = model.renamed_values.get(new_key, {})
-        renamed[new_key] = (
-            [_new_value(each, new_values) for each in value]
-            if isinstance(value, list)
-            else (_new_value(value, new_values))
-        )
-        for old in value if isinstance(value, list) else [value]:
-            if notes is not None and _new_value(old, new_values) != old:
-                notes.add((key, f"{key}: {old}", f"{new_key}: {_new_value(old, new_values)}"))
+            old_keys[new_key] = key
+            notes.add((key, key, new_key))
+        values, new_values = value if isinstance(value, list) else [value], []
+        for old in values:
+            new = model.renamed_values.get(new_key, {}).get(old, old) if isinstance(old, str) else old
+            if new is not old:
+                notes.add((key, f"{key}: {old}", f"{new_key}: {new}"))
+            new_values.append(new)
+        renamed[new_key] = new_values if isinstance(value, list) else new_values[0]
     return renamed, old_keys
-
-
-def _new_value(value: Any, new_values: Mapping[str, Any]) -> Any:
-    return new_values.get(value, value) if isinstance(value, str) else value
 
 
 def _rewrite_error(detail: Any, model: type[BaseModel], old_keys: Mapping[str, str]) -> InitErrorDetails:

@@ -135,14 +135,13 @@ def write_compensation(path: Path, compensation: Compensation, unit: str = "") -
 
 
 def _correction_entry(correction: Correction) -> dict[str, Any]:
-    entry: dict[str, Any] = {"polynomial": correction.polynomial.tolist()}
-    if correction.rate_per_c_per_h:
-        entry["rate_per_c_per_h"] = float(correction.rate_per_c_per_h)
-    if correction.gravity_per_g.any():
-        entry["gravity_per_g"] = correction.gravity_per_g.tolist()
-    if correction.range_c is not None:
-        entry["range_c"] = list(correction.range_c)
-    return entry
+    entry = CorrectionEntry(
+        polynomial=correction.polynomial.tolist(),
+        rate_per_c_per_h=float(correction.rate_per_c_per_h),
+        gravity_per_g=correction.gravity_per_g.tolist(),
+        range_c=None if correction.range_c is None else list(correction.range_c),
+    )
+    return entry.model_dump(exclude_defaults=True)
 
 
 def read_compensation_file(path: Path) -> CompensationFile:

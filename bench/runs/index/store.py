@@ -160,21 +160,15 @@ def find_run_folders(names: Sequence[str]) -> list[Path]:
     ``names``: run folders, folders that hold them at any depth, and patterns with ``*``, ``?`` or ``[]``.
     Raises RunFolderError if a name matches no run folder.
     """
-    paths = [path for name in names for path in _matching_folders(name)]
-    return list(dict.fromkeys(paths))
-
-
-def _matching_folders(name: str) -> Iterator[Path]:
-    """Run folders that match one name or pattern."""
-    matches = [name] if Path(name).exists() else sorted(glob.glob(name))  # noqa: PTH207 - may be absolute
-    roots = [Path(match) for match in matches]
-    is_found = False
-    for root in roots:
-        for path in _run_folders_below(root.absolute()):
-            is_found = True
-            yield path
-    if not is_found:
-        raise MissingRunError(f"{name}: no run folder found. Give run folders, or folders that contain some")
+    found: dict[Path, None] = {}
+    for name in names:
+        roots = [name] if Path(name).exists() else sorted(glob.glob(name))  # noqa: PTH207 - may be absolute
+        paths = [path for root in roots for path in _run_folders_below(Path(root).absolute())]
+        if not paths:
+            problem = "no run folder found. Give run folders, or folders that contain some"
+            raise MissingRunError(f"{name}: {problem}")
+        found |= dict.fromkeys(paths)
+    return list(found)
 
 
 def _run_folders_below(root: Path) -> Iterator[Path]:

@@ -50,19 +50,16 @@ def parse_units(text: str, name: str) -> list[UnitRow]:
     """
     table = CsvTable(text, name, required=("unit", "batch"))
     first_indices: dict[str, int] = {}
-    units = []
-    for index in range(len(table)):
+
+    def read(index: int) -> UnitRow:
         unit = table.name(index, "unit")
         first = first_indices.setdefault(unit, index)
         if first != index:
             table.problem(index, "unit", f"unit {unit} is also in line {table.lines[first]}")
-        units.append(
-            UnitRow(
-                unit, table.name(index, "batch"), table.text(index, "hardware"), table.text(index, "note")
-            )
-        )
-    table.raise_problems()
-    return units
+        batch = table.name(index, "batch")
+        return UnitRow(unit, batch, table.text(index, "hardware"), table.text(index, "note"))
+
+    return table.rows(read)
 
 
 #: State of a run whose journal has no end: it was killed, or is still running.
@@ -192,11 +189,7 @@ def read_run_record(files: RunFiles, read: Callable[[str], bytes]) -> RunRecord:
         dwells=len(dwells),
         flagged=sum(bool(each.flags) for each in dwells),
         compensated=COMPENSATION in files.files,
-        verdict=closure.verdict,
-        noise_dph=closure.noise_dph,
-        error_before_dph=closure.error_before_dph,
-        error_after_dph=closure.error_after_dph,
-        dwells_searched=closure.dwells_searched,
+        **closure.model_dump(exclude={"effects"}),
         acceptance=folder.document(ACCEPTANCE, _Acceptance).verdict,
         unit=", ".join(units) or facts.unit,
         station=facts.station,
@@ -257,14 +250,15 @@ def _naive_utc(time: datetime) -> datetime:
 
 
 _TEXT, _NUMBER, _COUNT = pa.string(), pa.float64(), pa.int64()
-_TYPES = {"str": _TEXT, "float": _NUMBER, "float | None": _NUMBER, "int": _COUNT, "int | None": _COUNT}
-_OTHER_TYPES = {"bool": pa.bool_(), "datetime": pa.timestamp("us")}
+_TYPES = {
+    "str": _TEXT, "float": _NUMBER, "float | None": _NUMBER, "int": _COUNT, "int | None": _COUNT,
+    "bool": pa.bool_(), "datetime": pa.timestamp("us"),
+}  # fmt: skip
 _DWELL_TRIPLES = ("gyro_c", "gyro_rate_c_per_h", "bias_dph", "sigma_dph")
 
 
 def _schema_of(model: type, *first: tuple[str, pa.DataType], without: str = "") -> pa.Schema:
-    types = _TYPES | _OTHER_TYPES
-    columns = [(each.name, types[str(each.type)]) for each in fields(model) if each.name != without]
+    columns = [(each.name, _TYPES[str(each.type)]) for each in fields(model) if each.name != without]
     return pa.schema([*first, *columns])
 
 
