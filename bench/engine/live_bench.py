@@ -148,7 +148,7 @@ class LiveBench:
             self.read_instruments()
             self._next_reading_s = next_tick_s + self.station.file.instruments_period_s
         elif self._failing:
-            set_aside = {each.name for each in self.units if each.is_set_aside}
+            set_aside = {each.name for each in self.units if each.set_aside_reason}
             if not set_aside.issuperset(self._failing):
                 self.read_instruments()
 
@@ -169,7 +169,7 @@ class LiveBench:
         """Return the interlocks that are tripped by the readings so far; exchanges nothing."""
         trips = self._watch.trips(self.clock.now(), self.state.expected)
         for unit in self.units:
-            trips += [] if unit.is_set_aside else unit.trips()
+            trips += [] if unit.set_aside_reason else unit.trips()
         return [self._with_cause(trip) for trip in trips]
 
     def _with_cause(self, trip: Trip) -> Trip:

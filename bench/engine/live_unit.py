@@ -105,7 +105,8 @@ class LiveUnit:
         self.name = ins.name  #: in messages
         self.state = UnitState(station)
         self.capture: Capture | None = None  #: frames of the dwell in progress
-        self.is_set_aside = False  #: temporarily not measured; its trips affect no other unit
+        #: Why it is temporarily not measured, so that its trips affect no other unit; empty if it is measured.
+        self.set_aside_reason = ""
         self.readings: Readings  #: newest answers; set by :meth:`observe`
         self._can_log = can_log
         self._telemetry = telemetry

@@ -40,14 +40,13 @@ class Units:
         self.running = [MeasuredUnit(run, live) for live in run.bench.units]
         self._compensations = {unit: StoredCompensation(run, unit) for unit in self.running}
         self._waiting: dict[MeasuredUnit, Iterator[None]] = {}  # actions of the step in progress
-        self._set_aside_reasons: dict[MeasuredUnit, str] = {}  # set aside, with the reason
         self._all_tripped_s = -math.inf  # last time at which all had been tripped for long
 
     @property
     def measuring(self) -> list[MeasuredUnit]:
         """Units that take part in the step in progress: not set aside, and not done with its dwell."""
         dwell = self._bench.state.run_position.dwell
-        present = (unit for unit in self.running if unit not in self._set_aside_reasons)
+        present = (unit for unit in self.running if not unit.live.set_aside_reason)
         return [unit for unit in present if dwell not in unit.run.progress.finished]
 
     @property
@@ -111,13 +110,13 @@ class Units:
         latest_s = max(unit.tripped_s or now_s for unit in trips_by_unit)
         if now_s - latest_s > _PASSES_WITHIN_S and all(map(_may_pass, trips_by_unit.values())):
             self._all_tripped_s = now_s
-            self._take_back(*self._set_aside_reasons)
+            self._take_back_all()
             return
         for unit, trips in trips_by_unit.items():
             if trips:
                 self._handle_trips(unit, trips, now_s)
-            elif unit in self._set_aside_reasons and not self._is_in_dwell(unit):
-                self._take_back(unit)
+            elif not self._is_in_dwell(unit):
+                unit.live.set_aside_reason = ""
 
     def _handle_trips(self, unit: MeasuredUnit, trips: Sequence[Trip], now_s: float) -> None:
         since_s = max(unit.tripped_s or now_s, self._all_tripped_s)
@@ -134,23 +133,21 @@ class Units:
 
         ``may_flag``: whether a dwell that can't be repeated may be flagged instead.
         """
-        if unit in self._set_aside_reasons:
+        if unit.live.set_aside_reason:
             return True
         if self._is_in_dwell(unit) and not (
             may_flag or unit.may_repeat(self._bench.state.run_position.dwell)
         ):
             return False
         self._waiting.pop(unit, None)
-        self._set_aside_reasons[unit] = reason
-        unit.live.is_set_aside = True
+        unit.live.set_aside_reason = reason
         unit.live.end_capture()
         unit.note(f"temporarily not measured: {reason}")
         return True
 
-    def _take_back(self, *units: MeasuredUnit) -> None:
-        for unit in units:
-            unit.live.is_set_aside = False
-            del self._set_aside_reasons[unit]
+    def _take_back_all(self) -> None:
+        for unit in self.running:
+            unit.live.set_aside_reason = ""
 
     def identify(self, again: bool) -> None:
         """Check the serial numbers: read those not known yet, or all if ``again``.
@@ -211,9 +208,9 @@ class Units:
                 is_over = unit.finish_dwell() and is_over
             except SignalMapError as error:
                 self.fail(unit, error)
-        for unit in [unit for unit in self._set_aside_reasons if self._is_in_dwell(unit)]:
-            reason = self._set_aside_reasons[unit]
-            self._take_back(unit)
+        set_aside = [unit for unit in self.running if unit.live.set_aside_reason]
+        for unit in [unit for unit in set_aside if self._is_in_dwell(unit)]:
+            reason, unit.live.set_aside_reason = unit.live.set_aside_reason, ""
             if unit.may_repeat(dwell):
                 unit.repeat_dwell(dwell, reason)
                 is_over = False
@@ -251,7 +248,7 @@ class Units:
 
         With ``counts``, the repeat counts against the procedure's limit.
         """
-        self._take_back(*self._set_aside_reasons)
+        self._take_back_all()
         measuring = self.measuring
         if dwell and self.end_captures():
             for unit in measuring:
@@ -261,7 +258,7 @@ class Units:
 
     def skip(self, dwell: int) -> None:
         """Skip a dwell."""
-        self._take_back(*self._set_aside_reasons)
+        self._take_back_all()
         self.end_captures()
         self._run.journal.record("dwell_skipped", dwell=dwell)
         for progress in (self._run.progress, *(unit.run.progress for unit in self.running)):
@@ -294,7 +291,6 @@ class Units:
         run.journal.record("unit_dropped", unit=number, why=reason)
         run.progress.dropped[number] = reason
         self._waiting.pop(unit, None)
-        self._set_aside_reasons.pop(unit, None)
         self.running.remove(unit)
         unit.run.outcome.ended, unit.run.outcome.reason = "failed", reason
         run.observers.dropped(number, reason)
