@@ -220,7 +220,7 @@ class Engine:
             self._units.identify(again=False)  # those that are always on
             self._settle_compensation(after_power_on=False)
         if isinstance(step, GoTo):
-            self._step_context.next_turns_deg = turns_after(self._plan, planned)
+            self._step_context.next_turns_deg = [turn for _, turn in turns_after(self._plan, planned)]
 
     def _tick_through(self, planned: PlannedStep, plan_end_s: float) -> None:
         clock, observers = self._bench.clock, self._run.observers

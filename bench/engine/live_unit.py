@@ -105,7 +105,7 @@ class LiveUnit:
         self.name = ins.name  #: in messages
         self.state = UnitState(station)
         self.capture: Capture | None = None  #: frames of the dwell in progress
-        #: Why it is temporarily not measured, so that its trips affect no other unit; empty if it is measured.
+        #: Why it is temporarily not measured, and its trips affect no other unit; empty if it is measured.
         self.set_aside_reason = ""
         self.readings: Readings  #: newest answers; set by :meth:`observe`
         self._can_log = can_log

@@ -14,7 +14,7 @@ from gyrobench.bench.foundations.documents import Document, DocumentProblem
 from gyrobench.bench.foundations.yaml_nodes import KeyPath
 from gyrobench.bench.navigation.positions import POSITIONS, half_turn_pairs
 from gyrobench.bench.navigation.table_axes import TurnOrMove, turn_text
-from gyrobench.bench.procedure.plan import SINGLE_NAVIGATION, Plan, PlannedStep, turn_steps_after, turns_of
+from gyrobench.bench.procedure.plan import SINGLE_NAVIGATION, Plan, PlannedStep, turns_after
 from gyrobench.bench.procedure.rotation_steps import RotatingStep, Spin
 from gyrobench.bench.procedure.steps import (
     MIN_NAVIGATION_S,
@@ -376,8 +376,7 @@ def _reach_problems(plan: Plan, planned: PlannedStep, limits: StationLimits) -> 
     step = planned.step
     if not isinstance(step, GoTo):
         return
-    turn_steps = turn_steps_after(plan, planned)
-    turns = [(turn, each) for turn in turn_steps for each in turns_of(turn.step)]
+    turns = turns_after(plan, planned)
     turns_deg = tuple(each for _, each in turns)
     if limits.unreachable_reason(step.position, step.azimuth_deg, turns_deg) is None:
         return

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from gyrobench.bench.bias.dwell import DwellPurpose
@@ -116,7 +116,9 @@ def _schedule(steps: Sequence[ResolvedStep], bench: BenchEstimate) -> Iterator[P
     for number, resolved in enumerate(steps, start=1):
         step = resolved.step
         if isinstance(step, GoTo):
-            bench = replace(bench, next_turns_deg=_turns_before_go_to(each.step for each in steps[number:]))
+            following = itertools.takewhile(lambda each: not isinstance(each.step, GoTo), steps[number:])
+            turns_deg = tuple(turn for each in following for turn in _turns_of(each.step))
+            bench = replace(bench, next_turns_deg=turns_deg)
         duration_s = step.expected_s(bench)
         after = step.after(bench, duration_s)
         yield PlannedStep(
@@ -177,17 +179,13 @@ def _purpose_of(steps: Sequence[Step]) -> DwellPurpose:
     return next(each for each in (*SINGLE_NAVIGATION, DwellPurpose.CALIBRATION) if each in purposes)
 
 
-def turns_after(plan: Plan, position: PlannedStep) -> tuple[TurnOrMove, ...]:
-    """Turns and moves, in deg, between ``position`` and the next step that goes to a position."""
-    return _turns_before_go_to(each.step for each in plan.steps_after(position))
+def turns_after(plan: Plan, position: PlannedStep) -> list[tuple[PlannedStep, TurnOrMove]]:
+    """Turns and moves, in deg, between ``position`` and the next step that goes to one, with their steps."""
+    steps = itertools.takewhile(lambda each: not isinstance(each.step, GoTo), plan.steps_after(position))
+    return [(each, turn) for each in steps for turn in _turns_of(each.step)]
 
 
-def _turns_before_go_to(steps: Iterable[Step]) -> tuple[TurnOrMove, ...]:
-    following = itertools.takewhile(lambda step: not isinstance(step, GoTo), steps)
-    return tuple(turn for step in following for turn in turns_of(step))
-
-
-def turns_of(step: Step) -> list[TurnOrMove]:
+def _turns_of(step: Step) -> list[TurnOrMove]:
     """Turns of a step about Up, and its moves of the axes, in order, deg."""
     match step:
         case Turn(angle_deg=angle_deg):
@@ -195,9 +193,3 @@ def turns_of(step: Step) -> list[TurnOrMove]:
         case RotatingStep() as rotating:
             return [move for move, _ in rotating.moves()]
     return []
-
-
-def turn_steps_after(plan: Plan, position: PlannedStep) -> list[PlannedStep]:
-    """Steps that turn the table between ``position`` and the next step that goes to a position."""
-    steps = itertools.takewhile(lambda each: not isinstance(each.step, GoTo), plan.steps_after(position))
-    return [each for each in steps if turns_of(each.step)]

@@ -174,12 +174,10 @@ def _checked_entry(entry: Any) -> StepTemplate | Repeat:
         raise PydanticCustomError("unknown_key", message)
     if values is not None and not isinstance(values, dict):
         raise ValueError(f"expected the keys of '{name}', written as 'key: value'")
-    return _parse_loop(values or {}) if name == "repeat" else _parse_step(STEP_KINDS[name], values or {})
-
-
-def _parse_loop(values: dict[str, Any]) -> Repeat:
+    if name != "repeat":
+        return _parse_step(STEP_KINDS[name], values or {})
     try:
-        return Repeat.model_validate(values)
+        return Repeat.model_validate(values or {})
     except ValidationError as error:
         raise _error_under_key("repeat", error.errors()) from error
 

@@ -2,7 +2,7 @@ import pytest
 
 from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.procedure.estimate import BenchEstimate, ThermalEstimate
-from gyrobench.bench.procedure.plan import expand, turn_steps_after, turns_after
+from gyrobench.bench.procedure.plan import expand, turns_after
 from gyrobench.bench.procedure.procedure_file import load_procedure
 
 START = "- power_on: {settle_s: 60}\n- go_to: {position: z_up, rate_dps: 10}\n"
@@ -43,15 +43,15 @@ def test_four_azimuths_are_one_dwell_with_four_windows(planned, angle_deg, azimu
     assert [one.before.azimuth_deg for one in windows] == pytest.approx(azimuths_deg)
     assert [one.start_s for one in windows] == pytest.approx([383 + 614 * count for count in range(4)])
     assert [one.step.name for one in plan.steps[2:]].count("turn") == 3
-    assert turns_after(plan, plan.steps[1]) == (angle_deg,) * 3
+    assert [turn for _, turn in turns_after(plan, plan.steps[1])] == [angle_deg] * 3
 
 
 def test_the_turns_of_a_position_are_those_before_the_next_go_to(planned):
     back = PAIR.replace("180", "-180")
     _, plan = planned(START + PAIR + back + "- go_to: {position: y_up}\n" + back)
     moves = [one for one in plan.steps if one.step.name == "go_to"]
-    assert [turns_after(plan, move) for move in moves] == [(180, -180), (-180,)]
-    assert [one.number for one in turn_steps_after(plan, moves[0])] == [5, 9]
+    turns = [[(one.number, turn) for one, turn in turns_after(plan, move)] for move in moves]
+    assert turns == [[(5, 180), (9, -180)], [(14, -180)]]
     assert plan.steps[9].before.azimuth_deg == pytest.approx(0.0)
 
 
