@@ -31,7 +31,6 @@ INS_MAY_BE_OFF = frozenset({"ins_silence", "ins_fault"})
 FORBID_MANUAL_MOTION = frozenset({"table_silence", "table_rate", "table_acceleration"})
 FORBID_MANUAL_CHAMBER = frozenset({"chamber_silence", "chamber_alarm"})
 
-_WIDEN = "Widen the interlock or narrow the limits"
 _RESUME = "person: an operator has to confirm that the run may resume; automatic: it resumes by itself"
 _RESUME_AFTER = "time without a violation after which the run may resume, s"
 _MAX_RESUMES = "how often in a run it resumes by itself after this trip; then an operator is needed"
@@ -269,35 +268,6 @@ class Interlocks(StrictModel):
                 read = _gyro_temperature(f"{part}_c", index)
                 name = f"{part} of gyro {axis}"
                 yield InsTemperature(name, read, keys, self.gyro_temperature, self.gyro_rate)
-
-    def inside_limits(
-        self,
-        chamber_c: Sequence[float],
-        ramp_c_per_min: float,
-        rate_dps: float,
-        outer_deg: Sequence[float],
-        inner_deg: Sequence[float],
-    ) -> list[str]:
-        """Describe the interlocks that would trip within the limits of chamber and table."""
-        ranges = (
-            ("chamber_air", self.chamber_air.range_c(chamber_c), chamber_c, "degC"),
-            ("outer_angle", self.outer_angle.range_deg(outer_deg), outer_deg, "deg"),
-            ("inner_angle", self.inner_angle.range_deg(inner_deg), inner_deg, "deg"),
-        )
-        upper_limits = (
-            ("chamber_air_rate", self.chamber_air_rate.limit_c_per_min, ramp_c_per_min, "degC/min"),
-            ("table_rate", self.table_rate.limit_dps, rate_dps, "deg/s"),
-        )
-        return [
-            f"interlocks.{name} trips outside {low:g} to {high:g} {unit}, within the limits of "
-            f"{limits[0]:g} to {limits[1]:g} {unit}. {_WIDEN}"
-            for name, (low, high), limits, unit in ranges
-            if low > limits[0] or high < limits[1]
-        ] + [
-            f"interlocks.{name} trips above {trip:g} {unit}, within the limit of {limit:g} {unit}. {_WIDEN}"
-            for name, trip, limit, unit in upper_limits
-            if trip is not None and trip < limit
-        ]
 
 
 def _gyro_temperature(attribute: str, index: int) -> Callable[[InsStatus], float]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self, get_args
 from urllib.parse import parse_qsl, urlsplit
 
 from pydantic import AfterValidator, Field, model_validator
@@ -21,7 +21,7 @@ EventName = Literal["ends", "holds", "resumes", "needs_person", "unit_dropped", 
 #: Place of the secret in an address.
 SECRET = "{secret}"  # noqa: S105 - the place of one
 
-_ALL: list[EventName] = ["ends", "holds", "resumes", "needs_person", "unit_dropped", "dwells_flagged"]
+_ALL: list[EventName] = list(get_args(EventName))
 _LOOPBACK = {"127.0.0.1", "localhost", "::1"}
 _SECRET_KEY = re.compile(r"passw|secret|token|credential|key|auth|sig", re.IGNORECASE)
 #: A random sequence of letters and digits, longer than words are.

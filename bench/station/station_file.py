@@ -321,15 +321,32 @@ class StationFile(StrictModel):
     @model_validator(mode="after")
     def _check_interlocks(self) -> Self:
         """Interlocks must not trip within the limits, against which procedures are checked."""
-        problems = self.interlocks.inside_limits(
-            chamber_c=(self.chamber.limits.low_c, self.chamber.limits.high_c),
-            ramp_c_per_min=self.chamber.limits.ramp_c_per_min,
-            rate_dps=self.rate_table.limits.rate_dps,
-            outer_deg=self.rate_table.outer_limits_deg,
-            inner_deg=self.rate_table.inner_limits_deg,
+        rules, chamber, table = self.interlocks, self.chamber.limits, self.rate_table
+        chamber_c = (chamber.low_c, chamber.high_c)
+        outer_deg, inner_deg = table.outer_limits_deg, table.inner_limits_deg
+        ranges = (
+            ("chamber_air", rules.chamber_air.range_c(chamber_c), chamber_c, "degC"),
+            ("outer_angle", rules.outer_angle.range_deg(outer_deg), outer_deg, "deg"),
+            ("inner_angle", rules.inner_angle.range_deg(inner_deg), inner_deg, "deg"),
         )
+        upper_limits = (
+            ("chamber_air_rate", rules.chamber_air_rate.limit_c_per_min, chamber.ramp_c_per_min, "degC/min"),
+            ("table_rate", rules.table_rate.limit_dps, table.limits.rate_dps, "deg/s"),
+        )
+        problems = [
+            f"interlocks.{name} trips outside {low:g} to {high:g} {unit}, within the limits of "
+            f"{limits[0]:g} to {limits[1]:g} {unit}"
+            for name, (low, high), limits, unit in ranges
+            if low > limits[0] or high < limits[1]
+        ] + [
+            f"interlocks.{name} trips above {trip:g} {unit}, within the limit of {limit:g} {unit}"
+            for name, trip, limit, unit in upper_limits
+            if trip is not None and trip < limit
+        ]
         if problems:
-            raise ValueError("; ".join(problems))
+            raise ValueError(
+                "; ".join(f"{each}. Widen the interlock or narrow the limits" for each in problems)
+            )
         return self
 
     @model_validator(mode="after")
