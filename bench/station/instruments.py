@@ -305,9 +305,9 @@ class Outputs:
         return identity
 
     def _open_in_time(self, instrument: str, open_it: Callable[[], _DriverT]) -> _DriverT:
-        return LimitedCall(
-            self.clock, opening_time_s(self.clock), instrument, open_it, _close_driver
-        ).result()
+        limit_s = opening_time_s(self.clock)
+        opening: LimitedCall[_DriverT] = LimitedCall(self.clock, limit_s, instrument, open_it, _close_driver)
+        return opening.result()
 
 
 class Instruments(Outputs):
