@@ -9,7 +9,7 @@ import os
 import sys
 import threading
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -228,7 +228,7 @@ def _excerpt(line: bytes) -> str:
 MAX_RUN_S = 1e9
 
 
-@dataclass(frozen=True)
+@dataclass
 class RunFacts:
     """Summary of a journal; unknown texts are empty."""
 
@@ -237,7 +237,7 @@ class RunFacts:
     station: str = ""
     unit: str = ""
     #: Options of the commands that started and resumed it.
-    options: Mapping[str, Any] = field(default_factory=dict)
+    options: dict[str, Any] = field(default_factory=dict)
     started_utc: str = ""  #: Start, ISO 8601.
     last_s: float = 0.0  #: Latest time of an entry, on the run's clock.
     resumes: int = 0  #: Number of resumptions.
@@ -245,77 +245,69 @@ class RunFacts:
     #: Whether a dwell tested signs and axes of the signal map; None if no completed dwell states it.
     are_signs_tested: bool | None = None
     #: Number of dwells by the identification of the INS, the present one last.
-    dwells_by_identity: Mapping[str, int] = field(default_factory=dict)
+    dwells_by_identity: dict[str, int] = field(default_factory=dict)
     #: ended, reason: "finished", "stopped" or "failed", and the reason. Empty for a run that was cut off or
     #: is in progress.
     ended: str = ""
     reason: str = ""
     safe_state: tuple[Mapping[str, Any], ...] = ()  #: Actions at the end that made the bench safe.
 
+    def add(self, entry: Mapping[str, Any]) -> None:
+        """Take one entry into account."""
+        self.last_s = max(self.last_s, _time_s(entry))
+        match entry.get("event"):
+            case "run_started":
+                self.started_utc = _text(entry, "utc")
+                self._begin(entry)
+            case "run_resumed":
+                self.resumes += 1
+                self._begin(entry)
+            case "ins_identified":
+                self.unit = _text(entry, "unit") or self.unit
+                if identity := _text(entry, "identity"):
+                    self.dwells_by_identity[identity] = self.dwells_by_identity.pop(identity, 0)
+            case "investigation_started" | "investigation_resumed" as event:
+                self.unit = _text(entry, "unit") or self.unit
+                # A resumed investigation replays its blocks, and records them again.
+                self.dwells = _dwell_count(entry)
+                if event == "investigation_started":
+                    self.started_utc = _text(entry, "utc")
+                else:
+                    self.resumes += 1
+                self._begin(entry)
+            case "measured":
+                self.dwells += _dwell_count(entry)
+            case "investigation_ended":
+                endings = {"bench_failed": "failed", "declined": "stopped"}
+                self.ended = endings.get(_text(entry, "ended"), "finished")
+                self.reason = _text(entry, "reason")
+            case "dwell_finished":
+                if isinstance(tested := entry.get("signs_tested"), bool):
+                    self.are_signs_tested = bool(self.are_signs_tested) or tested
+                if self.dwells_by_identity:
+                    self.dwells_by_identity[next(reversed(self.dwells_by_identity))] += 1
+                self.dwells += not entry.get("replaces_earlier")
+            case "run_ended":
+                self.ended, self.reason = _text(entry, "ended"), _text(entry, "reason")
+                recorded = entry.get("safe_state")
+                actions = recorded if isinstance(recorded, list) else []
+                self.safe_state = tuple(each for each in actions if isinstance(each, Mapping))
+
+    def _begin(self, entry: Mapping[str, Any]) -> None:
+        """Take the start or the resumption of a run into account."""
+        self.procedure = _text(entry, "procedure") or self.procedure
+        self.station = _text(entry, "station") or self.station
+        if isinstance(options := entry.get("options"), Mapping):
+            self.options |= options
+        self.ended, self.reason, self.safe_state = "", "", ()
+
 
 def facts_of(entries: Iterable[Mapping[str, Any]]) -> RunFacts:
     """Summarise a journal; malformed entries are ignored."""
-    facts, last_s = RunFacts(), 0.0
+    facts = RunFacts()
     for entry in entries:
-        facts, last_s = _with_entry(facts, entry), max(last_s, _time_s(entry))
-    return replace(facts, last_s=last_s)
-
-
-def _with_entry(facts: RunFacts, entry: Mapping[str, Any]) -> RunFacts:
-    """Facts updated by one entry."""
-    match entry.get("event"):
-        case "run_started":
-            return _with_start(replace(facts, started_utc=_text(entry, "utc")), entry)
-        case "run_resumed":
-            return replace(_with_start(facts, entry), resumes=facts.resumes + 1)
-        case "ins_identified":
-            counts = dict(facts.dwells_by_identity)
-            if identity := _text(entry, "identity"):
-                counts[identity] = counts.pop(identity, 0)
-            return replace(facts, unit=_text(entry, "unit") or facts.unit, dwells_by_identity=counts)
-        case "investigation_started" | "investigation_resumed" as event:
-            # A resumed investigation replays its blocks, and records them again.
-            with_unit = replace(facts, unit=_text(entry, "unit") or facts.unit, dwells=_dwell_count(entry))
-            if event == "investigation_started":
-                return _with_start(replace(with_unit, started_utc=_text(entry, "utc")), entry)
-            return replace(_with_start(with_unit, entry), resumes=facts.resumes + 1)
-        case "measured":
-            return replace(facts, dwells=facts.dwells + _dwell_count(entry))
-        case "investigation_ended":
-            ended = {"bench_failed": "failed", "declined": "stopped"}.get(_text(entry, "ended"), "finished")
-            return replace(facts, ended=ended, reason=_text(entry, "reason"))
-        case "dwell_finished":
-            tested = entry.get("signs_tested")
-            if isinstance(tested, bool):
-                facts = replace(facts, are_signs_tested=bool(facts.are_signs_tested) or tested)
-            if counts := dict(facts.dwells_by_identity):
-                counts[next(reversed(counts))] += 1
-                facts = replace(facts, dwells_by_identity=counts)
-            return facts if entry.get("replaces_earlier") else replace(facts, dwells=facts.dwells + 1)
-        case "run_ended":
-            recorded = entry.get("safe_state")
-            actions = recorded if isinstance(recorded, list) else []
-            return replace(
-                facts,
-                ended=_text(entry, "ended"),
-                reason=_text(entry, "reason"),
-                safe_state=tuple(each for each in actions if isinstance(each, Mapping)),
-            )
+        facts.add(entry)
     return facts
-
-
-def _with_start(facts: RunFacts, entry: Mapping[str, Any]) -> RunFacts:
-    """Facts updated by the start or the resumption of a run."""
-    options = entry.get("options")
-    return replace(
-        facts,
-        procedure=_text(entry, "procedure") or facts.procedure,
-        station=_text(entry, "station") or facts.station,
-        options={**facts.options, **options} if isinstance(options, Mapping) else facts.options,
-        ended="",
-        reason="",
-        safe_state=(),
-    )
 
 
 def _text(entry: Mapping[str, Any], key: str) -> str:
