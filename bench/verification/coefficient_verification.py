@@ -165,75 +165,61 @@ def compare_coefficients(runs: Sequence[CoefficientRun], site: Site) -> tuple[Co
     If any plateau has rotations, those without are omitted: a dwell on a ramp may be a plateau by itself,
     which hardly shows some of the coefficients.
     """
-    numbers = _joint_numbers(runs)
-    tables = [
-        [replace(row, plateau=joint_number[row.plateau]) for row in _with_rotations(run.rows)]
-        for run, joint_number in zip(runs, numbers, strict=True)
-    ]
-    in_all = set.intersection(*({row.plateau for row in rows} for rows in tables))
+    runs = [_renumbered(run, numbers) for run, numbers in zip(runs, _joint_numbers(runs), strict=True)]
+    in_all = set.intersection(*({row.plateau for row in run.rows} for run in runs))
     if not in_all:
         return ()
-    values = [{(row.name, row.plateau): row for row in rows if np.isfinite(row.value)} for rows in tables]
+    values = [{(row.name, row.plateau): row for row in run.rows if np.isfinite(row.value)} for run in runs]
     shared = set.intersection(*(set(each) for each in values))
     results = []
-    for run, joint_number, rows, run_values in zip(runs, numbers, tables, values, strict=True):
+    for run, run_values in zip(runs, values, strict=True):
+        rows = [row for key, row in run_values.items() if key in shared]
         pairs = [
-            np.array(
-                [
-                    (row.value, row.sigma)
-                    for key, row in run_values.items()
-                    if key[0] == name and key in shared
-                ]
-            ).reshape(-1, 2)
+            np.array([(row.value, row.sigma) for row in rows if row.name == name]).reshape(-1, 2)
             for name in _NAMES
         ]
-        correlations = {
-            joint_number[plateau]: each
-            for plateau, each in run.correlations.items()
-            if plateau in joint_number
-        }
-        common = {
-            (joint_number[plateau], name): sigmas
-            for (plateau, name), sigmas in run.common.items()
-            if plateau in joint_number
-        }
         results.append(
             CoefficientResult(
                 run.compensation,
                 np.array([rms(each[:, 0]) for each in pairs]),
                 np.array([rms(each[:, 1]) for each in pairs]),
                 np.array([len(each) for each in pairs]),
-                *_noise_sums([run_values[key] for key in sorted(shared)], correlations, run.loaded, common),
-                tuple(_missions(rows, correlations, in_all, site)),
+                *_noise_sums(run, [run_values[key] for key in sorted(shared)]),
+                tuple(_missions(run, in_all, site)),
             )
         )
     return tuple(results)
 
 
-def _noise_sums(
-    rows: Sequence[PlateauCoefficientRow],
-    correlations: Mapping[int, FloatArray],
-    loaded: Mapping[str, Correction],
-    common: Mapping[tuple[int, str], tuple[float, ...]],
-) -> tuple[NoiseSums, NoiseSums]:
+def _renumbered(run: CoefficientRun, numbers: Mapping[int, int]) -> CoefficientRun:
+    """Run with joint numbers of its plateaus, ``numbers`` by its own; rows of :func:`_with_rotations`."""
+    return replace(
+        run,
+        rows=[replace(row, plateau=numbers[row.plateau]) for row in _with_rotations(run.rows)],
+        correlations={numbers[key]: each for key, each in run.correlations.items() if key in numbers},
+        common={(numbers[key], name): each for (key, name), each in run.common.items() if key in numbers},
+    )
+
+
+def _noise_sums(run: CoefficientRun, rows: Sequence[PlateauCoefficientRow]) -> tuple[NoiseSums, NoiseSums]:
     """Sums over rows except gyro biases, in units of their noise and of the stated uncertainties."""
     used = [row for row in rows if row.coefficient != "gyro_bias"]
     names, plateaus = [row.name for row in used], np.array([row.plateau for row in used])
     columns = np.array([_NAMES.index(name) for name in names], dtype=np.intp)
     values, stated = np.array([(row.value, row.sigma) for row in used]).reshape(-1, 2).T
-    sigmas = [common.get((row.plateau, row.name), ()) for row in used]
+    sigmas = [run.common.get((row.plateau, row.name), ()) for row in used]
     by_source = np.array(list(zip_longest(*sigmas, fillvalue=0.0))).reshape(-1, len(used))
     own = np.sqrt(np.maximum(stated**2 - (by_source**2).sum(axis=0), 0.0))
-    by_plateau = {each: _filled_correlations(correlations, each) for each in set(plateaus.tolist())}
+    by_plateau = {each: _filled_correlations(run, each) for each in set(plateaus.tolist())}
     pairs = np.array([by_plateau[row.plateau][_NAMES.index(row.name), columns] for row in used])
     pairs = pairs.reshape(len(used), len(used))
     signs = np.where(columns[:, np.newaxis] == columns, 1.0, np.sign(pairs))
     of_shared = signs * (by_source.T @ by_source)  # errors of different sources are independent
-    is_loaded = np.array([name in loaded for name in names], dtype=bool)
+    is_loaded = np.array([name in run.loaded for name in names], dtype=bool)
     is_same_plateau = plateaus[:, np.newaxis] == plateaus
     covariance = np.where(is_same_plateau, pairs * np.outer(stated, stated), of_shared)
     covariance -= np.where(is_loaded[:, np.newaxis] | is_loaded, of_shared, 0.0)
-    loaded_count = sum(min(names.count(name), len(each.polynomial)) for name, each in loaded.items())
+    loaded_count = sum(min(names.count(name), len(each.polynomial)) for name, each in run.loaded.items())
     of_noise, of_stated = (
         NoiseSums.of(values, covariance, units, loaded_count)
         for units in (np.where(is_loaded, own, stated), stated)
@@ -241,28 +227,22 @@ def _noise_sums(
     return of_noise, of_stated
 
 
-def _filled_correlations(correlations: Mapping[int, FloatArray], plateau: int) -> FloatArray:
+def _filled_correlations(run: CoefficientRun, plateau: int) -> FloatArray:
     """Correlations (21, 21) at a plateau; unknown ones are zero."""
-    filled = np.nan_to_num(correlations.get(plateau, np.eye(COUNT)))
+    filled = np.nan_to_num(run.correlations.get(plateau, np.eye(COUNT)))
     return np.where(np.eye(COUNT, dtype=bool), 1.0, filled)
 
 
-def _missions(
-    rows: Sequence[PlateauCoefficientRow],
-    correlations: Mapping[int, FloatArray],
-    in_all: Collection[int],
-    site: Site,
-) -> Iterator[PlateauMission]:
+def _missions(run: CoefficientRun, in_all: Collection[int], site: Site) -> Iterator[PlateauMission]:
     per_si = np.array([each.per_si for each in COEFFICIENTS])
-    for plateau in dict.fromkeys(row.plateau for row in rows):
-        by_name = {row.name: row for row in rows if row.plateau == plateau}
+    for plateau in dict.fromkeys(row.plateau for row in run.rows):
+        by_name = {row.name: row for row in run.rows if row.plateau == plateau}
         values, sigmas = (
             np.nan_to_num([getattr(by_name[name], field_name) for name in _NAMES]) / per_si
             for field_name in ("value", "sigma")
         )
-        error = mission_error(
-            values, _filled_correlations(correlations, plateau) * np.outer(sigmas, sigmas), site
-        )
+        covariance = _filled_correlations(run, plateau) * np.outer(sigmas, sigmas)
+        error = mission_error(values, covariance, site)
         yield PlateauMission(plateau, _gyro_c(by_name.values()), error, plateau in in_all)
 
 

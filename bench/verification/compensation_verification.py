@@ -203,33 +203,20 @@ def compare_runs(
     gyros in the dwells to which the model was fitted.
     """
     dwells: list[list[AnyDwell]] = [[*run.dwells, *run.check_dwells] for run in runs]
-    plateaus = pair_dwells(dwells)
-    bias_dwells = [[{row.dwell for row in bias_rows(each)} for each in plateau] for plateau in plateaus]
-    compared = [
-        comparable_dwells(biases)
-        | comparable_dwells([[each.dwell for each in one if isinstance(each, CheckDwell)] for one in plateau])
-        for biases, plateau in zip(bias_dwells, plateaus, strict=True)
-    ]
-    in_all_runs = {
-        dwell
-        for biases, plateau_compared in zip(bias_dwells, compared, strict=True)
-        if all(biases)
-        for dwell in plateau_compared
-    }
+    checks: list[dict[int, ResidualCheck]] = [{} for _ in runs]  # of each run, by the number of the plateau
+    in_all_runs: set[int] = set()
+    for number, plateau in enumerate(pair_dwells(dwells), start=1):
+        biases = [{row.dwell for row in bias_rows(each)} for each in plateau]
+        check_dwells = [[each.dwell for each in one if isinstance(each, CheckDwell)] for one in plateau]
+        compared = comparable_dwells(biases) | comparable_dwells(check_dwells)
+        if all(biases):
+            in_all_runs |= compared
+        for run_checks, members in zip(checks, plateau, strict=True):
+            if members:
+                run_checks[number] = check_plateau(members, compared, site)
     measured = [
-        _measured_rows(
-            run,
-            {
-                number: check_plateau(plateau[index], plateau_compared, site)
-                for number, (plateau, plateau_compared) in enumerate(
-                    zip(plateaus, compared, strict=True), start=1
-                )
-                if plateau[index]
-            },
-            in_all_runs,
-            fitted_c,
-        )
-        for index, run in enumerate(runs)
+        _measured_rows(run, run_checks, in_all_runs, fitted_c)
+        for run, run_checks in zip(runs, checks, strict=True)
     ]
     rows = [each.rows for each in measured]
     return tuple(
