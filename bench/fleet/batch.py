@@ -220,19 +220,18 @@ def _quantity_statistics(unit_means: _UnitMeans, spreads: Mapping[str, _Spread])
     shrinkage = spread / (spread + unit_means.variances)
     shrunken_dph = mean + shrinkage * (unit_means.means - mean)
     shrunken_variance = shrinkage * unit_means.variances + (1.0 - shrinkage) ** 2 * mean_variance
-    units = []
-    for index, name in enumerate(unit_means.names):
-        units.append(
-            UnitStatistics(
-                name,
-                unit_means.runs[index],
-                float(unit_means.means[index]),
-                math.sqrt(unit_means.variances[index]),
-                float(shrunken_dph[index]),
-                math.sqrt(shrunken_variance[index]),
-                *_prediction(unit_means, index, spreads[name]),
-            )
+    units = [
+        UnitStatistics(
+            name,
+            unit_means.runs[index],
+            float(unit_means.means[index]),
+            math.sqrt(unit_means.variances[index]),
+            float(shrunken_dph[index]),
+            math.sqrt(shrunken_variance[index]),
+            *_prediction(unit_means, index, spreads[name]),
         )
+        for index, name in enumerate(unit_means.names)
+    ]
     between_runs = None if unit_means.between_runs is None else math.sqrt(unit_means.between_runs)
     return QuantityStatistics(
         unit_means.quantity, mean, math.sqrt(mean_variance), between_units, between_runs, units

@@ -59,41 +59,40 @@ def subtracted_dph(compensation: Compensation, rows: Sequence[DwellRow]) -> Floa
     NaN if a temperature that a term needs is missing, and while the hysteresis depends on temperatures before
     the first dwell of a power cycle. ``rows``: in the order of time.
     """
-    coefficients = compensation
     gyro_c = np.array([row.gyro_c for row in rows]).reshape(-1, 3)
-    limited_c = np.clip(gyro_c, coefficients.low_c, coefficients.high_c)
+    limited_c = np.clip(gyro_c, compensation.low_c, compensation.high_c)
     above_optics_k = np.array([row.board_c for row in rows]).reshape(-1, 3) - gyro_c
-    above_optics_k = np.clip(above_optics_k, coefficients.difference_low_k, coefficients.difference_high_k)
+    above_optics_k = np.clip(above_optics_k, compensation.difference_low_k, compensation.difference_high_k)
     rate = np.array([row.gyro_rate_c_per_h for row in rows]).reshape(-1, 3)
-    rate = np.clip(rate, -coefficients.rate_limit_c_per_h, coefficients.rate_limit_c_per_h)
+    rate = np.clip(rate, -compensation.rate_limit_c_per_h, compensation.rate_limit_c_per_h)
     up_body = np.array([POSITIONS[row.position].C_nb()[2] for row in rows]).reshape(-1, 3)
     middle_s = np.array([row.since_power_on_s + 0.5 * (row.end_s - row.start_s) for row in rows])[
         :, np.newaxis
     ]
     total = np.zeros_like(limited_c)
-    for power_coefficients in coefficients.polynomial_dph.T[::-1]:
+    for power_coefficients in compensation.polynomial_dph.T[::-1]:
         total = total * limited_c + power_coefficients
-    cold = (coefficients.onset_c - limited_c) / np.where(
-        coefficients.onset_width_c > 0.0, coefficients.onset_width_c, np.inf
+    cold = (compensation.onset_c - limited_c) / np.where(
+        compensation.onset_width_c > 0.0, compensation.onset_width_c, np.inf
     )
     factor = (
-        coefficients.gradient_dph_per_k
-        + up_body @ coefficients.saturating_dph_per_k.T / (1.0 + np.exp(np.clip(-cold, -500.0, 500.0)))
-        + up_body @ coefficients.growing_dph_per_k.T * np.logaddexp(0.0, cold)
+        compensation.gradient_dph_per_k
+        + up_body @ compensation.saturating_dph_per_k.T / (1.0 + np.exp(np.clip(-cold, -500.0, 500.0)))
+        + up_body @ compensation.growing_dph_per_k.T * np.logaddexp(0.0, cold)
     )
-    decay = np.exp(-middle_s / np.where(coefficients.warm_up_s > 0.0, coefficients.warm_up_s, np.inf))
+    decay = np.exp(-middle_s / np.where(compensation.warm_up_s > 0.0, compensation.warm_up_s, np.inf))
     terms = (
-        (coefficients.rate_dph_per_c_per_h, rate),
+        (compensation.rate_dph_per_c_per_h, rate),
         (factor, above_optics_k),
-        (coefficients.warm_up_dph, decay),
+        (compensation.warm_up_dph, decay),
         (
-            coefficients.hysteresis_dph_per_k,
-            _play_k([row.run for row in rows], limited_c, coefficients.half_width_k),
+            compensation.hysteresis_dph_per_k,
+            _play_k([row.run for row in rows], limited_c, compensation.half_width_k),
         ),
     )
     for size, driver in terms:
         total = total + np.where(size == 0.0, 0.0, size * driver)
-    return np.asarray(total + up_body @ coefficients.gravity_dph_per_g.T)
+    return np.asarray(total + up_body @ compensation.gravity_dph_per_g.T)
 
 
 def _play_k(cycles: Sequence[str], gyro_c: FloatArray, half_width_k: FloatArray) -> FloatArray:
@@ -127,15 +126,12 @@ def measured_change(
     them, dwells beyond the limits are not compared, since the subtracted bias is unknown there. The mean of
     each gyro over the dwells of the same power cycles is removed first, as for the varying bias.
     """
-    changes = [np.zeros((len(rows), 3)) for rows in (before, after)]
-    for index, (rows, compensation) in enumerate(zip((before, after), loaded, strict=True)):
+    expected = np.zeros((len(after), 3))
+    for sign, rows, compensation in zip((-1.0, 1.0), (before, after), loaded, strict=True):
         if compensation is not None:
-            changes[index] = subtracted_dph(compensation, rows)
-            if not is_limited:
-                gyro_c = np.array([row.gyro_c for row in rows]).reshape(-1, 3)
-                is_known = (gyro_c >= compensation.low_c) & (gyro_c <= compensation.high_c)
-                changes[index] = np.where(is_known, changes[index], np.nan)
-    expected = changes[1] - changes[0]
+            gyro_c = np.array([row.gyro_c for row in rows]).reshape(-1, 3)
+            is_known = is_limited | ((gyro_c >= compensation.low_c) & (gyro_c <= compensation.high_c))
+            expected += sign * np.where(is_known, subtracted_dph(compensation, rows), np.nan)
     first, second = (np.array([row.bias_dph for row in rows]).reshape(-1, 3) for rows in (before, after))
     is_comparable = np.isfinite(first + second + expected).all(axis=1)
     if is_comparable.sum() < 2 or not np.any(expected[is_comparable]):
