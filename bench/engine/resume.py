@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 
@@ -144,9 +145,9 @@ class Resumption:
                 BenchLock(station, self.folder.path, clock),
                 Outputs(station, clock, identities=identities_in(self.folder)) as outputs,
             ):
-                for describe_now in (_table_now, _chamber_now):
+                for describe_now in (partial(_table_now, station), _chamber_now):
                     try:
-                        lines.append(describe_now(station, outputs))
+                        lines.append(describe_now(outputs))
                     except InstrumentError as error:
                         lines.append(str(error))
         except GyrobenchError as error:
@@ -227,7 +228,7 @@ def _table_now(station: Station, outputs: Outputs) -> str:
     return f"rate table: {motion}; servos {'on' if reading.is_servoed else 'off'}"
 
 
-def _chamber_now(station: Station, outputs: Outputs) -> str:  # noqa: ARG001 - as for the table
+def _chamber_now(outputs: Outputs) -> str:
     reading = outputs.chamber.read()
     set_c = "unknown" if reading.set_point_c is None else f"{reading.set_point_c:.1f} degC"
     state = "" if reading.is_on is None else ", on" if reading.is_on else ", off"
@@ -284,10 +285,7 @@ def _read(
     :class:`Resumption`.
     """
     stations = job.station.units
-
-    def read_one(folder: RunFolder, plan: Plan, number: str, has_dwells: bool = True) -> InterruptedRun:
-        return _read_one(folder, plan, number, damaged, list(repeats.get(number, ())), has_dwells)
-
+    read_one = partial(_read_one, damaged=damaged, repeats=repeats)
     run = read_one(folder, job.plan, "", has_dwells=len(stations) == 1)
     if len(stations) == 1:
         return Resumption(job, run, (run,), repeats=repeats)
@@ -301,14 +299,14 @@ def _read_one(
     plan: Plan,
     number: str,
     damaged: Mapping[str, Damage] | None,
-    repeat: Sequence[int],
-    has_dwells: bool,
+    repeats: Mapping[str, Mapping[int, str]],
+    has_dwells: bool = True,
 ) -> InterruptedRun:
     if number and not folder.journal.is_file():  # of a process that was killed before anything moved
         return InterruptedRun(folder, plan, ResumeState(), number)
     damage, entries = find_damage(folder, is_log_read=damaged is None)
-    if repeat:
-        entries.append({"time_s": 0.0, "event": REPEAT, "dwells": repeat})
+    if repeat := repeats.get(number):
+        entries.append({"time_s": 0.0, "event": REPEAT, "dwells": list(repeat)})
     try:
         progress = ResumeState.of_journal(entries, plan)
     except RunFolderError as error:

@@ -19,7 +19,7 @@ from gyrobench.bench.foundations.clock import Clock, WallClock
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.operator_name import operator_name
 from gyrobench.bench.foundations.shipped import find_document
-from gyrobench.bench.foundations.text import flag_text, hours_minutes, listed, plain_name
+from gyrobench.bench.foundations.text import counted, flag_text, hours_minutes, listed, plain_name
 from gyrobench.bench.messages.delivery import read_secret
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.procedure.procedure_file import load_procedure
@@ -155,8 +155,8 @@ def _plan_check(station: Station, procedure: str | None) -> tuple[Plan | None, C
         plan = station.plan(document, model)
     except DocumentError as error:
         return None, Check.of(subject, what, False, str(error), "Correct the procedure.")
-    dwells = f"{plan.dwell_count} dwell{'s' if plan.dwell_count != 1 else ''}"
-    return plan, Check.of(subject, what, True, f"{dwells} in {hours_minutes(plan.duration_s)} h", "")
+    found = f"{counted(plan.dwell_count, 'dwell')} in {hours_minutes(plan.duration_s)} h"
+    return plan, Check.of(subject, what, True, found, "")
 
 
 def disk_check(station: Station, folder: Path, plan: Plan | None, frames_per_s: float) -> Check:
