@@ -261,9 +261,27 @@ def _measured_rows(
     rows = []
     for number, check in checks.items():
         is_included = [row.dwell in check.dwells for row in usable]
-        of_plateau = varying[is_included], deviations[:, is_included]
-        rows.append(_plateau_row(run.compensation, number, check, *of_plateau, fitted_c))
-    total_rows = [row for row, is_counted in zip(usable, counts, strict=True) if is_counted]
+        row = VerificationRow(
+            compensation=run.compensation,
+            plateau=number,
+            cycle=check.cycle,
+            chamber_set_c=check.chamber_set_c,
+            gyro_c=check.gyro_c,
+            fit=_relation_to_fit(check.gyro_c, fitted_c),
+            dwells=sum(is_included),
+            bias_rms_dph=check.bias_rms_dph,
+            bias_noise_dph=check.sigma_rms_dph,
+            varying_rms_dph=rms(varying[is_included]),
+            spread_dph=check.spread_dph,
+            spread_noise_dph=check.spread_noise_dph,
+            velocity_east_mps=check.velocity_east_mps,
+            velocity_noise_mps=check.velocity_noise_mps,
+            position_nmi=check.day.error.max_nmi if check.day else math.nan,
+            position_noise_nmi=check.day.noise_nmi if check.day else math.nan,
+            compensation_sigma_dph=_sigma_dph(deviations[:, is_included]),
+        )
+        rows.append(row)
+    total_rows = [each for each, is_counted in zip(usable, counts, strict=True) if is_counted]
     total = _total_row(run.compensation, total_rows, varying[counts], deviations[:, counts])
     return CompensationResult(run.compensation, tuple(checks.values()), tuple(rows), total)
 
@@ -344,35 +362,6 @@ def _compensation_deviations(rows: Sequence[DwellRow], run: MeasuredRun, counts:
 
 def _sigma_dph(deviations: FloatArray) -> float:
     return rms(np.sqrt(np.sum(deviations**2, axis=0))) if len(deviations) else math.nan
-
-
-def _plateau_row(
-    compensation: str,
-    number: int,
-    plateau: ResidualCheck,
-    varying: FloatArray,
-    deviations: FloatArray,
-    fitted_c: FloatArray,
-) -> VerificationRow:
-    return VerificationRow(
-        compensation=compensation,
-        plateau=number,
-        cycle=plateau.cycle,
-        chamber_set_c=plateau.chamber_set_c,
-        gyro_c=plateau.gyro_c,
-        fit=_relation_to_fit(plateau.gyro_c, fitted_c),
-        dwells=len(varying),
-        bias_rms_dph=plateau.bias_rms_dph,
-        bias_noise_dph=plateau.sigma_rms_dph,
-        varying_rms_dph=rms(varying),
-        spread_dph=plateau.spread_dph,
-        spread_noise_dph=plateau.spread_noise_dph,
-        velocity_east_mps=plateau.velocity_east_mps,
-        velocity_noise_mps=plateau.velocity_noise_mps,
-        position_nmi=plateau.day.error.max_nmi if plateau.day else math.nan,
-        position_noise_nmi=plateau.day.noise_nmi if plateau.day else math.nan,
-        compensation_sigma_dph=_sigma_dph(deviations),
-    )
 
 
 def _total_row(
