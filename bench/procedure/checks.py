@@ -29,10 +29,6 @@ from gyrobench.bench.procedure.steps import (
 )
 
 
-def _no_reason(position: str, azimuth_deg: float, turns_deg: tuple[TurnOrMove, ...]) -> None:
-    """None, as for a table that reaches every position."""
-
-
 @dataclass(frozen=True)
 class StationLimits:
     """Limits of one station's chamber and table; by default there are none."""
@@ -43,7 +39,7 @@ class StationLimits:
     ramp_max_c_per_min: float = math.inf  #: Fastest ramp of the chamber, up or down.
     table_rate_max_dps: float = math.inf  #: Fastest turn of either axis of the table.
     #: Reason why the table can't go to a position and azimuth, deg, and then make turns, deg; None if it can.
-    unreachable_reason: Callable[[str, float, tuple[TurnOrMove, ...]], str | None] = _no_reason
+    unreachable_reason: Callable[[str, float, tuple[TurnOrMove, ...]], str | None] = lambda *_: None
     #: gyro_low_c, gyro_high_c: Temperatures of the gyros at which an interlock trips.
     gyro_low_c: float = -math.inf
     gyro_high_c: float = math.inf
