@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 
 from gyrobench.bench.engine.interlocks.watch import Trip, TrippedError, text_of_trips
@@ -150,34 +150,11 @@ class Holding:
 
     def _wait(self, reason: str, trips: Sequence[Trip], after_s: float | None) -> _Continuation:
         """Wait until the run may continue."""
-        clock, begin_s = self._bench.clock, self._bench.clock.now()
+        clock, operator, begin_s = self._bench.clock, self._run.operator, self._bench.clock.now()
         max_hold_s = self._bench.station.file.interlocks.max_hold_s
         held_for = {trip.name for trip in trips}
-        for continuation in self._continuations(reason, needs_operator=after_s is None):
-            held_s = clock.now() - begin_s
-            others = [trip for trip in self._bench.trips() if trip.name not in held_for]
-            if others:
-                raise TrippedError(others)
-            if continuation and self._is_clear(trips):
-                return continuation
-            if after_s is not None and self._untripped_for_s(trips, held_s) >= after_s:
-                return ITSELF, ""
-            if held_s > max_hold_s:
-                break
-        raise RunStoppedError(f"held for longer than {span(max_hold_s)}: {reason}")
-
-    def _untripped_for_s(self, trips: Sequence[Trip], held_s: float) -> float:
-        """Time since the causes of the hold have cleared, s; zero while anything is tripped or unsafe."""
-        return (
-            0.0
-            if self._bench.failed_safe_actions or self._bench.trips()
-            else min(self._bench.untripped_for_s(trips), held_s)
-        )
-
-    def _continuations(self, reason: str, needs_operator: bool) -> Iterator[_Continuation | None]:
-        """Perform ticks, and yield at each a continuation; None if there is none."""
-        clock, operator = self._bench.clock, self._run.operator
-        ask_s = clock.now() if needs_operator else math.inf
+        needs_operator = after_s is None
+        ask_s = begin_s if needs_operator else math.inf
         while True:
             if clock.now() >= ask_s:
                 operator.ask(f"The run holds: {reason}", [RunCommand.CONTINUE, RunCommand.ABORT])
@@ -187,7 +164,24 @@ class Holding:
             continuation = self._answer(reason, needs_operator)
             if continuation and needs_operator:
                 ask_s = clock.now() + _ASK_AGAIN_S  # in case something is still tripped
-            yield continuation
+            held_s = clock.now() - begin_s
+            others = [trip for trip in self._bench.trips() if trip.name not in held_for]
+            if others:
+                raise TrippedError(others)
+            if continuation and self._is_clear(trips):
+                return continuation
+            if after_s is not None and self._untripped_for_s(trips, held_s) >= after_s:
+                return ITSELF, ""
+            if held_s > max_hold_s:
+                raise RunStoppedError(f"held for longer than {span(max_hold_s)}: {reason}")
+
+    def _untripped_for_s(self, trips: Sequence[Trip], held_s: float) -> float:
+        """Time since the causes of the hold have cleared, s; zero while anything is tripped or unsafe."""
+        return (
+            0.0
+            if self._bench.failed_safe_actions or self._bench.trips()
+            else min(self._bench.untripped_for_s(trips), held_s)
+        )
 
     def _repeat_safe_actions(self) -> None:
         """Repeat safe actions that failed until they succeed; each success is recorded in the journal."""
