@@ -10,7 +10,6 @@ import json
 import re
 import subprocess
 import sys
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -83,22 +82,18 @@ KINDS = {kind.name: kind for kind in _ALL}
 
 def kind_of(document: Document) -> FileKind:
     """Recognise a file by its top-level keys; raises DocumentError if they fit no kind or several."""
-    keys = document.data if isinstance(document.data, dict) else {}
+    keys = set(document.data) if isinstance(document.data, dict) else set()
     # The kind whose name is a key of the file, otherwise the one that shares most keys.
-    named_kinds = [kind for kind in KINDS.values() if kind.name in kind.keys and kind.name in keys]
-    candidates = named_kinds if len(named_kinds) == 1 else _most_similar(keys)
+    candidates = [kind for kind in KINDS.values() if kind.name in kind.keys & keys]
+    if len(candidates) != 1:
+        most = max(len(kind.keys & keys) for kind in KINDS.values())
+        candidates = [kind for kind in KINDS.values() if len(kind.keys & keys) == most > 0]
     if len(candidates) == 1:
         return candidates[0]
     raise DocumentError(
         f"{document.path}:1:1: its keys fit no kind of file, or several. Give the kind with --as "
         f"{'|'.join(KINDS)}"
     )
-
-
-def _most_similar(keys: Iterable[str]) -> list[FileKind]:
-    shared = {name: len(kind.keys.intersection(keys)) for name, kind in KINDS.items()}
-    max_shared = max(shared.values())
-    return [KINDS[name] for name, count in shared.items() if count == max_shared > 0]
 
 
 _PROGRAM = "gyrobench.drivers.emulators.check_file"
