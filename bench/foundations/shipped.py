@@ -88,17 +88,14 @@ def find_document(kind: str, name: str) -> Path:
     raise DocumentError(f"{name}: no such file or shipped name{_suggestion(kind, name)}")
 
 
-def _folder_of(key: str) -> str:
-    return {"faults": "faults", "rotation_list": "rotations"}.get(key, f"{key}s")
-
-
 _CHOOSE_ROTATIONS = "Choose a list of rotations, a file or a shipped one: {}"
 
 
 def _suggestion(kind: str, name: str) -> str:
     names = shipped_names(kind)
     for other, use in USES.items():
-        if name not in names and name in shipped_names(_folder_of(other)):
+        folder = {"faults": "faults", "rotation_list": "rotations"}.get(other, f"{other}s")
+        if name not in names and name in shipped_names(folder):
             advice = _CHOOSE_ROTATIONS.format(", ".join(names)) if kind == "rotations" else use.format(name)
             return f", but a shipped {other.replace('_', ' ')}. {advice}"
     return f"{did_you_mean(name, names)}. Shipped {kind}: {', '.join(names)}"

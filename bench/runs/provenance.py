@@ -39,7 +39,8 @@ def write_provenance(
     content = {
         "gyrobench": __version__,
         "started_utc": started.isoformat(),
-        "utc_offset_s": _utc_offset_s(started),
+        # Local time on the bench minus UTC.
+        "utc_offset_s": (started.astimezone().utcoffset() or timedelta()).total_seconds(),
         "operator": operator_name(),
         "login": login_name(),
         "host": platform.node(),
@@ -190,12 +191,6 @@ def started_utc(folder: RunFolder) -> datetime:
 
 def _write(folder: RunFolder, content: Mapping[str, Any]) -> None:
     write_whole(folder.provenance, (json.dumps(content, indent=2) + "\n").encode())
-
-
-def _utc_offset_s(time: datetime) -> float:
-    """Local time on the bench minus UTC."""
-    offset = time.astimezone().utcoffset()
-    return 0.0 if offset is None else offset.total_seconds()
 
 
 @cache

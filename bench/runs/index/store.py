@@ -69,7 +69,8 @@ class RunStore:
     @property
     def is_local(self) -> bool:
         """Whether it is a folder of this machine."""
-        return "file" in _protocols(self.file_system)
+        protocol = self.file_system.protocol
+        return "file" in ((protocol,) if isinstance(protocol, str) else protocol)
 
     def runs(self) -> Iterator[RunFiles]:
         """Find run folders in order of their paths; folders inside a run are not searched.
@@ -142,11 +143,6 @@ def open_store(url: str) -> RunStore:
     except (ImportError, ValueError) as error:
         raise RunFolderError(f"{url}: can't be opened: {error}") from error
     return RunStore(url, file_system, root)
-
-
-def _protocols(file_system: AbstractFileSystem) -> tuple[str, ...]:
-    protocol = file_system.protocol
-    return (protocol,) if isinstance(protocol, str) else tuple(protocol)
 
 
 def _tag(info: Mapping[str, Any]) -> str:
