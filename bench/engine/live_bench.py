@@ -83,7 +83,6 @@ class LiveBench:
         self._causes: dict[str, str] = {}  # why the port of a failing instrument could not be reopened
         self._next_reopen_s, self._reopen_pause_s = -math.inf, _FIRST_REOPEN_PAUSE_S
         self._next_try_s: dict[str, float] = {}  # of table and chamber while they do not answer
-        self._reopening: set[str] = set()  # instruments whose ports threads open
         self._next_loss_s = 0.0
         self._next_reading_s = 0.0
         #: Safe actions that failed and have not succeeded since, by what they do.
@@ -142,7 +141,7 @@ class LiveBench:
         if self.instruments.is_ramping and CHAMBER not in self._failing:
             self.query(CHAMBER, self.instruments.advance_ramp)
         self.lateness.add(next_tick_s, now_s, tick_s)
-        if self._failing or self._reopening:
+        if self._failing or self.instruments.reopenings:
             self._reopen()
         if next_tick_s >= self._next_reading_s - 1e-6:
             self.read_instruments()
@@ -204,7 +203,6 @@ class LiveBench:
         """Stop measuring a dropped unit, and close its bus."""
         unit.end_capture()
         self.instruments.end_reopening(unit.name)
-        self._reopening.discard(unit.name)
         unit.ins.close()
         self.units = [each for each in self.units if each is not unit]
         self._failing = [name for name in self._failing if name != unit.name]
@@ -230,14 +228,14 @@ class LiveBench:
     def is_reopening(self, instrument: str) -> bool:
         """Whether threads try to reach an instrument until its port is open; ticks take their results."""
         waits = self.instruments.reopens_in_thread and not self._may_try(instrument)
-        return waits or instrument in self._reopening
+        return waits or instrument in self.instruments.reopenings
 
     def query(self, instrument: str, ask: Callable[[], _T]) -> _T | None:
         """Return an instrument's answer, or None after a failure, which is reported.
 
         None also while a thread opens its port.
         """
-        if instrument in self._reopening:
+        if instrument in self.instruments.reopenings:
             return None
         try:
             answer = ask()
@@ -272,15 +270,12 @@ class LiveBench:
 
     def _reopen(self) -> None:
         """Reopen an instrument that does not answer, as an unplugged adapter requires."""
-        for instrument in sorted(self._reopening):
-            if self.instruments.is_reopening(instrument):
-                self._try_reopen(instrument)
-            else:  # an exchange has taken the result
-                self._reopening.discard(instrument)
-                self._pause_tries(instrument, self.clock.now(), is_open=True)
-            if instrument not in self._reopening:  # it has the time of a pause to answer
+        reopenings = self.instruments.reopenings
+        for instrument in sorted(reopenings):
+            self._try_reopen(instrument)
+            if instrument not in reopenings:  # it has the time of a pause to answer
                 self._next_reopen_s = self.clock.now() + self._reopen_pause_s
-        waiting = [each for each in self._failing if each not in self._reopening]
+        waiting = [each for each in self._failing if each not in reopenings]
         if not waiting:
             return
         begin_s, instrument = self.clock.now(), waiting[0]
@@ -297,14 +292,11 @@ class LiveBench:
     def _try_reopen(self, instrument: str) -> None:
         """Reopen an instrument, or begin to, or take the result; a failure is reported once."""
         begin_s = self.clock.now()
-        self._reopening.discard(instrument)
         is_open = False
         try:
             is_open = self.instruments.try_reopen(instrument)
             if is_open:
                 self._causes.pop(instrument, None)
-            else:
-                self._reopening.add(instrument)
         except ConnectionFailedError as error:
             self._causes[instrument] = capitalised(error.message)
             self.handle_failure(error)

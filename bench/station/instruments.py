@@ -113,7 +113,9 @@ class Outputs:
         self._emulation = emulation or Emulation()
         self._drivers: dict[str, Any] = {}  # opened so far
         self._identities = dict(identities or {})
-        self._reopenings: dict[str, LimitedCall[Any]] = {}  # that have begun, of any instrument
+        #: What :meth:`try_reopen` has begun, by instrument, until it returns True or raises; None where an
+        #: exchange has taken the result.
+        self.reopenings: dict[str, LimitedCall[Any] | None] = {}
         #: Whether :meth:`try_reopen` uses a thread: emulators inside this process share one simulated bench.
         self.reopens_in_thread = not (clock.is_virtual or any(station.file.emulated_instruments()))
 
@@ -177,9 +179,10 @@ class Outputs:
         before: adapters that were reconnected may have exchanged their names.
         """
         limit_s = opening_time_s(self.clock)
-        if instrument not in self._reopenings:
-            self._begin_reopening(instrument, limit_s)
-        self._finish_reopening(instrument, limit_s)
+        begun = self.reopenings.get(instrument)
+        if begun is not None:
+            self.reopenings[instrument] = None
+        self._use(instrument, begun or self._begin_reopening(instrument, limit_s), limit_s)
 
     def try_reopen(self, instrument: str) -> bool:
         """Reopen as :meth:`reopen`, in a thread: returns False until it has ended; call again until then.
@@ -190,21 +193,25 @@ class Outputs:
         if not self.reopens_in_thread:
             self.reopen(instrument)
             return True
-        if instrument not in self._reopenings:
+        if instrument not in self.reopenings:
             # Twice the time of opening, as the instrument must also answer.
-            self._begin_reopening(instrument, 2.0 * opening_time_s(self.clock), must_answer=True)
-        if not self._reopenings[instrument].is_over:
+            limit_s = 2.0 * opening_time_s(self.clock)
+            self.reopenings[instrument] = self._begin_reopening(instrument, limit_s, must_answer=True)
+        begun = self.reopenings[instrument]
+        if begun is not None and not begun.is_over:
             return False
-        self._finish_reopening(instrument)
+        del self.reopenings[instrument]
+        if begun is not None:
+            self._use(instrument, begun)
         return True
 
-    def _begin_reopening(self, instrument: str, limit_s: float, must_answer: bool = False) -> None:
-        opening = self._reopening(instrument, must_answer)
-        self._reopenings[instrument] = LimitedCall(self.clock, limit_s, instrument, *opening)
+    def _begin_reopening(
+        self, instrument: str, limit_s: float, must_answer: bool = False
+    ) -> LimitedCall[Any]:
+        return LimitedCall(self.clock, limit_s, instrument, *self._reopening(instrument, must_answer))
 
-    def _finish_reopening(self, instrument: str, limit_s: float | None = None) -> None:
-        """Use what was opened, awaited for ``limit_s`` from now, by default for the limit of its thread."""
-        opening = self._reopenings.pop(instrument)
+    def _use(self, instrument: str, opening: LimitedCall[Any], limit_s: float | None = None) -> None:
+        """Use what is opened, awaited for ``limit_s`` from now, by default for the limit of its thread."""
         try:
             opened = opening.result(limit_s)
         except ConnectionFailedError:
@@ -213,13 +220,9 @@ class Outputs:
             raise ConnectionFailedError(instrument, f"its port is open, but {error.message}") from error
         self._replace(instrument, opened)
 
-    def is_reopening(self, instrument: str) -> bool:
-        """Whether a thread of :meth:`try_reopen` has begun whose result has not been taken."""
-        return instrument in self._reopenings
-
     def end_reopening(self, instrument: str) -> None:
-        """Wait no longer for such a thread: what it opens is closed."""
-        if opening := self._reopenings.pop(instrument, None):
+        """Wait no longer for a thread of :meth:`try_reopen`: what it opens is closed."""
+        if opening := self.reopenings.pop(instrument, None):
             opening.abandon()
             self._drivers.pop(instrument, None)  # closed by the thread
 
@@ -251,13 +254,13 @@ class Outputs:
 
     def close(self) -> None:
         """Close the ports; table and chamber keep their state."""
-        for instrument in list(self._reopenings):
+        for instrument in list(self.reopenings):
             self.end_reopening(instrument)
         for driver in list(self._drivers.values()):
             driver.close()
 
     def _driver(self, instrument: str) -> Any:
-        if instrument in self._reopenings:
+        if self.reopenings.get(instrument):
             self.reopen(instrument)
         if instrument not in self._drivers:
             self._drivers[instrument] = self._open_in_time(instrument, partial(self._open_driver, instrument))
