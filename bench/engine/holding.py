@@ -177,11 +177,9 @@ class Holding:
 
     def _untripped_for_s(self, trips: Sequence[Trip], held_s: float) -> float:
         """Time since the causes of the hold have cleared, s; zero while anything is tripped or unsafe."""
-        return (
-            0.0
-            if self._bench.failed_safe_actions or self._bench.trips()
-            else min(self._bench.untripped_for_s(trips), held_s)
-        )
+        if self._bench.failed_safe_actions or self._bench.trips():
+            return 0.0
+        return min(self._bench.untripped_for_s(trips), held_s)
 
     def _repeat_safe_actions(self) -> None:
         """Repeat safe actions that failed until they succeed; each success is recorded in the journal."""

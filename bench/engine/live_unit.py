@@ -230,9 +230,8 @@ class LiveUnit:
         error_s = (epochs * ins.epoch_period_s - elapsed_s + wrap_s / 2.0) % wrap_s - wrap_s / 2.0
         tolerance_s = _EPOCH_COUNT_TOLERANCE_S + ins.age_s + previous[2]
         if abs(error_s) <= tolerance_s:
-            self._other_period_s = (
-                self._other_period_s if elapsed_s < _CONFIRMED_RATIO * tolerance_s else math.nan
-            )
+            if elapsed_s >= _CONFIRMED_RATIO * tolerance_s:
+                self._other_period_s = math.nan
             return False
         period_s = elapsed_s / max(epochs, 1)
         if abs(period_s / self._other_period_s - 1.0) < _SAME_PERIOD:

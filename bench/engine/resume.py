@@ -180,11 +180,9 @@ class Resumption:
             remaining = "the results and the report remain" if self.is_measured else "the evaluation remains"
             return "\n".join([*lines, f"All steps are finished; only {remaining} to be done."])
         planned = plan.steps[progress.resume_index(plan)]
-        start = (
-            f"dwell {planned.dwell} ({planned.label}) from its start"
-            if planned.dwell
-            else planned.step.describe()
-        )
+        start = planned.step.describe()
+        if planned.dwell:
+            start = f"dwell {planned.dwell} ({planned.label}) from its start"
         remaining_h = hours_minutes(progress.remaining_plan(plan).duration_s)
         lines.append(
             f"It resumes with step {planned.number} of {len(plan.steps)}, {start}; about {remaining_h} h "

@@ -33,11 +33,9 @@ class RunNotifier(RunObserver):
         self._plan = plan
         self._progress = progress
         self._unit = progress.unit
-        self._remaining_s = (
-            plan.duration_s - plan.steps[progress.resume_index(plan)].start_s
-            if not progress.is_over(plan)
-            else 0.0
-        )
+        self._remaining_s = 0.0
+        if not progress.is_over(plan):
+            self._remaining_s = plan.duration_s - plan.steps[progress.resume_index(plan)].start_s
         self._hold_reason = ""
         self._is_hold_sent = False
         self._question: tuple[str, tuple[str, ...]] = ("", ())

@@ -262,12 +262,11 @@ def write_batch(
     write_whole(folder / "batch.json", text.encode())
     units = {unit.unit for stats in batch for unit in stats.units}
     outlier_names = {unit.unit for _, unit in outliers(batch)}
+    found = counted(len(outlier_names), "outlier") if outlier_names else "no outlier"
     findings = Findings(
         title=f"Batch {name}" if name else "Batch of units",
         source=source,
-        judgement=f"{counted(len(outlier_names), 'outlier')} in {counted(len(units), 'unit')}"
-        if outlier_names
-        else f"no outlier in {counted(len(units), 'unit')}",
+        judgement=f"{found} in {counted(len(units), 'unit')}",
         colour="stopped" if outlier_names else "finished",
         sentence=_batch_sentence(batch),
         facts={"units": ", ".join(sorted(units)), "quantities": str(len(batch))},

@@ -298,10 +298,8 @@ class ManualControl:
 
     def _stop_before_limits(self) -> None:
         for axis, rate_dps in list(self._turning.items()):
-            if (
-                self.limits.room_deg(axis, self._angle_deg(axis), rate_dps)
-                <= abs(rate_dps) * self.bench.station.file.tick_s
-            ):
+            room_deg = self.limits.room_deg(axis, self._angle_deg(axis), rate_dps)
+            if room_deg <= abs(rate_dps) * self.bench.station.file.tick_s:
                 self._display.print(f"{axis} axis is close to its limit and is stopped")
                 self.stop()
 

@@ -272,12 +272,10 @@ def verify_seals(folder: Path, trusted_key: Path | None = None) -> SealCheck:
     without a folder or a seal, and DocumentError if the key can't be read.
     """
     if not (seals := _read_seals(folder, trusted_key)):
-        lack = (
-            f"has no seal. Make one with: gyrobench seal {RunFolder(folder).argument}"
-            if folder.exists()
-            else "no such folder"
-        )
-        raise MissingRunError(f"{folder}: {lack}")
+        if not folder.exists():
+            raise MissingRunError(f"{folder}: no such folder")
+        advice = f"Make one with: gyrobench seal {RunFolder(folder).argument}"
+        raise MissingRunError(f"{folder}: has no seal. {advice}")
     findings = [SealFinding(seal.relative_path, seal.problem) for seal in seals if seal.problem]
     previous = ""
     for number, seal in enumerate(seals, start=1):

@@ -111,12 +111,9 @@ class Station:
     def position_of_unit(self, position: str, azimuth_deg: float) -> tuple[PositionName, float]:
         """Position and azimuth, deg, of its unit for those in a procedure: mountings may differ."""
         reference = self.file.rate_table.reference_mounting
-        C_nb_reference = POSITIONS[position].C_nb()
-        C_nb = (
-            C_nb_reference
-            if reference is None
-            else C_nb_reference @ _mounting_attitude(reference).T @ self.table.C_mount
-        )
+        C_nb = POSITIONS[position].C_nb()
+        if reference is not None:
+            C_nb = C_nb @ _mounting_attitude(reference).T @ self.table.C_mount
         for name, each in POSITIONS.items():
             C_rotation = C_nb @ each.C_nb().T
             if np.isclose(C_rotation[2, 2], 1.0):

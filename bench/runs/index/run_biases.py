@@ -59,12 +59,8 @@ class BiasQuantity:
     @property
     def label(self) -> str:
         """Label: "X gyro at 20 to 40 °C", "X gyro at 20 to 40 °C, Z-Up minus the mean"."""
-        level_label = f"{gyro_label(self.gyro)} at {bin_label(self.bin_low_c, self.bin_high_c)} °C"
-        return (
-            level_label
-            if self.name == LEVEL
-            else f"{level_label}, {position_label(self.name)} minus the mean"
-        )
+        level = f"{gyro_label(self.gyro)} at {bin_label(self.bin_low_c, self.bin_high_c)} °C"
+        return level if self.name == LEVEL else f"{level}, {position_label(self.name)} minus the mean"
 
 
 def read_run_biases(index: RunIndex, paths: Sequence[str]) -> dict[BiasQuantity, list[RunBias]]:
@@ -195,9 +191,7 @@ def trends(biases: Mapping[BiasQuantity, Sequence[RunBias]]) -> list[Trend]:
     levels = [(quantity, runs) for quantity, runs in biases.items() if quantity.name == LEVEL and runs]
     unadjusted = [_fit_trend(quantity, runs) for quantity, runs in levels]
     adjusted = holm([each.p_value for each in unadjusted])
-    return [
-        Trend(**{**vars(each), "p_adjusted": float(p)}) for each, p in zip(unadjusted, adjusted, strict=True)
-    ]
+    return [replace(each, p_adjusted=float(p)) for each, p in zip(unadjusted, adjusted, strict=True)]
 
 
 def months_since_first(runs: Sequence[RunBias]) -> list[float]:
