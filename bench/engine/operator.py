@@ -15,7 +15,7 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from types import FrameType, MappingProxyType
+from types import FrameType
 from typing import Any, Protocol
 
 from gyrobench.bench.foundations.clock import Clock, Deadline
@@ -37,31 +37,27 @@ class RunCommand(StrEnum):
 
 
 #: What each command does, for help texts.
-COMMAND_MEANINGS: Mapping[RunCommand, str] = MappingProxyType(
-    {
-        RunCommand.PAUSE: "discard the dwell in progress and wait; the dwell is repeated on continue",
-        RunCommand.CONTINUE: "continue after a pause or a hold",
-        RunCommand.HOLD: "finish the dwell in progress, then wait at this temperature",
-        RunCommand.SKIP: "discard the dwell in progress and continue with the next one",
-        RunCommand.FINISH: "finish the plateau in progress, then end as with abort",
-        RunCommand.ABORT: "bring the bench to its safe state and end; the run can be resumed",
-    }
-)
+COMMAND_MEANINGS: Mapping[RunCommand, str] = {
+    RunCommand.PAUSE: "discard the dwell in progress and wait; the dwell is repeated on continue",
+    RunCommand.CONTINUE: "continue after a pause or a hold",
+    RunCommand.HOLD: "finish the dwell in progress, then wait at this temperature",
+    RunCommand.SKIP: "discard the dwell in progress and continue with the next one",
+    RunCommand.FINISH: "finish the plateau in progress, then end as with abort",
+    RunCommand.ABORT: "bring the bench to its safe state and end; the run can be resumed",
+}
 
 #: Signals and their commands, the preferred signal first. Ctrl-Z pauses: a stopped process would leave the
 #: bench without control. SIGCONT is none: programs that stop a process, as cpulimit, send it too.
-_COMMAND_SIGNALS: Mapping[signal.Signals, RunCommand] = MappingProxyType(
-    {
-        signal.SIGTERM: RunCommand.ABORT,
-        signal.SIGINT: RunCommand.ABORT,
-        signal.SIGHUP: RunCommand.ABORT,
-        signal.SIGTSTP: RunCommand.PAUSE,
-        signal.SIGRTMAX: RunCommand.CONTINUE,
-        signal.SIGUSR1: RunCommand.HOLD,
-        signal.SIGUSR2: RunCommand.SKIP,
-        signal.SIGRTMIN: RunCommand.FINISH,
-    }
-)
+_COMMAND_SIGNALS: Mapping[signal.Signals, RunCommand] = {
+    signal.SIGTERM: RunCommand.ABORT,
+    signal.SIGINT: RunCommand.ABORT,
+    signal.SIGHUP: RunCommand.ABORT,
+    signal.SIGTSTP: RunCommand.PAUSE,
+    signal.SIGRTMAX: RunCommand.CONTINUE,
+    signal.SIGUSR1: RunCommand.HOLD,
+    signal.SIGUSR2: RunCommand.SKIP,
+    signal.SIGRTMIN: RunCommand.FINISH,
+}
 
 _MAX_SENDER_BYTES = 10_000
 #: A run reads commands at every tick, but an exchange with an instrument that does not answer takes longer.

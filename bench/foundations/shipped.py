@@ -6,9 +6,9 @@ These folders are at the top of the repository, and inside the package ``gyroben
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-from types import MappingProxyType
 
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.text import did_you_mean
@@ -16,29 +16,25 @@ from gyrobench.bench.foundations.text import did_you_mean
 #: World that is emulated if there is no shipped world with the name of the station.
 DEFAULT_WORLD = "gyro_a"
 #: Shipped procedures that are templates of new ones, by purpose.
-TEMPLATES = MappingProxyType(
-    {
-        "check": "ten_minute_check",
-        "six_position": "six_position_fig7",
-        "calibration_check": "calibration_check",
-    }
-)
+TEMPLATES: Mapping[str, str] = {
+    "check": "ten_minute_check",
+    "six_position": "six_position_fig7",
+    "calibration_check": "calibration_check",
+}
 #: New names of renamed shipped files by kind and old name; the old names are accepted too.
-_NEW_NAMES = MappingProxyType({"procedures": {"verification": "calibration_check"}})
+_NEW_NAMES: Mapping[str, Mapping[str, str]] = {"procedures": {"verification": "calibration_check"}}
 
 
 _RUN_FOLDER = "is a run folder. Give it to report, close, verify or resume"
 #: Advice for a file of another kind than expected, by the key that identifies its kind.
-USES = MappingProxyType(
-    {
-        "procedure": "Run it with: gyrobench run {0} --station STATION, or check it with its bench: "
-        "gyrobench check STATION --procedure {0}",
-        "station": "Give it with --station, as in: gyrobench run PROCEDURE --station {0}",
-        "world": "Give it with: --world {0}",
-        "faults": "Give it with: --faults {0}",
-        "rotation_list": "Show what it determines with: gyrobench plan {0} --observability",
-    }
-)
+USES: Mapping[str, str] = {
+    "procedure": "Run it with: gyrobench run {0} --station STATION, or check it with its bench: "
+    "gyrobench check STATION --procedure {0}",
+    "station": "Give it with --station, as in: gyrobench run PROCEDURE --station {0}",
+    "world": "Give it with: --world {0}",
+    "faults": "Give it with: --faults {0}",
+    "rotation_list": "Show what it determines with: gyrobench plan {0} --observability",
+}
 
 
 @cache

@@ -14,7 +14,6 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, PlainValidator, ValidationError
@@ -54,15 +53,13 @@ from gyrobench.bench.procedure.steps import (
 Value = float | int | str
 
 #: Every kind of step by its name in procedure files.
-STEP_KINDS: Mapping[str, type[Step]] = MappingProxyType(
-    {
-        kind.name: kind
-        for kind in (
-            PowerOn, PowerOff, SetChamber, ChamberOff, Soak, GoTo, Align, Navigate, Turn, Rotate, Spin, Wait,
-            AskOperator,
-        )
-    }
-)  # fmt: skip
+STEP_KINDS: Mapping[str, type[Step]] = {
+    kind.name: kind
+    for kind in (
+        PowerOn, PowerOff, SetChamber, ChamberOff, Soak, GoTo, Align, Navigate, Turn, Rotate, Spin, Wait,
+        AskOperator,
+    )
+}  # fmt: skip
 
 #: Pattern of a reference to a loop variable.
 VARIABLE_PATTERN = r"\$([a-z][a-z0-9_]*)"

@@ -274,15 +274,13 @@ def _dof(table: CsvTable, index: int, name: str) -> float:
 
 def budget_records(rows: Iterable[BudgetRow]) -> list[dict[str, Any]]:
     """One object for each result, with its sums and its contributions; unknown values are omitted."""
-    result_of = attrgetter("result", "quantity", "axis", "dwell", "plateau", "position", "bin_low_c", "unit")
-    records = []
+    identity = (
+        "result", "quantity", "axis", "dwell", "plateau", "position", "bin_low_c", "bin_high_c", "unit",
+    )  # fmt: skip
+    result_of, records = attrgetter(*identity), []
     for _, group in groupby(rows, key=lambda row: str(result_of(row))):
         members = list(group)
         first = members[0]
-        identity = (
-            *("result", "quantity", "axis", "dwell", "plateau", "position", "bin_low_c", "bin_high_c"),
-            "unit",
-        )
         record = _without_unknown({name: getattr(first, name) for name in identity})
         details = [name for name in _COLUMNS if name not in (*identity, "contribution")]
         contributions = {
