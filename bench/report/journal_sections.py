@@ -147,11 +147,14 @@ def run_events(journal: Sequence[Entry]) -> list[RunEvent]:
     If there are more than :data:`MAX_ROWS`, events that differ only in numbers are grouped, then all events
     of one kind after another, least important kinds first.
     """
-    events = _group_events(_collect_events(journal), lambda each: (each.kind, each.description, each.outcome))
+    collector = _EventCollector()
+    for entry in journal:
+        collector.add_entry(entry)
+    events = _group_events(collector.events, lambda each: (each.kind, each.description, each.outcome))
     if len(events) > MAX_ROWS:
         events = _group_events(
             events,
-            lambda each: (each.kind, _without_numbers(each.description), _without_numbers(each.outcome)),
+            lambda each: (each.kind, _NUMBERS.sub("…", each.description), _NUMBERS.sub("…", each.outcome)),
         )
     for kind in reversed(_KINDS_BY_IMPORTANCE):
         if len(events) > MAX_ROWS:
@@ -210,140 +213,100 @@ def _unsettled_soaks(journal: Iterable[Entry]) -> list[str]:
     return [f"{sentence}{worst}."] if soaks else []
 
 
-def _collect_events(journal: Iterable[Entry]) -> list[RunEvent]:
-    collector = _EventCollector()
-    for entry in journal:
-        if handle := collector.handlers.get(str(entry.get("event"))):
-            handle(entry)
-    return collector.events
-
-
 class _EventCollector:
     """Events in order; later entries set the outcome of earlier events."""
 
     def __init__(self) -> None:
         self.events: list[RunEvent] = []
-        self._without_outcome: dict[tuple[str, str], list[int]] = {}
+        self._without_outcome: dict[str, list[int]] = {}
         self._drop_reason: object = ""
-        self.handlers: Mapping[str, Callable[[Entry], object]] = {
-            "tripped": self._tripped,
-            "made_safe": self._made_safe,
-            "held": self._held,
-            "continued": self._continued,
-            "retry": self._retry,
-            "answers_again": lambda entry: self._set_outcome(
-                "retry", entry.get("instrument"), "answers again"
-            ),
-            "dwell_given_up": self._given_up,
-            "repeat_commanded": self._repeat_commanded,
-            "dwell_finished": self._finished,
-            "dwell_skipped": lambda entry: self._add(entry, "dwell skipped", f"dwell {entry.get('dwell')}"),
-            "ordered": lambda entry: self._add(
-                entry, "command", str(entry.get("order")), f"by {_command_source(entry)}"
-            ),
-            "run_started": self._started,
-            "run_resumed": self._resumed,
-            "compensation_decided": lambda entry: self._add(
-                entry,
-                "command",
-                f"compensation {entry.get('which')}: {entry.get('answer')}",
-                _by_operator(entry),
-            ),
-            "unit_dropped": self._unit_dropped,
-            "run_ended": self._ended,
-            "soak_not_settled": lambda entry: self._add(
-                entry, "soak not settled", str(entry.get("text")), "continued"
-            ),
-            "note": lambda entry: self._add(entry, "note", str(entry.get("text"))),
-            "journal_repaired": lambda entry: self._add(
-                entry, "note", "The last line of the journal was incomplete and has been removed."
-            ),
-        }
 
-    def _add(self, entry: Entry, kind: str, description: str, outcome: str = "") -> int:
-        time_s = _valid_seconds(entry.get("time_s")) or 0.0
-        self.events.append(RunEvent(time_s, time_s, kind, description, outcome))
-        return len(self.events) - 1
+    def add_entry(self, entry: Entry) -> None:
+        """Add what an entry states: an event, or the outcome of earlier ones."""
+        self._add_events_of_dwells(entry)
+        by_operator = _by_operator(entry)
+        match entry.get("event"):
+            case "tripped":
+                self._add(entry, "interlock", entry.get("why"), topic="safe")
+            case "made_safe":
+                actions = entry.get("actions")
+                failed = [
+                    str(each.get("what"))
+                    for each in (actions if isinstance(actions, list) else ())
+                    if isinstance(each, Mapping) and each.get("problem")
+                ]
+                self._set_outcome(
+                    "safe", f"safe state NOT reached: {listed(failed)}" if failed else "made safe"
+                )
+            case "held":
+                self._add(entry, "held", entry.get("why"), f"waits for {entry.get('waits_for')}", "hold")
+            case "continued":
+                held_s = _valid_seconds(entry.get("held_s"))
+                after = f" after {duration_text(held_s)}" if held_s is not None else ""
+                self._set_outcome("hold", f"continued by {_command_source(entry)}{after}")
+            case "retry":
+                instrument, error = entry.get("instrument"), str(entry.get("error"))
+                description = error if error.startswith(f"{instrument}") else f"{instrument}: {error}"
+                self._add(entry, "exchange repeated", description, topic=f"retry {instrument}")
+            case "answers_again":
+                self._set_outcome(f"retry {entry.get('instrument')}", "answers again")
+            case "ordered":
+                self._add(entry, "command", entry.get("order"), f"by {_command_source(entry)}")
+            case "compensation_decided":
+                decision = f"compensation {entry.get('which')}: {entry.get('answer')}"
+                self._add(entry, "command", decision, by_operator)
+            case "run_started" if by_operator:
+                self._add(entry, "command", "start", by_operator)
+            case "run_resumed":
+                self._set_outcome("hold", "the run ended during the hold")
+                description = f"The run was interrupted and resumed {by_operator}".strip()
+                self._add(entry, "resumed", f"{description}.", f"from step {entry.get('next_step')}")
+            case "unit_dropped":
+                self._drop_reason = entry.get("why")  # also the reason at the end of the unit's journal
+                self._add(entry, "unit dropped", f"{entry.get('unit')}: {self._drop_reason}")
+            case "run_ended" if entry.get("ended") != "finished" and entry.get("reason") != self._drop_reason:
+                ending = run_ending(str(entry.get("ended")), str(entry.get("reason")))
+                self._add(entry, "ended", f"The run {ending}")
+            case "soak_not_settled":
+                self._add(entry, "soak not settled", entry.get("text"), "continued")
+            case "note":
+                self._add(entry, "note", entry.get("text"))
+            case "journal_repaired":
+                text = "The last line of the journal was incomplete and has been removed."
+                self._add(entry, "note", text)
 
-    def _expect_outcome(self, topic: str, key: object, index: int) -> None:
-        self._without_outcome.setdefault((topic, str(key)), []).append(index)
-
-    def _set_outcome(self, topic: str, key: object, outcome: str) -> None:
-        for index in self._without_outcome.pop((topic, str(key)), []):
-            self.events[index] = replace(self.events[index], outcome=outcome)
-
-    def _tripped(self, entry: Entry) -> None:
-        self._expect_outcome("safe", None, self._add(entry, "interlock", str(entry.get("why"))))
-
-    def _made_safe(self, entry: Entry) -> None:
-        actions_entry = entry.get("actions")
-        actions = (
-            [each for each in actions_entry if isinstance(each, Mapping)]
-            if isinstance(actions_entry, list)
-            else []
-        )
-        failed = [str(action.get("what")) for action in actions if action.get("problem")]
-        self._set_outcome(
-            "safe", None, f"safe state NOT reached: {listed(failed)}" if failed else "made safe"
-        )
-
-    def _held(self, entry: Entry) -> None:
-        index = self._add(entry, "held", str(entry.get("why")), f"waits for {entry.get('waits_for')}")
-        self._expect_outcome("hold", None, index)
-
-    def _continued(self, entry: Entry) -> None:
-        held_s = _valid_seconds(entry.get("held_s"))
-        after = f" after {duration_text(held_s)}" if held_s is not None else ""
-        self._set_outcome("hold", None, f"continued by {_command_source(entry)}{after}")
-
-    def _retry(self, entry: Entry) -> None:
-        instrument = entry.get("instrument")
-        error = str(entry.get("error"))
-        description = error if error.startswith(f"{instrument}") else f"{instrument}: {error}"
-        self._expect_outcome("retry", instrument, self._add(entry, "exchange repeated", description))
-
-    def _given_up(self, entry: Entry) -> None:
+    def _add_events_of_dwells(self, entry: Entry) -> None:
+        """Add repeated, skipped and flagged dwells."""
         dwell = entry.get("dwell")
-        index = self._add(entry, "dwell repeated", f"dwell {dwell}: {entry.get('why')}", "not measured again")
-        self._expect_outcome("dwell", dwell, index)
+        match entry:
+            case {"event": "dwell_given_up"}:
+                description = f"dwell {dwell}: {entry.get('why')}"
+                self._add(entry, "dwell repeated", description, "not measured again", f"dwell {dwell}")
+            case {"event": "repeat_commanded", "dwells": list(dwells), "why": list(reasons)}:
+                for each, reason in zip(dwells, reasons, strict=False):
+                    named = f"dwell {each} ({reason})" if reason else f"dwell {each}"
+                    description = f"{named}, commanded {_by_operator(entry)}".strip()
+                    self._add(entry, "dwell repeated", description, "not measured again", f"dwell {each}")
+            case {"event": "dwell_skipped"}:
+                self._add(entry, "dwell skipped", f"dwell {dwell}")
+            case {"event": "dwell_finished"}:
+                marks, flags = entry.get("marks"), entry.get("flags")
+                measured = f"dwell {marks.get('dwell') if isinstance(marks, Mapping) else None}"
+                replaced = "; replaces the earlier measurement" if entry.get("replaces_earlier") else ""
+                self._set_outcome(measured, f"measured again, {'flagged' if flags else 'good'}{replaced}")
+                if flags:
+                    self._add(entry, "dwell flagged", f"{measured}: {flags}", "excluded from the bins")
 
-    def _repeat_commanded(self, entry: Entry) -> None:
-        dwells, reasons = entry.get("dwells"), entry.get("why")
-        if not (isinstance(dwells, list) and isinstance(reasons, list)):
-            return
-        for dwell, reason in zip(dwells, reasons, strict=False):
-            named = f"dwell {dwell} ({reason})" if reason else f"dwell {dwell}"
-            description = f"{named}, commanded {_by_operator(entry)}".strip()
-            index = self._add(entry, "dwell repeated", description, "not measured again")
-            self._expect_outcome("dwell", dwell, index)
+    def _add(self, entry: Entry, kind: str, description: object, outcome: str = "", topic: str = "") -> None:
+        """Add an event; a later entry about its ``topic`` replaces the outcome."""
+        if topic:
+            self._without_outcome.setdefault(topic, []).append(len(self.events))
+        time_s = _valid_seconds(entry.get("time_s")) or 0.0
+        self.events.append(RunEvent(time_s, time_s, kind, str(description), outcome))
 
-    def _finished(self, entry: Entry) -> None:
-        marks, flags = entry.get("marks"), entry.get("flags")
-        dwell = marks.get("dwell") if isinstance(marks, Mapping) else None
-        result = "measured again, flagged" if flags else "measured again, good"
-        replaced = "; replaces the earlier measurement" if entry.get("replaces_earlier") else ""
-        self._set_outcome("dwell", dwell, result + replaced)
-        if flags:
-            self._add(entry, "dwell flagged", f"dwell {dwell}: {flags}", "excluded from the bins")
-
-    def _started(self, entry: Entry) -> None:
-        if entry.get("operator"):
-            self._add(entry, "command", "start", _by_operator(entry))
-
-    def _resumed(self, entry: Entry) -> None:
-        next_step = entry.get("next_step")
-        self._set_outcome("hold", None, "the run ended during the hold")
-        by = f" by {entry['operator']}" if entry.get("operator") else ""
-        self._add(entry, "resumed", f"The run was interrupted and resumed{by}.", f"from step {next_step}")
-
-    def _unit_dropped(self, entry: Entry) -> None:
-        self._drop_reason = entry.get("why")  # also the reason at the end of the unit's journal
-        self._add(entry, "unit dropped", f"{entry.get('unit')}: {self._drop_reason}")
-
-    def _ended(self, entry: Entry) -> None:
-        if entry.get("ended") != "finished" and entry.get("reason") != self._drop_reason:
-            ending = run_ending(str(entry.get("ended")), str(entry.get("reason")))
-            self._add(entry, "ended", f"The run {ending}")
+    def _set_outcome(self, topic: str, outcome: str) -> None:
+        for index in self._without_outcome.pop(topic, []):
+            self.events[index] = replace(self.events[index], outcome=outcome)
 
 
 def _by_operator(entry: Entry) -> str:
@@ -372,8 +335,3 @@ def _group_events(events: Iterable[RunEvent], key: Callable[[RunEvent], object])
 
 def _kind_key(kind: str, event: RunEvent) -> object:
     return kind if event.kind == kind else event
-
-
-def _without_numbers(text: str) -> str:
-    """Text without its numbers."""
-    return _NUMBERS.sub("…", text)
