@@ -31,7 +31,7 @@ from gyrobench.bench.report.bias_sections import (
     gyro_section,
     verdict_box,
 )
-from gyrobench.bench.report.budget_section import budget_box, budget_figures, budget_section
+from gyrobench.bench.report.budget_section import budget_box, budget_figures, budget_section, variance_shares
 from gyrobench.bench.report.calibration_check_section import (
     calibration_check_section,
     calibration_check_sentence,
@@ -56,7 +56,6 @@ from gyrobench.bench.report.figures.bias import (
     position_difference_figure,
     position_pair_figure,
 )
-from gyrobench.bench.report.figures.budget import variance_shares
 from gyrobench.bench.report.figures.temperatures import DRAWN_COLUMNS, TelemetryValues, temperature_figure
 from gyrobench.bench.report.journal_sections import Entry, durations_section, events_section
 from gyrobench.bench.report.page import Box, Section, SectionFigure, render_page, with_figure_files

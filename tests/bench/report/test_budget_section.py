@@ -6,8 +6,7 @@ import pytest
 from gyrobench.bench.bias.budget import BiasBudget, Budget, Contribution
 from gyrobench.bench.bias.error_sources import SOURCES
 from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN
-from gyrobench.bench.report.budget_section import budget_box, budget_section
-from gyrobench.bench.report.figures.budget import budget_figure, variance_shares
+from gyrobench.bench.report.budget_section import budget_box, budget_figure, budget_section, variance_shares
 from gyrobench.bench.report.run_report import write_report
 from gyrobench.bench.runs.tables.budget_table import (
     BudgetSummary,

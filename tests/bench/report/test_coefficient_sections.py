@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.characteristics.results import Curve
-from gyrobench.bench.report.coefficient_sections import coefficients_overview
-from gyrobench.bench.report.figures.characteristics import characteristics_figure
-from gyrobench.bench.report.figures.coefficients import coefficients_figure
+from gyrobench.bench.report.characteristic_sections import characteristics_figure
+from gyrobench.bench.report.coefficient_sections import coefficients_figure, coefficients_overview
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow
 
 
