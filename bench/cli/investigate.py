@@ -158,7 +158,7 @@ class _Consent:
     as_json: bool
 
     def __call__(self, proposal: Proposal, rivals: Sequence[Rival]) -> bool:
-        from gyrobench.bench.report.investigation_text import proposal_sentences
+        from gyrobench.bench.report.investigation_page import proposal_sentences
 
         for sentence in proposal_sentences(proposal, rivals):
             self.terminal.print(sentence)
@@ -268,8 +268,7 @@ def _report(
     as_json: bool,
 ) -> None:
     from gyrobench.bench.report.closure_page import write_search
-    from gyrobench.bench.report.investigation_page import write_investigation_page
-    from gyrobench.bench.report.investigation_text import closing_sentences
+    from gyrobench.bench.report.investigation_page import closing_sentences, write_investigation_page
     from gyrobench.bench.report.verification_page import write_verification_page
     from gyrobench.bench.report.verification_text import outcome_sentence
     from gyrobench.bench.verification.compensation_verification import table_records, write_verification_table

@@ -3,8 +3,8 @@
 ``run_content`` reads a run folder. ``run_report`` composes its report from the sections of the modules
 ``*_section`` and ``*_sections``. ``run_text`` has the sentences about results, ``run_findings`` those about
 doubtful results. ``units_report`` is the report of several units. ``closure_page``, ``verification_page`` and
-``investigation_page`` write pages, with the sentences of the corresponding ``*_text``. ``page`` renders
-sections as HTML and PDF, ``figures`` draws, ``terminal`` prints, and ``number_format`` formats numbers.
+``investigation_page`` write pages, the first two with the sentences of ``*_text``. ``page`` renders sections
+as HTML and PDF, ``figures`` draws, ``terminal`` prints, and ``number_format`` formats numbers.
 
 The modules import matplotlib, Jinja2, rich or pyarrow: import them where they are used, not at the start of
 a program.

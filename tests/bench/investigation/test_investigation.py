@@ -20,7 +20,7 @@ from gyrobench.bench.investigation.open_hypotheses import (
     search_campaign,
 )
 from gyrobench.bench.investigation.proposal import outcome_of
-from gyrobench.bench.report import investigation_text
+from gyrobench.bench.report import investigation_page
 from gyrobench.bench.runs.journal import read_journal
 from tests.bench.investigation import simulated_bench
 from tests.bench.investigation.search_once import search_once
@@ -68,7 +68,7 @@ def test_a_tie_is_settled_in_favour_of_what_is_there_in_a_quarter_of_a_campaign(
     assert found.closure.posterior.hypotheses[0].names == {"warm_up"}
     at_end = next(each for each in found.stages if each.closure.probability >= 0.99)
     assert at_end.spent_h <= 0.25 * found.repeated_campaign_h
-    first, *_ = investigation_text.closing_sentences(found)
+    first, *_ = investigation_page.closing_sentences(found)
     share = f"{100.0 * found.spent_h / found.repeated_campaign_h:.0f} % of a repeat of the first table"
     assert f"On the bench: first table {found.repeated_campaign_h:.1f} h, " in first
     assert first.endswith(f"{len(found.stages) - 1} blocks {found.spent_h:.1f} h ({share}).")
@@ -98,12 +98,12 @@ def test_predictions_stand_in_the_journal_before_the_block_is_measured(settled):
 
 def test_a_block_is_said_to_agree_only_where_it_does_and_with_the_cause_that_is_stated(settled):
     found, _ = settled
-    assert "agrees with the effect found" in investigation_text.test_sentence(found)
+    assert "agrees with the effect found" in investigation_page.test_sentence(found)
 
     def sentence(closure=found.closure, **changes):
         tested = replace(found.test, outcome=replace(found.test.outcome, **changes))
         last = replace(found.stages[-1], closure=closure)
-        return investigation_text.test_sentence(replace(found, stages=(*found.stages[:-2], tested, last)))
+        return investigation_page.test_sentence(replace(found, stages=(*found.stages[:-2], tested, last)))
 
     assert "leaves open the effect found" in sentence(probabilities=(0.7, 0.3))
     assert "contradicts the effect found" in sentence(probabilities=(0.001, 0.999))
@@ -114,14 +114,14 @@ def test_a_block_is_said_to_agree_only_where_it_does_and_with_the_cause_that_is_
 
 def test_a_block_far_from_its_forecast_is_named_at_the_end(settled):
     found, _ = settled
-    assert investigation_text.forecast_sentence(found) == ""
+    assert investigation_page.forecast_sentence(found) == ""
     stage = found.stages[0]
     cold = [replace(row, gyro_c=(-60.0, -60.0, -60.0)) for row in stage.proposal.rows]
     forecast = Forecast(found.rows[: -sum(len(each.proposal.rows) for each in found.stages[:-1])])
     outcome = outcome_of(forecast, stage.proposal, cold, stage.rivals)
     assert outcome.off_forecast_k > 10.0
     idle = replace(found, stages=(replace(stage, outcome=outcome), *found.stages[1:]))
-    assert "of block 1 differ by up to" in investigation_text.forecast_sentence(idle)
+    assert "of block 1 differ by up to" in investigation_page.forecast_sentence(idle)
 
 
 @pytest.mark.long
@@ -165,7 +165,7 @@ def test_nothing_is_measured_for_a_unit_without_an_effect(tmp_path):
     assert found.closure.posterior.no_effect_probability < 0.99
     assert "above 0.5 but below 0.99" in found.reason
     assert found.closure.verdict == "clean"
-    first, *_ = investigation_text.closing_sentences(found)
+    first, *_ = investigation_page.closing_sentences(found)
     assert first.endswith(f"On the bench: first table {found.repeated_campaign_h:.1f} h.")
 
 
@@ -257,7 +257,7 @@ def test_a_law_composed_for_what_is_on_no_list_is_tested_by_a_new_cycle(tmp_path
     assert found.test.outcome.probabilities[0] == pytest.approx(probability, abs=1e-6)
     assert (
         f"{verdict} the composed law (the bias follows the electronics"
-        in investigation_text.test_sentence(found)
+        in investigation_page.test_sentence(found)
     )
     events = [entry["event"] for entry in read_journal(tmp_path / law / "journal.jsonl")]
     assert events.index("proposed") < events.index("measured")
