@@ -13,6 +13,7 @@ from gyrobench.bench.calibration.mission import HOURS
 from gyrobench.bench.closure.loadable_model import LoadableModel
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.foundations.text import counted, hours_minutes, listed, plain_name, plural
+from gyrobench.bench.report import verification_text as text
 from gyrobench.bench.report.closure_text import searched_name, verdict_sentence
 from gyrobench.bench.report.figures.verification import (
     coefficient_residuals_figure,
@@ -21,24 +22,6 @@ from gyrobench.bench.report.figures.verification import (
     residual_bars_figure,
 )
 from gyrobench.bench.report.page import Box, Findings, Section, SectionFigure, SectionTable, write_findings
-from gyrobench.bench.report.verification_text import (
-    CONFIRMED,
-    IMPROVED,
-    INCONCLUSIVE,
-    LABELS,
-    NOT_CONFIRMED,
-    change_sentences,
-    compensation_rows,
-    definition_sentences,
-    model_sentences,
-    outcome,
-    outcome_sentence,
-    plateau_rows,
-    size_heads,
-    size_units,
-    total_rows,
-    with_compensation,
-)
 from gyrobench.bench.verification.compensation_verification import IN_WORDS, VerificationResult
 
 _RESIDUALS_CAPTION = (
@@ -86,7 +69,7 @@ def _mission_sentence(result: VerificationResult) -> str:
     """Position error after each time, with each compensation."""
     times = listed([f"{hours:g}" for hours in HOURS])
     errors = [
-        f"{', '.join(map(_nmi_text, each.worst.error.stated_nmi))} nmi {with_compensation(each)}"
+        f"{', '.join(map(_nmi_text, each.worst.error.stated_nmi))} nmi {text.with_compensation(each)}"
         for each in result.coefficients
     ]
     limits = ", ".join(map(_nmi_text, result.coefficients[-1].worst.error.high_nmi))
@@ -103,7 +86,7 @@ def _nmi_text(distance_nmi: float) -> str:
 
 def _coefficient_table(result: VerificationResult) -> SectionTable:
     results = result.coefficients
-    header = ["coefficient", "unit", *(LABELS[each.compensation] for each in results), "noise"]
+    header = ["coefficient", "unit", *(text.LABELS[each.compensation] for each in results), "noise"]
     rows = []
     for index, coefficient in enumerate(COEFFICIENTS):
         sizes = [*(each.rms[index] for each in results), results[-1].noise[index]]
@@ -115,7 +98,7 @@ def _coefficient_table(result: VerificationResult) -> SectionTable:
 def _mission_table(result: VerificationResult) -> SectionTable:
     rows = [
         [
-            LABELS[each.compensation],
+            text.LABELS[each.compensation],
             f"{each.worst.gyro_c:z.0f}",
             *(
                 f"{_nmi_text(error_nmi)} (< {_nmi_text(limit_nmi)})"
@@ -155,17 +138,17 @@ def _coefficient_sections(result: VerificationResult) -> list[Section]:
 
 def verification_sections(result: VerificationResult) -> list[Section]:
     """Sections: compensations, residual, a day of a rotational INS, coefficients, definitions."""
-    units, heads = size_units(result), size_heads(result)
+    units, heads = text.size_units(result), text.size_heads(result)
     caption = _TOTAL_CAPTION if result.is_complete or len(result.results) < 2 else _TOTAL_COMMON_CAPTION
-    totals_table = SectionTable(caption.format(units), ["compensation", *heads], total_rows(result))
+    totals_table = SectionTable(caption.format(units), ["compensation", *heads], text.total_rows(result))
     plateaus_table = SectionTable(
         _PLATEAUS_CAPTION.format(units),
         ["°C", "cycle", "fit", "compensation", *heads],
-        plateau_rows(result),
+        text.plateau_rows(result),
         words=4,
     )
     compensation_table = SectionTable(
-        _COMPENSATION_CAPTION, ["number", "x", "y", "z"], compensation_rows(result.models)
+        _COMPENSATION_CAPTION, ["number", "x", "y", "z"], text.compensation_rows(result.models)
     )
     figures = [SectionFigure("residuals", _RESIDUALS_CAPTION, partial(residual_bars_figure, result))]
     day_section_figure = SectionFigure("day", _DAY_CAPTION, partial(day_figure, result))
@@ -173,29 +156,29 @@ def verification_sections(result: VerificationResult) -> list[Section]:
     return [
         Section(
             "Compensations",
-            model_sentences(result.closure, result.models, result.searches),
+            text.model_sentences(result.closure, result.models, result.searches),
             tables=[compensation_table],
         ),
-        Section("Residual", change_sentences(result), figures, [totals_table, plateaus_table]),
+        Section("Residual", text.change_sentences(result), figures, [totals_table, plateaus_table]),
         *([Section("A day of a rotational INS", figures=[day_section_figure])] if has_day else []),
         *_coefficient_sections(result),
-        Section("Definitions", definition_sentences(result)),
+        Section("Definitions", text.definition_sentences(result)),
     ]
 
 
-#: Colours of the template's box, by judgement.
-_COLOURS = {CONFIRMED: "finished", IMPROVED: "stopped", NOT_CONFIRMED: "failed", INCONCLUSIVE: "stopped"}
+#: Colours of the template's box by judgement, otherwise "stopped".
+_COLOURS = {text.CONFIRMED: "finished", text.NOT_CONFIRMED: "failed"}
 
 
 def verification_findings(result: VerificationResult) -> Findings:
     """Judgement, facts and all sections; at least one compensation must have been measured."""
-    judgement = outcome(result)
+    judgement = text.outcome(result)
     return Findings(
         title="Verification of a compensation",
         source=result.source,
         judgement=judgement,
-        colour=_COLOURS[judgement],
-        sentence=outcome_sentence(result),
+        colour=_COLOURS.get(judgement, "stopped"),
+        sentence=text.outcome_sentence(result),
         facts=_facts(result),
         sections=verification_sections(result),
     )
@@ -212,7 +195,7 @@ def write_verification_page(folder: Path, result: VerificationResult, dwells: Pa
 
 def _facts(result: VerificationResult) -> dict[str, str]:
     closure = result.closure
-    measured = [with_compensation(each) for each in result.results]
+    measured = [text.with_compensation(each) for each in result.results]
     others = {f"search, {searched_name(each)}": _verdict_text(each) for each in result.searches}
     return {
         f"search, {searched_name(closure)}" if others else "search": _verdict_text(closure),
@@ -237,7 +220,7 @@ def verification_plan(
 
     ``searches``: searches in other coefficients.
     """
-    sentences = model_sentences(closure, models, searches)
+    sentences = text.model_sentences(closure, models, searches)
     if missing:
         total = f", {hours_minutes(len(missing) * run_s)} h in total" if missing[1:] else ""
         verb, names = plural(len(missing), "remains", "remain"), [IN_WORDS[name] for name in missing]
