@@ -190,36 +190,20 @@ def _comparison_table(
 ) -> SectionTable:
     paper_by_bin = {each.bin_low_c: each for each in by_paper}
     significant, paper_significant = significant_differences(comparisons), significant_differences(by_paper)
-    rows: list[list[str]] = []
-    marks: list[Mark] = []
+    rows = []
     for each in comparisons:
-        paper_comparison = paper_by_bin.get(each.bin_low_c)
-        texts = [
-            _comparison_cells(comparison, scale)
-            for comparison in (each, paper_comparison)
-            if comparison is not None
-        ]
-        pair, p_value, difference = ("\n".join(lines) for lines in zip(*texts, strict=True))
-        methods = _methods_with_difference(
-            each in significant, None if paper_comparison is None else paper_comparison in paper_significant
-        )
-        rows.append(
-            [
-                bin_label(each.bin_low_c, each.bin_high_c),
-                pair,
-                methods,
-                p_value,
-                difference,
-                f"{each.temperature_spread_c:.1f}",
-            ]
-        )
-        marks.append("bad" if each in significant else "")
+        paper = paper_by_bin.get(each.bin_low_c)
+        cells_of_methods = [_comparison_cells(one, scale) for one in (each, paper) if one is not None]
+        pair, p_value, size = ("\n".join(lines) for lines in zip(*cells_of_methods, strict=True))
+        by_method = each in significant, None if paper is None else paper in paper_significant
+        cells = [pair, _methods_with_difference(*by_method), p_value, size]
+        rows.append([bin_label(each.bin_low_c, each.bin_high_c), *cells, f"{each.temperature_spread_c:.1f}"])
     return SectionTable(
         _COMPARISON_CAPTION.format(_PAPER_P if by_paper else ""),
         ["bin / °C", "largest difference", "significant", "p", f"size / ({scale.unit})", "spread / K"],
         rows,
         words=3,
-        marks=marks,
+        marks=["bad" if each in significant else "" for each in comparisons],
     )
 
 
@@ -255,7 +239,7 @@ def dwells_section(rows: Sequence[DwellRow], empty: str) -> Section:
         if row.flags:
             lines.append(["", f"flagged: {flag_text(row.flags)}"])
             marks.append("doubtful")
-    header = ["position", "dwell", "cycle", "start", "chamber set", *(f"{gyro_label(gyro)}" for gyro in AXES)]
+    header = ["position", "dwell", "cycle", "start", "chamber set", *map(gyro_label, AXES)]
     header += [*(f"{gyro.upper()} bias" for gyro in AXES), "fit p"]
     paper = " In grey by the paper's method." if has_paper else ""
     return Section(
@@ -466,26 +450,19 @@ def _before_after_table(before: Sequence[BiasBin], after: Sequence[BiasBin]) -> 
         [each.largest_difference_dph for each in comparisons_of_both],
         [each.largest_difference_sigma_dph for each in comparisons_of_both],
     )
-    rows = [
-        [
-            gyro_label(gyro),
-            run,
-            *_largest_difference_cells([each for each in comparisons if each.gyro == gyro], scale),
-        ]
-        for gyro in AXES
-        for run, comparisons in compared.items()
-    ]
+    rows = []
+    for gyro in AXES:
+        for run, comparisons in compared.items():
+            of_gyro = [each for each in comparisons if each.gyro == gyro]
+            if largest := max(of_gyro, key=lambda each: each.largest_difference_dph, default=None):
+                pair, _, size = _comparison_cells(largest, scale)
+                cells = [bin_label(largest.bin_low_c, largest.bin_high_c), pair, size]
+            else:
+                cells = ["", "nothing to compare", ""]
+            rows.append([gyro_label(gyro), run, *cells])
     return SectionTable(
         f"Largest difference between positions over all bins, in {scale.unit}",
         ["gyro", "run", "bin / °C", "positions", "difference ± 1 σ"],
         rows,
         words=4,
     )
-
-
-def _largest_difference_cells(comparisons: Sequence[PositionComparison], scale: BiasScale) -> list[str]:
-    if not comparisons:
-        return ["", "nothing to compare", ""]
-    largest = max(comparisons, key=lambda each: each.largest_difference_dph)
-    pair, _, size = _comparison_cells(largest, scale)
-    return [bin_label(largest.bin_low_c, largest.bin_high_c), pair, size]

@@ -146,7 +146,7 @@ def joint_section(sigmas: _JointSigmasByGroup, plateaus: Sequence[JointPlateauRo
     misfits = _misfit_sentences(plateaus)
     if not (sigmas and plateaus and (any(row.plateau for row in shared) or misfits)):
         return None
-    reductions = _reductions(sigmas)
+    reductions = [_reduction_text(sigmas, is_vertical=is_vertical) for is_vertical in (False, True)]
     return Section(
         "Joint solution of each plateau",
         [
@@ -161,17 +161,12 @@ def joint_section(sigmas: _JointSigmasByGroup, plateaus: Sequence[JointPlateauRo
     )
 
 
-def _reductions(sigmas: _JointSigmasByGroup) -> tuple[str, str]:
-    """Median reduction of the uncertainties of level and of vertical gyros; empty where there is none."""
-    gains_by_orientation = [
-        [group.gains for (_, up), group in sigmas.items() if up is is_vertical]
-        for is_vertical in (False, True)
-    ]
-    level, vertical = (
-        _reduction_text(float(np.median([gain for each in group for gain in each])))
-        for group in gains_by_orientation
-    )
-    return level, vertical
+def _reduction_text(sigmas: _JointSigmasByGroup, *, is_vertical: bool) -> str:
+    """Median reduction of the uncertainties of level or of vertical gyros; empty if it rounds to zero."""
+    groups = (group for (_, is_group_vertical), group in sigmas.items() if is_group_vertical is is_vertical)
+    gain = float(np.median([gain for group in groups for gain in group.gains]))
+    text = f"{100.0 * (1.0 - 1.0 / gain):.1f}"
+    return f"{text} %" if float(text) > 0.0 else ""
 
 
 def _gain_sentence(level: str, vertical: str) -> str:
@@ -181,12 +176,6 @@ def _gain_sentence(level: str, vertical: str) -> str:
         f"This reduces the standard uncertainty of level gyros by {level or '0 %'} and of vertical gyros by "
         f"{vertical or '0 %'} (medians)."
     )
-
-
-def _reduction_text(gain: float) -> str:
-    """Reduction in percent; empty if it rounds to zero."""
-    text = f"{100.0 * (1.0 - 1.0 / gain):.1f}"
-    return f"{text} %" if float(text) > 0.0 else ""
 
 
 def _finding_sentence(plateaus: Sequence[JointPlateauRow]) -> str:
@@ -206,19 +195,14 @@ def _finding_sentence(plateaus: Sequence[JointPlateauRow]) -> str:
 
 def _misfit_sentences(plateaus: Sequence[JointPlateauRow]) -> list[str]:
     corrected = corrected_p_values(plateaus)
+    subjects = {True: "dwells disagree on shared parameters", False: "dwell and declared latitude disagree"}
     return [
-        f"At plateau {row.plateau} {_subject(row)}{corrected_p(fit_p, len(corrected))}: "
+        f"At plateau {row.plateau} {subjects[row.dwells > 1]}{corrected_p(fit_p, len(corrected))}: "
         + (_LATITUDE_CONCLUSION if any_north_p >= CONTRADICTION_P else _INVALID_CONCLUSION)
         for row, fit_p, any_north_p in corrected
         # The goodness-of-fit test of a single dwell finds its other contradictions.
         if fit_p < CONTRADICTION_P and (row.dwells > 1 or any_north_p >= CONTRADICTION_P)
     ]
-
-
-def _subject(row: JointPlateauRow) -> str:
-    return (
-        "dwells disagree on shared parameters" if row.dwells > 1 else "dwell and declared latitude disagree"
-    )
 
 
 def _gain_table(sigmas: _JointSigmasByGroup) -> SectionTable:

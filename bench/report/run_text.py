@@ -203,7 +203,9 @@ def _verdict_sentence(acceptance: Acceptance) -> str:
     with_confidence = f"with {100.0 * acceptance.limits.confidence:g} % confidence"
     match acceptance.verdict:
         case "accepted":
-            return f"All gyros are within {limit} at {_plateau_counts(acceptance)}, {with_confidence}."
+            bins = {(each.bin_low_c, each.bin_high_c) for each in acceptance.judgements}
+            plateaus = f"{counted(acceptance.plateaus, 'plateau')} in {counted(len(bins), 'temperature bin')}"
+            return f"All gyros are within {limit} at {plateaus}, {with_confidence}."
         case "rejected":
             return f"{_gyros_with_verdict(acceptance, 'fail')} beyond {limit}, {with_confidence}."
         case "marginal":
@@ -258,11 +260,6 @@ def _not_measured_sentence(acceptance: Acceptance) -> str:
         plateau_names.append(counted(unnamed, "other plateau"))
     verb = plural(len(dwells), "was", "were")
     return _NOT_COMPARED.format(f"{counted(len(dwells), 'planned dwell')} {verb}", listed(plateau_names))
-
-
-def _plateau_counts(acceptance: Acceptance) -> str:
-    bins = {(each.bin_low_c, each.bin_high_c) for each in acceptance.judgements}
-    return f"{counted(acceptance.plateaus, 'plateau')} in {counted(len(bins), 'temperature bin')}"
 
 
 def _gyros_with_verdict(acceptance: Acceptance, verdict: str) -> str:

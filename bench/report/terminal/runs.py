@@ -43,22 +43,16 @@ def runs_table(runs: Sequence[Mapping[str, Any]], max_runs: int) -> RenderableTy
 
 def groups_table(by: str, groups: Sequence[Mapping[str, Any]]) -> RenderableType:
     """Table of groups of runs: numbers, verdicts of searches and acceptance, biases."""
-    biases = [row[f"bias_{gyro}_dph"] for row in groups for gyro in "xyz"]
-    spreads = [row[f"spread_{gyro}_dph"] for row in groups for gyro in "xyz"]
-    scale = BiasScale.of(_without_none(biases), _without_none(spreads))
-    table = plain_table((by, "runs", "units", "c/e/o", "a/m/r", "bias x", "bias y", "bias z"), text_columns=1)
+    values = [[row[f"{name}_{gyro}_dph"] for row in groups for gyro in "xyz"] for name in ("bias", "spread")]
+    scale = BiasScale.of(*([each for each in column if each is not None] for column in values))
+    rows = []
     for row in groups:
         search_counts = "/".join(str(row[name]) for name in ("clean", "explained", "other"))
         acceptance_counts = "/".join(str(row[name]) for name in ("accepted", "marginal", "rejected"))
-        means = [_with_spread(scale, row, gyro) for gyro in "xyz"]
-        table.add_row(
-            Text(str(row["name"] or "unknown")),
-            str(row["runs"]),
-            str(row["units"]),
-            search_counts,
-            acceptance_counts,
-            *means,
-        )
+        counts = str(row["runs"]), str(row["units"]), search_counts, acceptance_counts
+        biases = [_with_spread(scale, row, gyro) for gyro in "xyz"]
+        rows.append((str(row["name"] or "unknown"), *counts, *biases))
+    table = plain_table((by, "runs", "units", "c/e/o", "a/m/r", "bias x", "bias y", "bias z"), 1, rows)
     note = (
         f"Biases: mean ± standard deviation of the runs, {scale.unit}. c/e/o: runs clean, explained, other "
         "by the search for effects; a/m/r: accepted, marginal, rejected."
@@ -76,13 +70,11 @@ def trend_summary(
     """
     scale = BiasScale.of([each.bias_dph for each in trends], [each.sigma_dph for each in trends])
     columns = ("gyro", "bin °C", "runs", "bias", "scatter", "per month", "p", "p corr.")
-    table = plain_table((*columns, *(["until"] if due_dates else [])), text_columns=2)
-    due_cells = [[_due_text(each)] for each in due_dates] or [[] for _ in trends]
-    for each, due_cell in zip(trends, due_cells, strict=True):
-        quantity = each.quantity
-        table.add_row(
-            quantity.gyro,
-            bin_label(quantity.bin_low_c, quantity.bin_high_c, ".."),
+    due_cells = [[_due_text(each)] for each in due_dates] or [[]] * len(trends)
+    rows = [
+        [
+            each.quantity.gyro,
+            bin_label(each.quantity.bin_low_c, each.quantity.bin_high_c, ".."),
             str(len(each.runs)),
             scale.with_sigma(each.bias_dph, each.sigma_dph, "±"),
             scale.text(each.between_runs_dph) if len(each.runs) > 1 else "",
@@ -90,7 +82,10 @@ def trend_summary(
             p_text(each.p_value),
             p_text(each.p_adjusted),
             *due_cell,
-        )
+        ]
+        for each, due_cell in zip(trends, due_cells, strict=True)
+    ]
+    table = plain_table((*columns, *(["until"] if due_dates else [])), 2, rows)
     note = (
         f"In {scale.unit}. Scatter: standard deviation between runs beyond their uncertainties, included in "
         "the uncertainty of the slope. p corr.: p-value corrected for all comparisons of the table."
@@ -177,7 +172,3 @@ def _with_spread(scale: BiasScale, row: Mapping[str, Any], gyro: str) -> str:
     if mean is None:
         return ""
     return scale.text(mean) if spread is None else scale.with_sigma(mean, spread, "±")
-
-
-def _without_none(values: Sequence[float | None]) -> list[float]:
-    return [value for value in values if value is not None]
