@@ -70,22 +70,15 @@ def axes_drawing(attitude: Attitude) -> AxesDrawing:
     )
 
 
-#: Directions to the right, upwards and ahead as seen from the viewpoint, as columns.
-_VIEW_AXES = np.array(
-    [
-        [-math.sin(_EYE_AZIMUTH), math.cos(_EYE_AZIMUTH), 0.0],
-        [
-            -math.sin(_EYE_HEIGHT) * math.cos(_EYE_AZIMUTH),
-            -math.sin(_EYE_HEIGHT) * math.sin(_EYE_AZIMUTH),
-            math.cos(_EYE_HEIGHT),
-        ],
-        [
-            -math.cos(_EYE_HEIGHT) * math.cos(_EYE_AZIMUTH),
-            -math.cos(_EYE_HEIGHT) * math.sin(_EYE_AZIMUTH),
-            -math.sin(_EYE_HEIGHT),
-        ],
-    ]
-).T
+def view_axes(azimuth: float, height: float) -> FloatArray:
+    """Directions to the right, upwards and ahead as columns (3, 3), from a viewpoint at these angles, rad."""
+    right = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
+    level = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
+    ahead = -math.cos(height) * level - [0.0, 0.0, math.sin(height)]
+    return np.column_stack([right, np.cross(right, ahead), ahead])
+
+
+_VIEW_AXES = view_axes(_EYE_AZIMUTH, _EYE_HEIGHT)
 
 
 def _towards_eye(axis: FloatArray) -> float:

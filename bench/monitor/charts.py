@@ -15,15 +15,7 @@ import numpy as np
 
 from gyrobench.bench.foundations.arrays import S_PER_H
 from gyrobench.bench.foundations.text import hours_minutes
-from gyrobench.bench.monitor.snapshot import (
-    CurrentDwell,
-    LiveBias,
-    LiveBin,
-    MeasuredProfile,
-    PlannedProfile,
-    RunSnapshot,
-    WindowTrace,
-)
+from gyrobench.bench.monitor.snapshot import CurrentDwell, LiveBias, LiveBin, RunSnapshot
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.number_format import BiasScale, true_minus
 
@@ -184,20 +176,30 @@ class BiasChart:
 
 def window_charts(dwell: CurrentDwell) -> list[tuple[Chart, Chart]]:
     """Draw velocity and heading of each window of a dwell, on common scales."""
-    velocities = [
-        _MM_PER_M * value
+    windows = [
+        (
+            window.time_s,
+            [_MM_PER_M * value for value in window.velocity_east_mps],
+            [_MM_PER_M * value for value in window.velocity_north_mps],
+            [_ARCSEC_PER_DEG * value for value in window.heading_change_deg],
+        )
         for window in dwell.windows
-        for value in (*window.velocity_east_mps, *window.velocity_north_mps)
     ]
-    headings = [_ARCSEC_PER_DEG * value for window in dwell.windows for value in window.heading_change_deg]
+    velocities = [value for _, east, north, _ in windows for value in (*east, *north)]
     velocity_y = value_axis("Velocity, mm/s", velocities, _MIN_SPAN_MMPS)
+    headings = [value for *_, heading in windows for value in heading]
     heading_y = value_axis("Heading change, arcsec", headings, _MIN_SPAN_ARCSEC)
     max_s = max((max((window.planned_s, *window.time_s)) for window in dwell.windows), default=0.0)
     x = time_axis("Time in the window, min", max_s, _S_PER_MIN)
-    return [
-        (_velocity_chart(number, window, x, velocity_y), _heading_chart(number, window, x, heading_y))
-        for number, window in enumerate(dwell.windows, start=1)
-    ]
+    charts = []
+    for number, (time_s, east, north, heading) in enumerate(windows, start=1):
+        east_curve = CurvePath("east", line_path(x, velocity_y, time_s, east), "East")
+        north_curve = CurvePath("north", line_path(x, velocity_y, time_s, north), "North")
+        heading_path = line_path(x, heading_y, time_s, heading)
+        heading_curve = CurvePath("heading", heading_path, "positive from North to West")
+        velocity_chart = Chart(f"Velocity in window {number}", x, velocity_y, (east_curve, north_curve))
+        charts.append((velocity_chart, Chart(f"Heading in window {number}", x, heading_y, (heading_curve,))))
+    return charts
 
 
 def bias_charts(dwell: CurrentDwell) -> list[BiasChart]:
@@ -245,22 +247,6 @@ def _path_with_bars(x: Axis, y: Axis, points: Sequence[tuple[float, float, float
         for each_x, value, sigma in points
     ]
     return line_path(x, y, *list(zip(*points, strict=True))[:2]) + "".join(marks)
-
-
-def _velocity_chart(number: int, window: WindowTrace, x: Axis, y: Axis) -> Chart:
-    east = [_MM_PER_M * value for value in window.velocity_east_mps]
-    north = [_MM_PER_M * value for value in window.velocity_north_mps]
-    curves = (
-        CurvePath("east", line_path(x, y, window.time_s, east), "East"),
-        CurvePath("north", line_path(x, y, window.time_s, north), "North"),
-    )
-    return Chart(f"Velocity in window {number}", x, y, curves)
-
-
-def _heading_chart(number: int, window: WindowTrace, x: Axis, y: Axis) -> Chart:
-    heading = [_ARCSEC_PER_DEG * value for value in window.heading_change_deg]
-    curves = (CurvePath("heading", line_path(x, y, window.time_s, heading), "positive from North to West"),)
-    return Chart(f"Heading in window {number}", x, y, curves)
 
 
 def _bias_chart(index: int, gyro: str, estimates: tuple[LiveBias, ...], scale: BiasScale) -> BiasChart:
@@ -326,7 +312,9 @@ def profile_chart(snapshot: RunSnapshot) -> ProfileChart | None:
     ends_s = [snapshot.now_s, snapshot.plan_now_s, *measured.time_s[-1:], *planned_ends_s]
     unit_s, unit = (S_PER_H, "h") if max(ends_s) > _MAX_MINUTE_AXIS_S else (_S_PER_MIN, "min")
     x = time_axis(f"Time since the start, {unit}", max(ends_s), unit_s)
-    y = value_axis("Temperature, °C", _temperatures(planned, measured), _MIN_SPAN_C)
+    series = [getattr(planned, name) for name, _, _ in _PLANNED_CURVES]
+    series += [getattr(measured, name) for name, _, _ in _MEASURED_CURVES]
+    y = value_axis("Temperature, °C", [value for values in series for value in values], _MIN_SPAN_C)
     curves = [
         CurvePath(css_class, _planned_path(x, y, planned.time_s, getattr(planned, name), snapshot), label)
         for name, css_class, label in _PLANNED_CURVES
@@ -337,12 +325,6 @@ def profile_chart(snapshot: RunSnapshot) -> ProfileChart | None:
     ]
     chart = Chart("Temperatures, planned and measured", x, y, tuple(curves), x.percent(snapshot.now_s))
     return ProfileChart(chart, _lanes(x, snapshot))
-
-
-def _temperatures(planned: PlannedProfile, measured: MeasuredProfile) -> list[float]:
-    series = [getattr(planned, name) for name, _, _ in _PLANNED_CURVES]
-    series += [getattr(measured, name) for name, _, _ in _MEASURED_CURVES]
-    return [value for values in series for value in values]
 
 
 def _planned_path(

@@ -213,16 +213,8 @@ class BinTable:
     rows: tuple[tuple[str, tuple[Cell, ...]], ...]
 
 
-@dataclass(frozen=True)
-class DwellTableRow:
-    """A row of the table of dwells, with a cell for each gyro; flagged dwells are in no bin."""
-
-    number: int
-    cycle: int
-    position: str
-    temperature: str
-    cells: tuple[Cell, ...]
-    flags: str
+#: A dwell, the mean temperature of its gyros, and a cell for each gyro.
+DwellTableRow = tuple[SnapshotDwell, str, list[Cell]]
 
 
 def bin_tables(bins: Iterable[LiveBin]) -> list[BinTable]:
@@ -298,14 +290,8 @@ def _cell(bias_dph: float, sigma_dph: float, scale: BiasScale, count: int = 1) -
 def _dwell_table_row(dwell: SnapshotDwell, scale: BiasScale) -> DwellTableRow:
     pairs = zip(dwell.bias_dph, dwell.sigma_dph, strict=True)
     gyro_c = mean_known(dwell.gyro_c)
-    return DwellTableRow(
-        number=dwell.number,
-        cycle=dwell.cycle,
-        position=position_label(dwell.position),
-        temperature="" if math.isnan(gyro_c) else true_minus(f"{gyro_c:z.1f}"),
-        cells=tuple(_cell(bias, sigma, scale) for bias, sigma in pairs),
-        flags=dwell.flags,
-    )
+    temperature = "" if math.isnan(gyro_c) else true_minus(f"{gyro_c:z.1f}")
+    return dwell, temperature, [_cell(bias, sigma, scale) for bias, sigma in pairs]
 
 
 def _triple_text(values_c: Iterable[float]) -> str:

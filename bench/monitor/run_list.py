@@ -186,16 +186,11 @@ def _last_readings(telemetry: Mapping[str, FloatArray], now_s: float) -> BenchRe
         inner_deg=last["inner_deg"],
         outer_rate_dps=last["outer_rate_dps"],
         inner_rate_dps=last["inner_rate_dps"],
-        ins_mode=_mode(last["ins_mode"]),
+        ins_mode=next((mode.name.lower() for mode in InsMode if mode == last["ins_mode"]), "unknown"),
         table_age_s=age_s,
         chamber_age_s=age_s,
         ins_age_s=age_s,
     )
-
-
-def _mode(code: float) -> str:
-    name_by_code = {float(mode): mode.name.lower() for mode in InsMode}
-    return name_by_code.get(code, "unknown")
 
 
 def _attitude(

@@ -111,12 +111,6 @@ def _set_point_c(bench: LiveBench) -> float:
     return math.nan if set_c is None else set_c
 
 
-def _attitude_of(bench: LiveBench, position: str, azimuth_deg: float) -> Attitude:
-    """Attitude of the unit from the table's angles, and its commanded position."""
-    C_nb = bench.station.table.attitude(*bench.table_angles())
-    return Attitude.of(C_nb, position, azimuth_deg % 360.0)
-
-
 def _alarms_of(bench: LiveBench) -> tuple[Alarm, ...]:
     """Alarms of tripped interlocks, and of instruments that do not reply."""
     tripped = (Alarm(trip.name, trip.text) for trip in bench.present_trips())
@@ -261,7 +255,9 @@ class SnapshotRecorder(RunObserver):
         if folder is None or bench is None:
             return None
         is_read = self._last_reading_s > -math.inf
-        self._update_estimate(bench)
+        compute, self._estimate = self._estimate, None
+        if compute and self._dwell and (estimate := compute()):
+            self._dwell.add_estimate(bench.clock.now(), estimate)
         if self._has_new_dwell:
             self._update_dwells()
         return RunSnapshot(
@@ -284,7 +280,7 @@ class SnapshotRecorder(RunObserver):
             planned=self._planned,
             measured=MeasuredProfile(*zip(*self._readings.rows(), strict=True)),
             bench=_bench_readings(bench) if is_read else None,
-            attitude=_attitude_of(bench, self._position, self._azimuth_deg) if is_read else None,
+            attitude=self._attitude(bench) if is_read else None,
             step=self._step,
             dwell=self._dwell.current() if self._dwell else None,
             dwells=self._dwells,
@@ -297,11 +293,9 @@ class SnapshotRecorder(RunObserver):
             ),
         )
 
-    def _update_estimate(self, bench: LiveBench) -> None:
-        compute, self._estimate = self._estimate, None
-        estimate = compute() if compute and self._dwell else None
-        if estimate and self._dwell:
-            self._dwell.add_estimate(bench.clock.now(), estimate)
+    def _attitude(self, bench: LiveBench) -> Attitude:
+        C_nb = bench.station.table.attitude(*bench.table_angles())
+        return Attitude.of(C_nb, self._position, self._azimuth_deg % 360.0)
 
     def begun(self, folder: RunFolder, bench: LiveBench, outcome: RunOutcome) -> None:
         """Begin with the dwells, readings and messages from before a resumption."""

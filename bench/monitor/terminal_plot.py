@@ -7,9 +7,11 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 from rich.text import Text
 
-from gyrobench.bench.monitor.snapshot import Attitude, NumberTriple
+from gyrobench.bench.monitor.attitude_drawing import view_axes
+from gyrobench.bench.monitor.snapshot import Attitude
 from gyrobench.bench.navigation.positions import AXES
 
 #: Bit of each dot of a braille character, by row from the top and column.
@@ -192,8 +194,8 @@ def _number(value: float) -> str:
 
 
 _STYLES = ("red", "green", "cyan")
-#: Viewpoint of the drawing: turned to the east, and raised, by these angles.
-_VIEW_AZIMUTH_RAD, _VIEW_ELEVATION_RAD = math.radians(25.0), math.radians(25.0)
+#: The viewpoint is south-east of the unit and above it.
+_VIEW_AXES = view_axes(math.radians(-65.0), math.radians(25.0))
 #: A character is twice as high as it is wide.
 _ASPECT = 2.0
 
@@ -203,22 +205,11 @@ def attitude_lines(attitude: Attitude, width: int, height: int, is_ascii: bool) 
     canvas = Canvas(width, height, is_ascii)
     axis_length = min(0.5, 0.5 * height * _ASPECT / width) * 0.9
     centre: Point = (0.5, 0.5)
-    columns = zip(*attitude.body_in_enu, strict=True)
-    in_view = [
-        (*_in_view(cosines), axis, style) for cosines, axis, style in zip(columns, AXES, _STYLES, strict=True)
-    ]
+    in_view = (np.array(attitude.body_in_enu).T @ _VIEW_AXES).tolist()
+    axes = zip(in_view, AXES, _STYLES, strict=True)
     # Axes that point away from the viewpoint are drawn first.
-    for right, up, _, axis, style in sorted(in_view, key=lambda each: -each[2]):
+    for (right, up, _), axis, style in sorted(axes, key=lambda each: -each[0][2]):
         end = (centre[0] + axis_length * right, centre[1] + axis_length * up * width / (height * _ASPECT))
         canvas.line([centre, end], style)
         canvas.letter(end, axis, f"bold {style}")
     return canvas.rows()
-
-
-def _in_view(cosines: NumberTriple) -> tuple[float, float, float]:
-    """Components of a unit vector (East, North, Up) to the right, upwards and away from the viewpoint."""
-    east, north, up = cosines
-    right = east * math.cos(_VIEW_AZIMUTH_RAD) + north * math.sin(_VIEW_AZIMUTH_RAD)
-    ahead = north * math.cos(_VIEW_AZIMUTH_RAD) - east * math.sin(_VIEW_AZIMUTH_RAD)
-    cos_elevation, sin_elevation = math.cos(_VIEW_ELEVATION_RAD), math.sin(_VIEW_ELEVATION_RAD)
-    return right, up * cos_elevation + ahead * sin_elevation, ahead * cos_elevation - up * sin_elevation

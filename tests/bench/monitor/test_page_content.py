@@ -141,12 +141,12 @@ def test_no_bins_where_no_dwell_counts():
 
 def test_dwells_come_with_the_newest_first():
     _, rows = dwell_table(measured_dwells(13))
-    assert [row.number for row in rows] == list(range(13, 0, -1))
-    newest, flagged = rows[0], rows[13 - 5]
-    assert (newest.position, newest.temperature) == ("Z-Up", "3.1")
-    assert [cell.bias for cell in newest.cells] == ["3.0", "0.0", "1.5"]
+    assert [dwell.number for dwell, _, _ in rows] == list(range(13, 0, -1))
+    (newest, temperature, cells), (flagged, _, flagged_cells) = rows[0], rows[13 - 5]
+    assert (newest.position, temperature) == ("z_up", "3.1")
+    assert [cell.bias for cell in cells] == ["3.0", "0.0", "1.5"]
     assert flagged.flags == "the INS left navigation in the turn"
-    assert [cell.count for cell in flagged.cells] == [0, 0, 0]
+    assert [cell.count for cell in flagged_cells] == [0, 0, 0]
 
 
 def test_readings_are_shown_with_their_age():
