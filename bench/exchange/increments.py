@@ -16,6 +16,7 @@ from gyrobench.bench.exchange.signal_logs import NoFramesError
 from gyrobench.bench.foundations.arrays import (
     DEG_PER_SQRT_H_TO_SI,
     RAD_TO_ARCMIN,
+    S_PER_H,
     UG_PER_SQRT_HZ_TO_SI,
     BoolArray,
     FloatArray,
@@ -26,11 +27,8 @@ from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.drivers.ins.units import UNITS, Dimension
 
-#: SI units of angle and velocity, and of their rates, by the names in maps.
-_ANGLES = {"rad": 1.0, "deg": np.pi / 180.0, "arcsec": np.pi / 648000.0}
-_VELOCITIES = {unit: gain for unit, (gain, _) in UNITS[Dimension.ACCELERATION].items()}
-_VELOCITIES |= {"m/s": 1.0, "mm/s": 1e-3}
-_PREFIXES = {"m": 1e-3, "u": 1e-6}
+#: Specific force and its increments in SI units.
+_FORCE_UNITS = UNITS[Dimension.ACCELERATION] | UNITS[Dimension.SPEED]
 _VELOCITY_INCREMENTS = ("m/s", "mm/s")
 #: Samples over which the usual interval is measured, samples on each side over which a jump of the time is
 #: measured, and smallest deviation of a gap's step from the usual interval, relative.
@@ -66,7 +64,7 @@ def read_increments(path: Path, log_map: LogMap) -> LogIncrements:
     section = log_map.calibrated
     angle_unit, angles_are_increments = _angle_unit(log_map.gyro.unit)
     quantities = log_map.gyro.by_quantity(RATES, angle_unit)
-    quantities |= section.accelerometers.by_quantity(FORCES, _VELOCITIES[section.accelerometers.unit])
+    quantities |= section.accelerometers.by_quantity(FORCES, _FORCE_UNITS[section.accelerometers.unit][0])
     velocities_are_increments = section.accelerometers.unit in _VELOCITY_INCREMENTS
     reader = SampleReader(path, log_map, quantities, angles_are_increments or velocities_are_increments)
     samples = reader.whole()
@@ -158,9 +156,8 @@ def _no_part_reason(time_s: FloatArray, parts: Sequence[IntArray]) -> str:
 
 def _angle_unit(unit: str) -> tuple[float, bool]:
     """Size of a unit of rate or angle in rad/s or rad, and whether it is a unit of increments."""
-    base, _, per = unit.partition("/")
-    size = _ANGLES[base] if base in _ANGLES else _PREFIXES[base[0]] * _ANGLES[base[1:]]
-    return size / (3600.0 if per == "h" else 1.0), not per
+    angle, _, per = unit.partition("/")
+    return UNITS[Dimension.ANGLE][angle][0] / (S_PER_H if per == "h" else 1.0), not per
 
 
 def _complete_parts(time_s: FloatArray, values: FloatArray) -> list[IntArray]:
@@ -220,7 +217,7 @@ def calibration_settings(log_map: LogMap, interval_error: float = 0.0) -> tuple[
             noise.angle_random_walk_deg_per_sqrt_h * DEG_PER_SQRT_H_TO_SI,
             noise.velocity_random_walk_ug_per_sqrt_hz * UG_PER_SQRT_HZ_TO_SI,
         )
-    whole_turns = None if turns is None else turns * _ANGLES["arcsec"]
+    whole_turns = None if turns is None else turns * UNITS[Dimension.ANGLE]["arcsec"][0]
     time_error = float(np.hypot(1e-6 * section.clock_sigma_ppm, interval_error))
     _, angles_are_increments = _angle_unit(log_map.gyro.unit)
     velocities_are_increments = section.accelerometers.unit in _VELOCITY_INCREMENTS

@@ -7,7 +7,7 @@ import io
 import itertools
 import re
 import zlib
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, cast
@@ -101,7 +101,8 @@ class TextLog:
         if len(short_rows) > 1 or (short_rows and short_rows[0] > len(self.columns)):
             raise self._cell_errors(indices, numbers, "lines with another number of cells")
         self.truncated = bool(short_rows)
-        if self.truncated and not self._last_line_is_short():
+        last_samples = deque((cells for _, cells in self._numbered_samples()), 1) if self.truncated else ()
+        if any(len(cells) >= len(self.columns) for cells in last_samples):  # the short line is another one
             raise self._cell_errors(indices, numbers, "a line with another number of cells")
 
     def _reader(
@@ -164,12 +165,6 @@ class TextLog:
                 if seen_header:
                     yield number, self._split(line)
                 seen_header = True
-
-    def _last_line_is_short(self) -> bool:
-        cells: list[str] = []
-        for _, cells in self._numbered_samples():  # noqa: B007
-            pass
-        return len(cells) < len(self.columns)
 
     def _cell_errors(
         self, indices: dict[Column, int], numbers: Sequence[Column], reason: str

@@ -161,11 +161,12 @@ def _export_telemetry(folder: RunFolder, start: datetime, name: str, destination
     destination.table(name, _SCHEMA, iter([table]), source=folder.telemetry.name)
 
 
+_TABLE_FILE, _TERMS_FILE, _COMPENSATION_FILE = "compensation_table", "compensation_terms", "compensation.yaml"
+#: Names of the tables of a kind, if they are not that of the kind.
 _TABLE_NAMES = {
-    DataKind.DWELLS: ("dwells",),
     DataKind.BINS: ("bias_bins",),
     DataKind.JOINT: ("joint", "joint_biases"),
-    DataKind.VERIFICATION: ("verification",),
+    DataKind.COMPENSATION: (_TABLE_FILE, _TERMS_FILE),
 }
 _TABLE_MISSING = "{} is missing, as in an interrupted run; create it with `gyrobench bins {}`"
 
@@ -219,24 +220,26 @@ def _missing_reason(folder: RunFolder, kind: DataKind) -> str:
                 )
             is_closed = holds_search(folder.closure)
             return "" if is_closed else f"no search for effects yet; run `gyrobench close {folder.argument}`"
-    names = [f"{table}.csv" for table in _TABLE_NAMES[kind]]
+    names = [f"{table}.csv" for table in _TABLE_NAMES.get(kind, (str(kind),))]
     missing = [name for name in names if not (folder.path / name).exists()]
     return _TABLE_MISSING.format(missing[0], folder.argument) if missing else ""
 
 
 def _files(kind: DataKind, selection: ExportSelection) -> list[str]:
-    suffixes = selection.suffixes(kind)
-    if kind is DataKind.COMPENSATION:
-        return compensation_files(suffixes)
     names = _TABLE_NAMES.get(kind, (str(kind),))
     if kind is DataKind.NAVIGATION and selection.dwell is not None:
         names = (f"{kind}_dwell_{selection.dwell}",)
-    return [name + suffix for name in names for suffix in suffixes]
+    files = [name + suffix for name in names for suffix in selection.suffixes(kind)]
+    return [*files, _COMPENSATION_FILE] if kind is DataKind.COMPENSATION else files
 
 
 def _write(folder: RunFolder, kind: DataKind, selection: ExportSelection, destination: ExportFolder) -> None:
     if kind is DataKind.COMPENSATION:
-        _write_compensation(folder, selection.suffixes(kind), destination)
+        try:
+            closure = close_loop(read_campaign(folder.path), read_held_out_cycles(folder.closure))
+        except MeasurementError as error:
+            raise RunFolderError(f"{folder.path}: {error}") from error
+        export_compensation(closure, selection.suffixes(kind), destination)
         return
     for name in _files(kind, selection):
         match kind:
@@ -264,15 +267,6 @@ def _write_can(folder: RunFolder, name: str, destination: ExportFolder) -> None:
             write_mf4(path, log, dbc, destination.origin)
 
 
-def _write_compensation(folder: RunFolder, suffixes: list[str], destination: ExportFolder) -> None:
-    try:
-        closure = close_loop(read_campaign(folder.path), read_held_out_cycles(folder.closure))
-    except MeasurementError as error:
-        raise RunFolderError(f"{folder.path}: {error}") from error
-    export_compensation(closure, suffixes, destination)
-
-
-_TABLE_FILE, _TERMS_FILE, _COMPENSATION_FILE = "compensation_table", "compensation_terms", "compensation.yaml"
 #: Temperature step of the table, and decimals of its biases, far below the stability of any gyro.
 _STEP_C, _DECIMALS = 1.0, 8
 _MEANINGS = {
@@ -286,14 +280,6 @@ _MEANINGS = {
     "warm_up_dph": "times exp(-t / warm_up_s), t since power-on",
     "hysteresis_dph_per_k": "times the play of T of half_width_k, less T",
 }
-
-
-def compensation_files(suffixes: Sequence[str]) -> list[str]:
-    """Names of all files of a compensation; ``suffixes``: those of the tables."""
-    return [
-        *(name + suffix for name in (_TABLE_FILE, _TERMS_FILE) for suffix in suffixes),
-        _COMPENSATION_FILE,
-    ]
 
 
 def export_compensation(closure: Closure, suffixes: Sequence[str], destination: ExportFolder) -> None:

@@ -15,7 +15,6 @@ from gyrobench.bench.exchange.run_export import (
     DataKind,
     ExportSelection,
     Format,
-    compensation_files,
     export_compensation,
     export_run,
 )
@@ -189,7 +188,10 @@ def exported(request, tmp_path_factory):
 def test_files_are_those_that_were_announced(exported):
     _, out = exported
     names = {path.name for path in out.iterdir()}
-    assert names == {*compensation_files([".csv", ".parquet"]), "export.json"}
+    tables = {
+        f"compensation_{name}{suffix}" for name in ("table", "terms") for suffix in (".csv", ".parquet")
+    }
+    assert names == {*tables, "compensation.yaml", "export.json"}
 
 
 def test_the_table_is_the_model_over_the_temperatures_that_were_fitted(exported):
