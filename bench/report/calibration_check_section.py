@@ -38,20 +38,27 @@ def calibration_check_section(rows: Sequence[CalibrationCheckRow]) -> Section | 
     """Table of measured and calibrated biases; None without any."""
     if not rows:
         return None
-    flags = _flag_rows(rows)
+    flags = [
+        (
+            f"dwell {row.dwell}, {position_label(row.position)} at {row.azimuth_deg:g} deg, "
+            f"{gyro_label(row.gyro)} by {row.method}",
+            flag_text(row.flags),
+        )
+        for row in rows
+        if row.flags
+    ]
     caption = (
         f"Biases ± standard uncertainty in {_scale(rows).unit}. Difference: measured minus "
         "calibrated in combined standard uncertainties; * significant"
     )
     tables = [SectionTable(caption, _HEADER, table_rows(rows), words=3)]
     tables += [SectionTable("Flagged", ["dwell", "flag"], flags, words=2)] if flags else []
-    has_calibrated = any(not math.isnan(row.calibrated_dph) for row in rows)
-    paragraphs = [
-        calibration_check_sentence(rows),
-        _METHODS,
-        _CALIBRATED if has_calibrated else "",
-        _accelerometer_sentence(rows),
-    ]
+    paragraphs = [calibration_check_sentence(rows), _METHODS]
+    if any(not math.isnan(row.calibrated_dph) for row in rows):
+        paragraphs.append(_CALIBRATED)
+    sigmas_ug = [row.accelerometer_sigma_ug for row in rows if not row.flags]
+    if large := [sigma for sigma in sigmas_ug if sigma > _LARGE_ACCELEROMETER_UG]:
+        paragraphs.append(_UNKNOWN_ACCELEROMETERS.format(len(large), len(sigmas_ug), max(large)))
     return Section("Calibration check", paragraphs, tables=tables)
 
 
@@ -68,13 +75,6 @@ def calibration_check_sentence(rows: Sequence[CalibrationCheckRow]) -> str:
     return (_agreement_sentence(compared) if compared else _NOT_COMPARED) + (
         f" Not compared: {reasons}." if reasons else ""
     )
-
-
-def _accelerometer_sentence(rows: Sequence[CalibrationCheckRow]) -> str:
-    """Effect of unknown accelerometer biases; empty if all are known."""
-    sigmas_ug = [row.accelerometer_sigma_ug for row in rows if not row.flags]
-    large = [sigma for sigma in sigmas_ug if sigma > _LARGE_ACCELEROMETER_UG]
-    return _UNKNOWN_ACCELEROMETERS.format(len(large), len(sigmas_ug), max(large)) if large else ""
 
 
 def _scale(rows: Sequence[CalibrationCheckRow]) -> BiasScale:
@@ -116,19 +116,6 @@ def dwells_text(rows: Sequence[CalibrationCheckRow]) -> str:
     """Number of dwells: "12 dwells for the calibration check"."""
     dwells = {row.dwell for row in rows} | {row.turned_dwell for row in rows if row.turned_dwell}
     return f"{counted(len(dwells), 'dwell')} for the calibration check"
-
-
-def _flag_rows(rows: Sequence[CalibrationCheckRow]) -> list[tuple[str, str]]:
-    """Rows with the dwell and text of each flag."""
-    return [
-        (
-            f"dwell {row.dwell}, {position_label(row.position)} at {row.azimuth_deg:g} deg, "
-            f"{gyro_label(row.gyro)} by {row.method}",
-            flag_text(row.flags),
-        )
-        for row in rows
-        if row.flags
-    ]
 
 
 def _agreement_sentence(compared: Sequence[CalibrationCheckRow]) -> str:

@@ -49,32 +49,21 @@ _MIN_WITH_EXPONENT = 1e6
 
 
 def characteristics_sections(results: Sequence[TestResult]) -> list[Section]:
-    """One section for each test."""
-    return [_test_section(result) for result in results]
-
-
-def _test_section(result: TestResult) -> Section:
-    title = _TITLES[result.test]
-    caption = f"{title}: measured values with standard uncertainties, and the fit."
-    draw = partial(characteristics_figure, result.test, result.curves)
-    return Section(
-        title,
-        [_TEXTS[result.test], *result.notes],
-        [SectionFigure(result.test, caption, draw)] if result.curves else [],
-        [SectionTable("Coefficients", _HEADER, _coefficient_rows(result), words=3)]
-        if result.coefficients
-        else [],
-    )
-
-
-def _coefficient_rows(result: TestResult) -> list[list[str]]:
-    """One row for each gyro and coefficient, sorted by coefficient."""
-    order = list(dict.fromkeys((each.name, each.unit) for each in result.coefficients))
-    ordered = sorted(result.coefficients, key=lambda each: order.index((each.name, each.unit)))
-    return [
-        [each.name, each.gyro.upper(), each.unit, _number_text(each.value), _interval_text(each)]
-        for each in ordered
-    ]
+    """One section for each test, with a row for each coefficient and gyro."""
+    sections = []
+    for result in results:
+        title = _TITLES[result.test]
+        caption = f"{title}: measured values with standard uncertainties, and the fit."
+        draw = partial(characteristics_figure, result.test, result.curves)
+        figures = [SectionFigure(result.test, caption, draw)] if result.curves else []
+        order = list(dict.fromkeys((each.name, each.unit) for each in result.coefficients))
+        rows = [
+            [each.name, each.gyro.upper(), each.unit, _number_text(each.value), _interval_text(each)]
+            for each in sorted(result.coefficients, key=lambda each: order.index((each.name, each.unit)))
+        ]
+        tables = [SectionTable("Coefficients", _HEADER, rows, words=3)] if rows else []
+        sections.append(Section(title, [_TEXTS[result.test], *result.notes], figures, tables))
+    return sections
 
 
 def _number_text(value: float | None) -> str:

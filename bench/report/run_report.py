@@ -199,12 +199,20 @@ def render(
     no_dwell = f"{facts['dwells']}, without a turn." if check else "No dwell was measured."
     if content.dwell_purposes and not (content.dwell_purposes[DwellPurpose.CALIBRATION] or check):
         no_bias = no_dwell = f"{facts['dwells']}, which give no biases by themselves."
+    temperatures = f"Temperatures over the run.{_DWELL_BANDS if content.dwells else ''}"
+    hash_by_name = {
+        f"{each.name} ({each.count} files)" if each.count > 1 else each.name: each.sha256 for each in hashes
+    }
     parts = [
         acceptance_section(content.acceptance),
         comparison_section(
             content.bins, content.acceptance, paths_by_name, no_bias, check, estimators_note(content.dwells)
         ),
-        _temperature_section(content, paths_by_name),
+        Section(
+            "Temperatures", figures=[SectionFigure("temperature", temperatures, paths_by_name["temperature"])]
+        )
+        if "temperature" in paths_by_name
+        else None,
         *(gyro_section(gyro, content.bins, paths_by_name) for gyro in AXES),
         *sections,
         joint_section(content.joint_sigmas, content.joint_plateaus),
@@ -215,7 +223,7 @@ def render(
         durations_section(content.step_durations),
         _list_section("Assumptions of the procedure", content.procedure.get("assumptions")),
         _instruments_section(content),
-        _hashes_section(hashes),
+        Section("Data of this report", [_HASHES_TEXT], facts=hash_by_name) if hashes else None,
         safe_state_section(content),
         _list_section("Missing in the run folder", content.problems),
     ]
@@ -317,13 +325,6 @@ def _not_judged_boxes(content: RunContent) -> list[Box]:
     return [Box(VERDICT_COLOURS["not judged"], "Unit not judged.", _NOT_JUDGED)] if content.damage else []
 
 
-def _temperature_section(content: RunContent, figures: Mapping[str, Path]) -> Section | None:
-    if "temperature" not in figures:
-        return None
-    caption = f"Temperatures over the run.{_DWELL_BANDS if content.dwells else ''}"
-    return Section("Temperatures", figures=[SectionFigure("temperature", caption, figures["temperature"])])
-
-
 def _list_section(title: str, items: object) -> Section | None:
     return Section(title, items=[str(each) for each in items]) if isinstance(items, list) and items else None
 
@@ -348,13 +349,6 @@ def _instruments_section(content: RunContent) -> Section:
         facts=_as_texts(instruments),
         sections=[part for part in parts if part],
     )
-
-
-def _hashes_section(hashes: Sequence[DataHash]) -> Section | None:
-    hashes_by_name = {
-        f"{each.name} ({each.count} files)" if each.count > 1 else each.name: each.sha256 for each in hashes
-    }
-    return Section("Data of this report", paragraphs=[_HASHES_TEXT], facts=hashes_by_name) if hashes else None
 
 
 def safe_state_section(content: RunContent) -> Section:

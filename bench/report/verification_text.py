@@ -24,7 +24,6 @@ from gyrobench.bench.verification.compensation_verification import (
     IN_WORDS,
     NONE,
     CompensationResult,
-    PairedPlateau,
     VerificationResult,
     VerificationRow,
     has_worse_constant,
@@ -280,10 +279,11 @@ def comparability_sentences(result: VerificationResult) -> list[str]:
             for each, row in zip(result.results, plateau.rows, strict=True)
             if row is None
         ]
+        first = plateau.measured_rows[0]
         if runs_without_it:
             sentences.append(
-                f"The plateau at {_plateau_text(plateau)} has no valid dwell {listed(runs_without_it)}: it "
-                "is not part of the numbers for all plateaus."
+                f"The plateau at {first.gyro_c:z.0f} °C (cycle {first.cycle}) has no valid dwell "
+                f"{listed(runs_without_it)}: it is not part of the numbers for all plateaus."
             )
     valid = min(each.total.dwells for each in result.results)
     if len(result.results) > 1 and valid < result.dwells:
@@ -298,12 +298,6 @@ def comparability_sentences(result: VerificationResult) -> list[str]:
             f"Coefficients are compared at the {counted(len(compared), 'plateau')} that all runs measured."
         )
     return sentences
-
-
-def _plateau_text(plateau: PairedPlateau) -> str:
-    """A plateau in a sentence: "-6 °C (cycle 1)"."""
-    first = plateau.measured_rows[0]
-    return f"{first.gyro_c:z.0f} °C (cycle {first.cycle})"
 
 
 def _change_ratio_sentences(result: VerificationResult) -> list[str]:

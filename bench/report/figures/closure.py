@@ -118,21 +118,16 @@ def closure_residual_figure(closure: Closure, gyro: str) -> Figure:
 
 
 def _abscissae(closure: Closure, axis: int) -> dict[str, FloatArray]:
-    campaign = closure.campaign
+    """Values of the dwells by label; the dwells of a position are spread in the order of time."""
+    campaign, names = closure.campaign, _positions(closure)
+    position = np.array([names.index(each) for each in campaign.position], dtype=np.float64)
+    time_share = np.arange(len(position)) / max(len(position) - 1, 1)
     return {
         "temperature / °C": campaign.gyro_c[:, axis],
         "time / h": (campaign.middle_s - campaign.start_s[0]) / S_PER_H,
         "temperature rate / (K/h)": campaign.rate_c_per_h[:, axis],
-        "position": _position_abscissae(closure),
+        "position": position + _DWELL_SPREAD * (time_share - 0.5),
     }
-
-
-def _position_abscissae(closure: Closure) -> FloatArray:
-    """Index of each dwell's position, spread in the order of time."""
-    names = _positions(closure)
-    index = np.array([names.index(each) for each in closure.campaign.position], dtype=np.float64)
-    time_share = np.arange(len(index)) / max(len(index) - 1, 1)
-    return index + _DWELL_SPREAD * (time_share - 0.5)
 
 
 def _positions(closure: Closure) -> list[str]:

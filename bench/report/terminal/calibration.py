@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from rich.console import Group, RenderableType
@@ -32,7 +32,6 @@ from gyrobench.bench.foundations.arrays import (
 )
 from gyrobench.bench.foundations.text import counted, decimals_of, listed, plain_name
 from gyrobench.bench.navigation.earth import earth_rate_enu
-from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.report.number_format import p_text
 from gyrobench.bench.report.terminal.tables import plain_table, topics
@@ -40,6 +39,8 @@ from gyrobench.bench.report.terminal.tables import plain_table, topics
 _MIN_CORRELATION, _MAX_CORRELATIONS = 0.9, 5
 _MAX_LISTED_RESTS = 6
 _MAX_LISTED_ROTATIONS = 3
+_NOT_TURNED = "the unit was not turned. Turn it about two axes between rests"
+_OTHER_ROTATIONS = "no rotation distinguishes them. gyrobench plan --observability shows which would"
 #: The effect of 1 ppm of asymmetry on a bias is stated if it exceeds this number of standard uncertainties.
 _MIN_ASYMMETRY_SIGMAS = 0.3
 
@@ -119,7 +120,14 @@ def _topics(calibration: Calibration, excluded_samples: tuple[int, int]) -> Iter
         yield "Check", f"{each}."
     yield from _data_topics(calibration, rests, kinds, excluded_samples)
     yield from _input_topics(calibration)
-    yield from _rest_topics(rests, calibration.problem.site)
+    up_dph = earth_rate_enu(calibration.problem.site.latitude)[2] * RADPS_TO_DPH
+    for rest in rests if len(rests) <= _MAX_LISTED_RESTS else ():
+        yield (
+            "At rest",
+            f"from {rest.start_s:.0f} s for {rest.duration_s:.0f} s: rate {rest.rate_dph:.3f} deg/h, "
+            f"vertical {rest.up_rate_dph:.3f} ± {rest.up_sigma_dph:.3f} deg/h (Earth {up_dph:.3f}), "
+            "biases included",
+        )
     yield "Fit", _fit_sentence(calibration)
     correlations = strongest_correlations(calibration, _MIN_CORRELATION)[:_MAX_CORRELATIONS]
     if correlations:
@@ -133,9 +141,14 @@ def _topics(calibration: Calibration, excluded_samples: tuple[int, int]) -> Iter
         yield "Asymmetry", text
     if text := _vibration_text(calibration):
         yield "Vibration", text
-    unobservable = [row for row in coefficient_rows(calibration) if row.finding]
-    if unobservable:
-        yield "Not observable", f"{_axes_by_coefficient(unobservable)}: {_advice(kinds)}"
+    axes_by_name: dict[str, list[str]] = {}
+    for row in coefficient_rows(calibration):
+        if row.finding:
+            axes_by_name.setdefault(plain_name(row.coefficient), []).append(row.axis)
+    if axes_by_name:
+        unobservable = "; ".join(f"{name} {', '.join(axes)}" for name, axes in axes_by_name.items())
+        is_turned = kinds["rotation"] or kinds["spin"]
+        yield "Not observable", f"{unobservable}: {_OTHER_ROTATIONS if is_turned else _NOT_TURNED}"
 
 
 def _data_topics(
@@ -206,18 +219,6 @@ def _input_topics(calibration: Calibration) -> Iterator[tuple[str, str]]:
         )
 
 
-def _rest_topics(rests: Sequence[RestRate], site: Site) -> Iterator[tuple[str, str]]:
-    """Rate of each rest and that of the Earth, if there are few rests."""
-    up_dph = earth_rate_enu(site.latitude)[2] * RADPS_TO_DPH
-    for rest in rests if len(rests) <= _MAX_LISTED_RESTS else ():
-        yield (
-            "At rest",
-            f"from {rest.start_s:.0f} s for {rest.duration_s:.0f} s: rate {rest.rate_dph:.3f} deg/h, "
-            f"vertical {rest.up_rate_dph:.3f} ± {rest.up_sigma_dph:.3f} deg/h (Earth {up_dph:.3f}), "
-            "biases included",
-        )
-
-
 def _asymmetry_text(calibration: Calibration) -> str:
     """Effect of an asymmetry of the gyro scale factors that is not estimated; empty if small."""
     is_observed = calibration.is_observed[:3]
@@ -282,19 +283,6 @@ def _fit_sentence(calibration: Calibration) -> str:
     if fit.p_value >= UNEXPLAINED_P_VALUE:
         return f"noise explains the velocity at rest ({test})"
     return f"{test}: see Check"
-
-
-def _axes_by_coefficient(rows: Iterable[CoefficientRow]) -> str:
-    axes: dict[str, list[str]] = {}
-    for row in rows:
-        axes.setdefault(plain_name(row.coefficient), []).append(row.axis)
-    return "; ".join(f"{name} {', '.join(each)}" for name, each in axes.items())
-
-
-def _advice(kinds: Counter[str]) -> str:
-    if not kinds["rotation"] and not kinds["spin"]:
-        return "the unit was not turned. Turn it about two axes between rests"
-    return "no rotation distinguishes them. gyrobench plan --observability shows which would"
 
 
 def _xyz_text(values: np.ndarray) -> str:

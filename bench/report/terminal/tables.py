@@ -184,7 +184,11 @@ def preflight_report(checks: Sequence[Check]) -> RenderableType:
     parts: list[RenderableType] = []
     for subject, group in itertools.groupby(checks, key=lambda check: check.subject):
         parts += [Text(subject, style="bold"), _check_table(list(group))]
-    return Group(*parts, Text(), _preflight_total(checks))
+    counts = Counter(check.verdict for check in checks)
+    passed, failed, skipped = (counts[verdict] for verdict in CheckVerdict)
+    outcome = "not ready for a run" if failed else f"ready for a run{' as far as checked' if skipped else ''}"
+    total = f"{passed} passed, {failed} failed, {skipped} skipped: {outcome}."
+    return Group(*parts, Text(), Text(total, style="bold red" if failed else "bold"))
 
 
 def _check_table(checks: Sequence[Check]) -> Table:
@@ -200,12 +204,3 @@ def _check_table(checks: Sequence[Check]) -> Table:
             Text(f"  {check.verdict}", style=_VERDICT_STYLES[check.verdict]), Text(check.what), finding
         )
     return table
-
-
-def _preflight_total(checks: Sequence[Check]) -> Text:
-    counts = Counter(check.verdict for check in checks)
-    passed, failed, skipped = (counts[verdict] for verdict in CheckVerdict)
-    totals = f"{passed} passed, {failed} failed, {skipped} skipped"
-    if failed:
-        return Text(f"{totals}: not ready for a run.", style="bold red")
-    return Text(f"{totals}: ready for a run{' as far as checked' if skipped else ''}.", style="bold")
