@@ -260,18 +260,16 @@ def _print_report(console: Console, folder: RunFolder, station_name: str | Path,
         print_tables(console, folder)
     if word := watermark_of(folder.path):
         console.print(f"{word}: {_EMULATED_BENCH}", soft_wrap=True, style="bold yellow")
-    # By text, as several units often have the same.
-    doubts: dict[str, list[str]] = {}
-    notes: dict[str, list[str]] = {}
+    # By style and text, as several units often have the same.
+    numbers_by_text: dict[tuple[str, str], list[str]] = {}
     for content in contents:
-        number = content.name if has_units else ""
-        for doubt in content.doubts.items():
-            doubts.setdefault(" ".join(doubt), []).append(number)
-        notes.setdefault(signs_sentence(content.facts, content.station, station_name), []).append(number)
-    for style, numbers_by_text in (("bold red", doubts), ("bold yellow", notes)):
-        for text, numbers in numbers_by_text.items():
-            if text:
-                console.print(with_micro_sign(of_units(numbers, text)), style=style)
+        doubts = [("bold red", " ".join(doubt)) for doubt in content.doubts.items()]
+        note = "bold yellow", signs_sentence(content.facts, content.station, station_name)
+        for styled_text in (*doubts, note):
+            numbers_by_text.setdefault(styled_text, []).append(content.name if has_units else "")
+    for (style, text), numbers in sorted(numbers_by_text.items(), key=lambda each: each[0][0]):
+        if text:
+            console.print(with_micro_sign(of_units(numbers, text)), style=style)
 
 
 def _print_durations(console: Console, folder: RunFolder) -> None:

@@ -60,13 +60,18 @@ def runs(
         raise DocumentError("--sql, --trend and --by exclude each other. Give one")
     if (figure is not None or limit_dph is not None) and not trend:
         raise DocumentError("--figure and --limit-dph are of the trend. Give --trend too")
-    from gyrobench.bench.report.terminal.runs import problems_text
+    from gyrobench.bench.report.terminal.runs import answer_table, groups_table, problems_text
+    from gyrobench.bench.runs.index.run_index import group_runs
 
     run_index = open_index(root, index, rebuild=rebuild)
+    content: dict[str, Any]
+    view: RenderableType
     if sql is not None:
-        content, view = _query(run_index, sql)
+        answer = run_index.query(sql)
+        content, view = {"rows": answer.records()}, answer_table(answer)
     elif by is not None:
-        content, view = _group(run_index, by, selection)
+        groups = group_runs(run_index, by, selection)
+        content, view = {"by": by, "groups": groups}, groups_table(by, groups)
     elif trend:
         content, view = _trends(run_index, selection, figure, limit_dph)
     else:
@@ -93,14 +98,6 @@ def _list(
         if run["ended"] == NOT_ENDED and holder_of(RunFolder(Path(root, run["path"])).run.path):
             run["ended"] = _IN_PROGRESS
     return {"runs": matches}, runs_table(matches, most)
-
-
-def _group(index: RunIndex, by: Any, selection: Selection) -> tuple[dict[str, Any], RenderableType]:
-    from gyrobench.bench.report.terminal.runs import groups_table
-    from gyrobench.bench.runs.index.run_index import group_runs
-
-    groups = group_runs(index, by, selection)
-    return {"by": by, "groups": groups}, groups_table(by, groups)
 
 
 def _trends(
@@ -134,13 +131,6 @@ def _trends(
             for each, until in zip(fitted, due_dates, strict=True)
         ]
     return content, trend_summary(units[0], fitted, mixed_origins(matches), due_dates or [])
-
-
-def _query(index: RunIndex, sql: str) -> tuple[dict[str, Any], RenderableType]:
-    from gyrobench.bench.report.terminal.runs import answer_table
-
-    answer = index.query(sql)
-    return {"rows": answer.records()}, answer_table(answer)
 
 
 def _plain_trend(trend: Any) -> dict[str, Any]:

@@ -5,6 +5,7 @@ Body axes, deg/h, degC, seconds since the first sample. The unit is at rest in e
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -348,11 +349,12 @@ def cut_windows(batches: Iterable[Samples], window_s: float, skip_s: float) -> I
         index = _window_index(pending["time_s"], window_s, skip_s)
         if index.size == 0 or index[0] == index[-1]:
             continue
-        last_window = int(np.searchsorted(index, index[-1]))
-        for samples in _split_windows(pending, index[:last_window]):
+        borders = np.flatnonzero(np.diff(index, prepend=index[0] - 1))
+        for first, last in itertools.pairwise(borders):
+            samples = {name: values[first:last] for name, values in pending.items()}
             yield _window(samples, window_s, skip_s, before_s)
             before_s = float(samples["time_s"][-1])
-        pending = {name: values[last_window:] for name, values in pending.items()}
+        pending = {name: values[borders[-1] :] for name, values in pending.items()}
     if pending and pending["time_s"].size:
         yield _window(pending, window_s, skip_s, before_s)
 
@@ -364,12 +366,6 @@ def max_consecutive(flags: BoolArray) -> int:
 
 def _window_index(time_s: FloatArray, window_s: float, skip_s: float) -> NDArray[np.intp]:
     return np.asarray((time_s - skip_s + _TIME_RESOLUTION_S) // window_s, dtype=np.intp)
-
-
-def _split_windows(samples: Samples, index: NDArray[np.intp]) -> Iterator[Samples]:
-    borders = np.flatnonzero(np.diff(index)) + 1
-    for first, last in zip([0, *borders], [*borders, len(index)], strict=True):
-        yield {name: values[first:last] for name, values in samples.items()}
 
 
 def _window(samples: Samples, window_s: float, skip_s: float, before_s: float) -> Window:
@@ -387,6 +383,8 @@ def _window(samples: Samples, window_s: float, skip_s: float, before_s: float) -
             means[name], slopes[name], smallest[name], spans[name] = _trend(time_s, values)
     is_sufficient = len(rates) >= MIN_WINDOW_SAMPLES
     unknown = np.full(3, np.nan)
+    block_count = next((count for count in BLOCKS if 2 * count <= len(rates)), 0)
+    blocks = np.array_split(rates, block_count) if block_count else []
     return Window(
         start_s=skip_s + index * window_s,
         end_s=skip_s + (index + 1) * window_s,
@@ -396,7 +394,7 @@ def _window(samples: Samples, window_s: float, skip_s: float, before_s: float) -
         covered_s=float(time_s[-1] - time_s[0]),
         rate_dph=rates.mean(axis=0) if is_sufficient else unknown,
         scatter_dph=rates.std(axis=0, ddof=1) if is_sufficient else unknown,
-        blocks_dph=_blocks(rates) if is_sufficient else np.empty((0, 3)),
+        blocks_dph=np.reshape([block.mean(axis=0) for block in blocks], (-1, 3)),
         rate_step_dph=np.array([_smallest_step(rate) for rate in rates.T]),
         extreme_dph=abs_rates.max(axis=0, initial=0.0),
         max_samples_at_extreme=np.array(
@@ -409,11 +407,6 @@ def _window(samples: Samples, window_s: float, skip_s: float, before_s: float) -
         spans=spans,
         force=np.array([_trend(time_s, samples[name])[0] if name in samples else np.nan for name in FORCES]),
     )
-
-
-def _blocks(rates: FloatArray) -> FloatArray:
-    count = next(count for count in BLOCKS if 2 * count <= len(rates))
-    return np.array([block.mean(axis=0) for block in np.array_split(rates, count)])
 
 
 def _trend(time_s: FloatArray, values: FloatArray) -> tuple[float, float, float, float]:

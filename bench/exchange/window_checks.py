@@ -65,19 +65,14 @@ _MIN_KELVIN, _MAX_CELSIUS = 200.0, 110.0
 _GYRO_TEMPERATURES = tuple(f"gyro_{axis}_c" for axis in AXES)
 
 
-def _sample_interval_s(windows: Sequence[Window]) -> float:
-    """Sample interval: median over the windows; 0 if unknown."""
-    intervals = [
+def rejection_reasons(windows: Sequence[Window], log_map: LogMap) -> list[str]:
+    """Reason why each window of a log is left out; empty for a valid window."""
+    intervals_s = [
         each.covered_s / (each.samples + each.dropped - 1)
         for each in windows
         if each.samples + each.dropped > 1
     ]
-    return float(np.median(intervals)) if intervals else 0.0
-
-
-def rejection_reasons(windows: Sequence[Window], log_map: LogMap) -> list[str]:
-    """Reason why each window of a log is left out; empty for a valid window."""
-    interval_s = _sample_interval_s(windows)
+    interval_s = float(np.median(intervals_s)) if intervals_s else 0.0
     gap_s = log_map.max_gap_s or max(5.0 * interval_s, 0.01 * log_map.averages.window_s)
     saturation = _saturation_dph(windows, log_map)
     stuck = _stuck_temperature(windows, log_map)

@@ -278,6 +278,8 @@ def _refusal_error(code: int, reply: bytes | str, password: str) -> UndeliveredE
 
 #: ntfy converts a longer message to an attachment.
 _NTFY_BYTES = 4000
+#: Names of the symbols before titles in the ntfy application.
+_NTFY_TAGS = {"ends": "white_check_mark", "holds": "pause_button", "resumes": "arrow_forward"}
 _TOO_MANY, _TIMED_OUT = 429, 408
 #: Bytes read of a reply: far more than shown, so that no part of a secret remains at its end.
 _READ_BYTES = 65_536
@@ -303,7 +305,7 @@ def _post_ntfy(receiver: Ntfy, secret: str, message: Message) -> str:
     headers = {
         "Title": title if title.isascii() else Header(title, "utf-8", maxlinelen=10_000).encode(),
         "Priority": "urgent" if message.is_urgent else "default",
-        "Tags": _ntfy_tag(message),
+        "Tags": "rotating_light" if message.is_urgent else _NTFY_TAGS.get(message.event, "bell"),
         "Content-Type": "text/plain; charset=utf-8",
     }
     body = message.text.encode()[:_NTFY_BYTES].decode(errors="ignore").encode()
@@ -353,15 +355,6 @@ def _first_line(answer: urllib.error.HTTPError, secret: str) -> str:
         return ""
     text = server_words(secret, text)
     return f": {text}" if text else ""
-
-
-def _ntfy_tag(message: Message) -> str:
-    """Name of the symbol before the title in the ntfy application."""
-    if message.is_urgent:
-        return "rotating_light"
-    return {"ends": "white_check_mark", "holds": "pause_button", "resumes": "arrow_forward"}.get(
-        message.event, "bell"
-    )
 
 
 #: Time limit of the whole exchange, from the host's name to the end of the reply. Time-outs of sockets

@@ -113,18 +113,15 @@ class _Sender:
                     return
                 if attempt == 1:
                     self._log("message_delayed", message, why=str(error))
-                self._pause(pause_s)
+                if self._closing.is_set():
+                    self._is_over.wait(_LAST_PAUSE_S)
+                else:
+                    self._closing.wait(pause_s)
                 if self._is_over.is_set():
                     return
             else:
                 self._log("message_sent", message, answer=answer, attempts=attempt)
                 return
-
-    def _pause(self, pause_s: float) -> None:
-        if self._closing.is_set():
-            self._is_over.wait(_LAST_PAUSE_S)
-        else:
-            self._closing.wait(pause_s)
 
     def _log(self, event: str, message: Message, **details: Any) -> None:
         self._record(event, to=self._receiver.name, about=message.event, **details)

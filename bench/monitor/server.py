@@ -186,7 +186,8 @@ class _Handler(BaseHTTPRequestHandler):
     def _send(self, answer: Response) -> None:
         """Send a response, compressed if the client accepts that."""
         body = answer.body
-        is_compressed = len(body) > _MIN_GZIP_BYTES and self._accepts_gzip()
+        headers = getattr(self, "headers", None) or {}  # a request may be refused before they are read
+        is_compressed = len(body) > _MIN_GZIP_BYTES and "gzip" in headers.get("Accept-Encoding", "")
         if is_compressed:
             body = gzip.compress(body, compresslevel=5)
         self.send_response(answer.status)
@@ -198,10 +199,6 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
         if self.command != "HEAD":
             self.wfile.write(body)
-
-    def _accepts_gzip(self) -> bool:
-        headers = getattr(self, "headers", None)  # a request may be refused before its headers are read
-        return headers is not None and "gzip" in headers.get("Accept-Encoding", "")
 
 
 def _is_allowed_host(hosts: list[str]) -> bool:
