@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from gyrobench.bench.bias.bins import BiasBin, PositionComparison, paper_bins
 from gyrobench.bench.bias.dwell_table import DwellRow, paper_rows
 from gyrobench.bench.bias.verdicts import AcceptanceLimits
-from gyrobench.bench.foundations.arrays import FloatArray, Triple
+from gyrobench.bench.foundations.arrays import Triple
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.figures.style import (
     BARS,
@@ -92,10 +92,28 @@ def bias_figure(
     figure = new_figure(4.2, wspace=0.1)  # room between the last and first labels of two panels
     all_axes = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
     for axes, panel in zip(all_axes, panels, strict=True):
-        _draw_panel(axes, panel, scale, marked_c)
-        axes.set(xlabel="temperature of the gyro / °C")
+        axes.set(title=panel.estimator, xlabel="temperature of the gyro / °C")
+        for position in POSITIONS:
+            if rows := panel.dwells.get(position):
+                temperature_c, bias_dph, sigma_dph = np.transpose(rows)
+                draw_points(
+                    axes,
+                    temperature_c,
+                    bias_dph * scale.factor,
+                    sigma_dph * scale.factor,
+                    alpha=0.35,
+                    bar_alpha=0.35,
+                    markersize=3.0,
+                    **POSITION_STYLES[position].points,
+                )
+            _draw_bins(axes, position, panel.bins, scale)
+        if not panel.is_empty:
+            mark_temperatures(axes, "x", marked_c)
     all_axes[0].set(ylabel=f"bias / ({scale.unit})")
-    _widen_to_span(all_axes[0], span_dph * scale.factor)
+    (low, high), height = all_axes[0].get_ylim(), _MARGIN * (span_dph * scale.factor)
+    if high - low < height:
+        middle = 0.5 * (low + high)
+        all_axes[0].set_ylim(middle - 0.5 * height, middle + 0.5 * height)
     all_axes[0].set_title(gyro_label(gyro) if len(panels) == 1 else f"{gyro_label(gyro)}, {STATE_SPACE}")
     if estimator_panels[0].is_empty:
         label_empty(all_axes[0], "no dwell gave a bias")
@@ -132,13 +150,6 @@ def _panels_of_estimators(gyro: str, dwells: Iterable[DwellRow], bins: Iterable[
     return panels
 
 
-def _widen_to_span(axes: Axes, span: float) -> None:
-    low, high = axes.get_ylim()
-    if high - low < _MARGIN * span:
-        middle = 0.5 * (low + high)
-        axes.set_ylim(middle - 0.5 * _MARGIN * span, middle + 0.5 * _MARGIN * span)
-
-
 def _not_empty(bins: Iterable[BiasBin]) -> list[BiasBin]:
     return [each for each in bins if not each.is_empty]
 
@@ -151,44 +162,12 @@ def _scale(panels: Iterable[_Panel]) -> BiasScale:
     return BiasScale.of(*(zip(*pairs, strict=True) if pairs else ((), ())))
 
 
-def _draw_panel(axes: Axes, panel: _Panel, scale: BiasScale, marked_c: Sequence[float]) -> None:
-    axes.set_title(panel.estimator)
-    for position in POSITIONS:
-        _draw_dwells(axes, position, np.array(panel.dwells.get(position, ())), scale)
-        _draw_bins(axes, [each for each in panel.bins if each.position == position], scale)
-    if not panel.is_empty:
-        mark_temperatures(axes, "x", marked_c)
-
-
-def _draw_dwells(axes: Axes, position: str, dwells: FloatArray, scale: BiasScale) -> None:
-    if not len(dwells):
-        return
-    temperature_c, bias_dph, sigma_dph = dwells.T
-    style = POSITION_STYLES[position]
-    draw_points(
-        axes,
-        temperature_c,
-        bias_dph * scale.factor,
-        sigma_dph * scale.factor,
-        style.colour,
-        alpha=0.35,
-        bar_alpha=0.35,
-        marker=style.marker,
-        markersize=3.0,
-        markerfacecolor=style.face,
-    )
-
-
-def _draw_bins(axes: Axes, bins: Sequence[BiasBin], scale: BiasScale) -> None:
+def _draw_bins(axes: Axes, position: str, bins: Iterable[BiasBin], scale: BiasScale) -> None:
     """Draw the biases of one position with their uncertainties, joined by a line."""
-    if not bins:
-        return
-    position = bins[0].position
-    style, slot = POSITION_STYLES[position], _NUMBER_SLOTS.index(position)
-    style_options = {"linestyle": style.line, "marker": style.marker, "color": style.colour}
-    _draw_line(
-        axes, bins, scale, slot, label=position_label(position), markerfacecolor=style.face, **style_options
-    )
+    style, chosen = POSITION_STYLES[position], [each for each in bins if each.position == position]
+    if chosen:
+        options = {"label": position_label(position), "linestyle": style.line, **style.points}
+        _draw_line(axes, chosen, scale, _NUMBER_SLOTS.index(position), **options)
 
 
 def _draw_line(
@@ -231,7 +210,7 @@ def before_after_figure(
     for axes, name, bins in zip(panels, ("before", "after"), runs, strict=True):
         axes.set(title=f"{gyro_label(gyro)}, {name}", xlabel="temperature of the gyro / °C")
         for position in POSITIONS:
-            _draw_bins(axes, [each for each in bins if each.position == position], scale)
+            _draw_bins(axes, position, bins, scale)
         if not bins:
             label_empty(axes, "no dwell gave a bias")
     panels[0].set(ylabel=f"bias / ({scale.unit})")
@@ -255,10 +234,9 @@ def position_pair_figure(bins: Sequence[BiasBin], marked_c: Sequence[float] = ()
     for axes, bins_of_position in zip(panels, pairs, strict=True):
         axes.set(title=position_label(bins_of_position[0].position), xlabel="temperature of the gyro / °C")
         for slot, gyro in enumerate(AXES):
-            colour, line, marker = GYRO_STYLES[gyro]
+            options = dict(zip(("color", "linestyle", "marker"), GYRO_STYLES[gyro], strict=True))
             gyro_bins = [each for each in bins_of_position if each.gyro == gyro]
-            style_options = {"linestyle": line, "marker": marker, "color": colour}
-            _draw_line(axes, gyro_bins, scale, slot, label=gyro_label(gyro), **style_options)
+            _draw_line(axes, gyro_bins, scale, slot, label=gyro_label(gyro), **options)
         mark_temperatures(axes, "x", marked_c)
     panels[0].set(ylabel=f"bias / ({scale.unit})")
     common_legend(figure, panels, ncols=len(AXES), title=_LEGEND_TITLE)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -103,13 +104,11 @@ def _draw_estimator_differences(
                 temperature_c + (index - 2.5) * offset_c,
                 difference_dph * scale.factor,
                 sigma_dph * scale.factor,
-                style.colour,
                 alpha=1.0,
                 bar_alpha=0.4,
                 label=position_label(position),
-                marker=style.marker,
                 markersize=4.0,
-                markerfacecolor=style.face,
+                **style.points,
             )
     if by_position:
         mark_temperatures(axes, "x", marked_c)
@@ -157,33 +156,17 @@ def _tested(dwells: Iterable[DwellRow]) -> list[DwellRow]:
 def _draw_ratios(axes: Axes, rows: Sequence[DwellRow]) -> None:
     axes.axhline(1.0, color="#444444", linewidth=0.9)
     for position, style in POSITION_STYLES.items():
-        position_rows = [row for row in rows if row.position == position]
-        if position_rows:
+        points = [(row.dwell, row.fit_ratio) for row in rows if row.position == position]
+        if points:
+            label = position_label(position)
             axes.plot(
-                [row.dwell for row in position_rows],
-                [row.fit_ratio for row in position_rows],
-                label=position_label(position),
-                linestyle="none",
-                marker=style.marker,
-                markersize=4.5,
-                markerfacecolor=style.face,
-                color=style.colour,
+                *zip(*points, strict=True), label=label, linestyle="none", markersize=4.5, **style.points
             )
-    flagged = [row for row in rows if row.flags]
+    flagged = [(row.dwell, row.fit_ratio) for row in rows if row.flags]
     if flagged:
-        axes.plot(
-            [row.dwell for row in flagged],
-            [row.fit_ratio for row in flagged],
-            label="flagged",
-            linestyle="none",
-            marker="x",
-            markersize=8.0,
-            color="#b3261e",
-        )
-    _set_ranges(axes, [row.dwell for row in rows], [row.fit_ratio for row in rows])
-
-
-def _set_ranges(axes: Axes, dwells: Sequence[int], ratios: Sequence[float]) -> None:
+        cross: dict[str, Any] = {"linestyle": "none", "marker": "x", "markersize": 8.0, "color": "#b3261e"}
+        axes.plot(*zip(*flagged, strict=True), label="flagged", **cross)
+    dwells, ratios = zip(*((row.dwell, row.fit_ratio) for row in rows), strict=True)
     low, high = min(*ratios, _MIN_RATIO_RANGE[0]), max(*ratios, _MIN_RATIO_RANGE[1])
     margin = _AXIS_MARGIN * (high - low)
     dwell_margin = max(_AXIS_MARGIN * (max(dwells) - min(dwells)), 0.5)

@@ -92,6 +92,11 @@ class PositionStyle:
         """Colour inside the marker."""
         return self.colour if self.is_filled else "white"
 
+    @property
+    def points(self) -> dict[str, Any]:
+        """Options of matplotlib for points."""
+        return {"color": self.colour, "marker": self.marker, "markerfacecolor": self.face}
+
 
 #: Colours of Okabe and Ito; the marker shows which axis is vertical, filled if it points up.
 POSITION_STYLES: Mapping[str, PositionStyle] = MappingProxyType(
@@ -299,9 +304,10 @@ def draw_points(
     x: FloatArray,
     y: FloatArray,
     sigma: FloatArray,
-    color: str,
     alpha: float,
     bar_alpha: float,
+    *,
+    color: str,
     **markers: Any,
 ) -> None:
     """Draw many points with their uncertainties.
