@@ -124,22 +124,18 @@ def export_navigation(
 
     Raises RunFolderError if the log can't be read, there is no such dwell, or the file can't be written.
     """
-    batches = _batches(folder, setup, dwell)
-    destination.table(name, _SCHEMA, batches, source=folder.can.name, attitude=_ATTITUDE)
-
-
-def _batches(folder: RunFolder, setup: MeasurementSetup, dwell: int | None) -> Iterator[pa.Table]:
-    """Tables of the selected parts of the log, one by one."""
     log = TimedLog(folder)
-    finished = log.finished
-    selected = {number for number, marks in finished.items() if marks.dwell == dwell}
+    selected = {number for number, marks in log.finished.items() if marks.dwell == dwell}
     if dwell is not None and not selected:
-        numbers = sorted(marks.dwell for marks in finished.values())
+        numbers = sorted(marks.dwell for marks in log.finished.values())
         available = f"finished are {numbers[0]} to {numbers[-1]}" if numbers else "none is finished"
         raise RunFolderError(f"{folder.path}: has no finished dwell {dwell}; {available}")
-    for number, frames in log:
-        if dwell is None or number in selected:
-            yield _table(number, setup.decode(frames.data_frames()), finished.get(number), log.start_s)
+    batches = (
+        _table(number, setup.decode(frames.data_frames()), log.finished.get(number), log.start_s)
+        for number, frames in log
+        if dwell is None or number in selected
+    )
+    destination.table(name, _SCHEMA, batches, source=folder.can.name, attitude=_ATTITUDE)
 
 
 def _table(part: int, data: NavigationData, marks: DwellMarks | None, start_s: float) -> pa.Table:

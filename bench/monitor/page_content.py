@@ -264,21 +264,21 @@ def _bin_table(gyro: str, bins: list[LiveBin], scale: BiasScale) -> BinTable:
     ranges = group_by_temperature(bins, lambda each: (each.low_c, each.high_c), lambda each: each.count > 0)
     filled = [index for index, (_, _, members) in enumerate(ranges) if members]
     shown = ranges[filled[0] : filled[-1] + 1] if filled else []
+    cells = {
+        (each.low_c, each.position): _cell(each.bias_dph, each.sigma_dph, scale, each.count) for each in bins
+    }
     return BinTable(
         gyro=gyro_label(gyro),
         unit=scale.unit,
         positions=tuple(position_label(position) for position in positions),
         rows=tuple(
-            (true_minus(bin_label(low_c, high_c, "…")), _bin_cells(members, positions, scale))
+            (
+                true_minus(bin_label(low_c, high_c, "…")),
+                tuple(cells.get((low_c, position), Cell()) for position in positions) if members else (),
+            )
             for low_c, high_c, members in reversed(shown)
         ),
     )
-
-
-def _bin_cells(members: list[LiveBin], positions: list[str], scale: BiasScale) -> tuple[Cell, ...]:
-    """A cell for each position; none for an empty range."""
-    cells = {each.position: _cell(each.bias_dph, each.sigma_dph, scale, each.count) for each in members}
-    return tuple(cells.get(position, Cell()) for position in positions) if members else ()
 
 
 def _cell(bias_dph: float, sigma_dph: float, scale: BiasScale, count: int = 1) -> Cell:

@@ -285,12 +285,30 @@ def runs_in(folder: Path) -> list[Path]:
 def summarise(folder: Path) -> RunSummary:
     """Summarise a run from its snapshot, or else its journal. Raises RunFolderError if it can't be read."""
     run = RunFolder(folder)
-    summary = (
-        _summary_of_snapshot(folder.name, snapshot_of(folder))
-        if run.live.is_file()
-        else _summary_of_journal(run)
-    )
-    return replace(summary, verdict=verdict_in(folder) if summary.state.is_over else "")
+    if run.live.is_file():
+        snapshot = snapshot_of(folder)
+        state = snapshot.state
+        summary = RunSummary(
+            name=folder.name,
+            procedure=snapshot.procedure,
+            units=[unit.number for unit in snapshot.units] or [snapshot.unit],
+            state=state,
+            reason=snapshot.reason,
+            started_utc=snapshot.started_utc,
+            updated_utc=snapshot.updated_utc,
+            dwells=snapshot.finished_dwells,
+            dwell_count=snapshot.dwell_count,
+            left_s=snapshot.left_s,
+            alarms=0 if state.is_over else len(snapshot.alarms),
+        )
+    else:
+        facts = facts_of(read_journal(run.journal))
+        state, reason = _state_by_records(run, facts)
+        units = [unit.path.name for unit in run.unit_folders] or [facts.unit]
+        start = facts.started_utc
+        summary = RunSummary(folder.name, facts.procedure, units, state, reason, start, dwells=facts.dwells)
+    known_units = [unit for unit in summary.units if unit]
+    return replace(summary, units=known_units, verdict=verdict_in(folder) if state.is_over else "")
 
 
 def verdict_in(folder: Path) -> str:
@@ -330,40 +348,6 @@ def _changed_ns(path: Path) -> int:
         return path.stat().st_mtime_ns
     except OSError:
         return 0
-
-
-def _unit_list(unit: str) -> list[str]:
-    return [unit] if unit else []
-
-
-def _summary_of_snapshot(name: str, snapshot: RunSnapshot) -> RunSummary:
-    return RunSummary(
-        name=name,
-        procedure=snapshot.procedure,
-        units=[unit.number for unit in snapshot.units] or _unit_list(snapshot.unit),
-        state=snapshot.state,
-        reason=snapshot.reason,
-        started_utc=snapshot.started_utc,
-        updated_utc=snapshot.updated_utc,
-        dwells=snapshot.finished_dwells,
-        dwell_count=snapshot.dwell_count,
-        left_s=snapshot.left_s,
-        alarms=0 if snapshot.state.is_over else len(snapshot.alarms),
-    )
-
-
-def _summary_of_journal(folder: RunFolder) -> RunSummary:
-    facts = facts_of(read_journal(folder.journal))
-    state, reason = _state_by_records(folder, facts)
-    return RunSummary(
-        name=folder.path.name,
-        procedure=facts.procedure,
-        units=[unit.path.name for unit in folder.unit_folders] or _unit_list(facts.unit),
-        state=state,
-        reason=reason,
-        started_utc=facts.started_utc,
-        dwells=facts.dwells,
-    )
 
 
 _Value = TypeVar("_Value")

@@ -143,17 +143,13 @@ def plot(
         canvas.line([to_canvas(mark_x, low), to_canvas(mark_x, high)], _DIM)
     elif low < 0.0 < high:
         canvas.line([to_canvas(x, 0.0) for x in x_range], _DIM, _DOT_INTERVAL)
-    for curve in curves:
-        points = [to_canvas(x, y) for x, y in zip(curve.x, curve.y, strict=True)]
+    points_of_curves = [[to_canvas(x, y) for x, y in zip(each.x, each.y, strict=True)] for each in curves]
+    for curve, points in zip(curves, points_of_curves, strict=True):
         canvas.line(points, curve.style, _DOT_INTERVAL if curve.is_dotted else 1)
-    for curve in curves:
-        points = [
-            to_canvas(x, y)
-            for x, y in zip(curve.x, curve.y, strict=True)
-            if math.isfinite(x) and math.isfinite(y)
-        ]
-        if curve.letter and points:
-            canvas.letter(points[-1], curve.letter, f"bold {curve.style}")
+    for curve, points in zip(curves, points_of_curves, strict=True):
+        known = [(x, y) for x, y in points if math.isfinite(x + y)]
+        if curve.letter and known:
+            canvas.letter(known[-1], curve.letter, f"bold {curve.style}")
     return _with_axes(canvas, (_number(low), _number(high)), label_width, x_labels, "|" if is_ascii else "│")
 
 

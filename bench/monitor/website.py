@@ -45,7 +45,7 @@ from gyrobench.bench.monitor.run_list import (
     verdict_in,
 )
 from gyrobench.bench.monitor.server import HTML, RECORD_POLICY, Response, page_policy, refusal
-from gyrobench.bench.monitor.snapshot import Attitude, RunSnapshot
+from gyrobench.bench.monitor.snapshot import RunSnapshot
 from gyrobench.bench.navigation.positions import POSITIONS, position_label
 from gyrobench.bench.report.number_format import true_minus
 from gyrobench.bench.report.page import page_templates
@@ -70,6 +70,8 @@ def run_fragment(
     """
     dwell = snapshot.dwell
     dwell_unit, dwell_rows = dwell_table(snapshot.dwells)
+    step_parts = snapshot.step.label.split(", ") if snapshot.step else []
+    azimuth_deg = snapshot.attitude.azimuth_deg if snapshot.attitude else math.nan
     unit_text = f"unit {snapshot.unit}" if snapshot.unit else ""
     if snapshot.units and not is_of_unit:
         unit_text = "units " + ", ".join(unit.number for unit in snapshot.units)
@@ -85,10 +87,10 @@ def run_fragment(
         home_label="All units" if is_of_unit else "All runs",
         units_address="../" if is_of_unit else f"{UNITS_FOLDER}/",
         headline=headline(snapshot, verdict),
-        step_label=_step_label(snapshot),
+        step_label=", ".join(position_label(each) if each in POSITIONS else each for each in step_parts),
         profile=profile_chart(snapshot),
         drawing=axes_drawing(snapshot.attitude) if snapshot.attitude else None,
-        azimuth=_azimuth(snapshot.attitude),
+        azimuth="" if math.isnan(azimuth_deg) else true_minus(f"{azimuth_deg:zg}°"),
         readings=reading_rows(snapshot.bench) if snapshot.bench else [],
         windows=window_charts(dwell) if dwell else [],
         biases=bias_charts(dwell) if dwell else [],
@@ -97,11 +99,6 @@ def run_fragment(
         dwells=dwell_rows,
         dwell_unit=dwell_unit,
     )
-
-
-def _problem_fragment(title: str, problem: str, home: str) -> str:
-    """Page that reports a problem."""
-    return _render("problem.html.j2", title=title, problem=problem, home=home)
 
 
 def full_page(fragment: str, nonce: str) -> str:
@@ -129,20 +126,6 @@ def _title(snapshot: RunSnapshot, freshness: Freshness) -> str:
         return f"▲ ALARM: {snapshot.name}"
     remaining = "" if freshness.is_over else f", {hours_minutes(snapshot.left_s)} h left"
     return f"{snapshot.state.value}{remaining}: {snapshot.name}"
-
-
-def _step_label(snapshot: RunSnapshot) -> str:
-    """Label of the step in the plan, with positions as labels."""
-    if snapshot.step is None:
-        return ""
-    parts = snapshot.step.label.split(", ")
-    return ", ".join(position_label(part) if part in POSITIONS else part for part in parts)
-
-
-def _azimuth(attitude: Attitude | None) -> str:
-    if attitude is None or math.isnan(attitude.azimuth_deg):
-        return ""
-    return true_minus(f"{attitude.azimuth_deg:zg}°")
 
 
 _MAX_LISTED = 200
@@ -219,7 +202,7 @@ class Website:
             if unit is not None:
                 snapshot = snapshot_of_unit(snapshot, RunFolder(unit))
         except GyrobenchError as error:
-            return _problem_fragment(run.absolute().name, str(error), home)
+            return _render("problem.html.j2", title=run.absolute().name, problem=str(error), home=home)
         freshness = freshness_of(snapshot.state, snapshot.updated_utc, self._utc())
         target = unit or run
         verdict = verdict_in(target) if snapshot.state.is_over else ""
@@ -244,7 +227,7 @@ class Website:
         try:
             runs = runs_in(self._root)
         except RunFolderError as error:
-            return _problem_fragment("Runs", str(error), "")
+            return _render("problem.html.j2", title="Runs", problem=str(error), home="")
         rows, left_out = [self._list_row(run) for run in runs[:_MAX_LISTED]], max(0, len(runs) - _MAX_LISTED)
         folder = str(self._root.absolute())
         return _render("runs.html.j2", title="Runs", folder=folder, rows=rows, left_out=left_out)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 
@@ -41,10 +40,6 @@ def separability_summary(
     ``separability``: of the dwells searched. ``dwells``: number of dwells, including held-out ones.
     ``target_dph``: rms size that should be found and distinguished. ``advice``: changes for that size.
     """
-
-    def missing_input(detection: Detection) -> str:
-        return detection.missing_input or ""
-
     observable = [each for each in separability.detections if each.missing_input is None]
     parts: list[RenderableType] = [
         Text("Separability of effects; sizes rms in 0.001 deg/h", style="bold"),
@@ -53,12 +48,14 @@ def separability_summary(
     ]
     if observable:
         parts += [_detection_table(separability, observable), Text(_COLUMNS_TEXT), Text()]
-    for missing, each in itertools.groupby(
-        sorted(separability.detections, key=missing_input), key=missing_input
-    ):
-        if missing:
-            names = listed([detection.effect.display_name for detection in each])
-            parts.append(Text(f"Not observable: {names}. Missing input: {missing}."))
+    names_by_input: dict[str, list[str]] = {}
+    for each in separability.detections:
+        if each.missing_input:
+            names_by_input.setdefault(each.missing_input, []).append(each.effect.display_name)
+    parts += [
+        Text(f"Not observable: {listed(names)}. Missing input: {missing}.")
+        for missing, names in sorted(names_by_input.items())
+    ]
     parts += [Text(line) for line in _not_distinguished_lines(separability, observable, target_dph)]
     parts += [Text(_advice_sentence(each, separability.label)) for each in advice]
     return Group(*parts)
