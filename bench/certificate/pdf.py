@@ -9,11 +9,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from gyrobench.bench.certificate.content import MODEL_DIGITS, BiasResult, Certificate, ModelNumber
+from gyrobench.bench.certificate.content import MODEL_DIGITS, BiasResult, Certificate
 from gyrobench.bench.foundations.text import bin_label, with_expanded
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.figures.style import draw_watermark
-from gyrobench.bench.report.number_format import BiasScale
+from gyrobench.bench.report.number_format import BiasScale, range_text
 from gyrobench.bench.report.page import Box, Section, SectionFigure, SectionTable, pdf_of, render_page
 from gyrobench.bench.report.run_report import figures_of
 from gyrobench.bench.report.run_text import VERDICT_COLOURS
@@ -153,9 +153,10 @@ def _model_section(certificate: Certificate) -> Section | None:
     rows = [
         [name, unit, *(by_gyro.get(gyro, "–") for gyro in AXES)] for (name, unit), by_gyro in table.items()
     ]
+    factors = range_text((each.k for each in certificate.model), ".2f")
     caption = (
-        f"Value ± U, {_coverage_text(certificate.model)}. The numbers of one gyro are correlated: U may "
-        "exceed a value although the effect is significant, and digits beyond U count."
+        f"Value ± U, k = {factors}. The numbers of one gyro are correlated: U may exceed a value although "
+        "the effect is significant, and digits beyond U count."
     )
     number_table = SectionTable(caption, header, rows, words=2)
     return Section("Bias model", [certificate.model_note], tables=[number_table])
@@ -178,8 +179,8 @@ def _coefficients_section(certificate: Certificate) -> Section | None:
             for (name, axis, unit), by_plateau in by_name.items()
             if by_plateau.keys() & set(group)
         ]
-        factors = _coverage_text([each for each in certificate.coefficients if each.plateau in group])
-        caption = f"Coefficient ± U, {factors}, at the plateaus from {group[0]} to {group[-1]}."
+        factors = range_text((each.k for each in certificate.coefficients if each.plateau in group), ".2f")
+        caption = f"Coefficient ± U, k = {factors}, at the plateaus from {group[0]} to {group[-1]}."
         tables.append(SectionTable(caption, header, rows, words=2))
     notes = plateau_notes(row for row in certificate.run.coefficients if row.plateau in plateaus)
     texts = [f"{FRAME_TEXT} {TEMPERATURE_TEXT}", *notes] if tables else []
@@ -197,12 +198,6 @@ def _number_text(value: float, expanded: float) -> str:
 
 def _unit_text(unit: str) -> str:
     return unit.replace("K2", "K²").replace("K3", "K³")
-
-
-def _coverage_text(numbers: Sequence[ModelNumber]) -> str:
-    """Text of the coverage factor, or of the smallest and the largest."""
-    limits = [f"{limit(each.k for each in numbers):.2f}" for limit in (min, max)]
-    return f"k = {' to '.join(dict.fromkeys(limits))}"
 
 
 def _figures(certificate: Certificate, folder: Path, watermark: str) -> Iterator[tuple[str, Path]]:

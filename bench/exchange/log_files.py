@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 _SEPARATORS = {"comma": ",", "semicolon": ";", "tab": "\t", "whitespace": " "}
 _BLOCK_BYTES = 1 << 22
+_HEAD_LINES = 20  # lines from which the separator and missing samples are recognised
 _GZIP_SIGNATURE = b"\x1f\x8b"
 _NOT_MEASURED = (
     "", "nan", "NaN", "NAN", "-nan", "-NaN", "na", "NA", "n/a", "N/A", "null", "NULL", "None", "none"
@@ -51,7 +52,7 @@ class TextLog:
         self._layout = layout
         self.truncated = False
         try:
-            head = self._head()
+            head = [line for _, line in itertools.islice(self._numbered_lines(), _HEAD_LINES)]
         except _READ_ERRORS as error:
             raise DocumentError(f"{path}: can't be read: {_error_text(error)}") from error
         if any("\0" in line for line in head):
@@ -126,12 +127,13 @@ class TextLog:
             ),
         )
 
-    def _head(self) -> list[str]:
-        """First lines that are header or samples."""
+    def _numbered_lines(self) -> Iterator[tuple[int, str]]:
+        """Lines that are header or samples, with their numbers from 1."""
         with _open_decompressed(self._path) as stream:
-            lines = (line.decode("utf-8-sig", "replace").rstrip("\r\n") for line in stream)
-            remaining = (line for line in itertools.islice(lines, self._layout.skip_lines, None))
-            return list(itertools.islice((line for line in remaining if self._is_sample(line)), 20))
+            for number, raw in enumerate(stream, 1):
+                line = raw.decode("utf-8-sig", "replace").rstrip("\r\n")
+                if number > self._layout.skip_lines and self._is_sample(line):
+                    yield number, line
 
     def _is_sample(self, line: str) -> bool:
         comment = self._layout.comment
@@ -156,15 +158,8 @@ class TextLog:
 
     def _numbered_samples(self) -> Iterator[tuple[int, list[str]]]:
         """Cells of each sample, with the number of its line from 1."""
-        with _open_decompressed(self._path) as stream:
-            seen_header = not self._layout.header
-            for number, raw in enumerate(stream, 1):
-                line = raw.decode("utf-8-sig", "replace").rstrip("\r\n")
-                if number <= self._layout.skip_lines or not self._is_sample(line):
-                    continue
-                if seen_header:
-                    yield number, self._split(line)
-                seen_header = True
+        lines = itertools.islice(self._numbered_lines(), 1 if self._layout.header else 0, None)
+        return ((number, self._split(line)) for number, line in lines)
 
     def _cell_errors(
         self, indices: dict[Column, int], numbers: Sequence[Column], reason: str

@@ -158,20 +158,17 @@ class Website:
             return self._metrics()
         if is_run(self._root):
             return self._answer_run(self._root, path.removeprefix("/"), "")
-        if path in ("/", f"/{_FRAGMENT}"):
-            return _page_or_fragment(self._list_page(), path.removeprefix("/"))
-        return self._answer_listed_run(path)
-
-    def _answer_listed_run(self, path: str) -> Response:
         match path.split("/", maxsplit=3):
-            case ["", "runs", name, rest]:
-                run = next((run for run in self._runs() if run.name == name), None)
-                if run is not None:
-                    return self._answer_run(run, rest, _LIST_ADDRESS)
+            case ["", "" | "fragment" as name]:
+                return _page_or_fragment(self._list_page(), name)
             case ["", "runs", name] if name:
                 return refusal(
                     HTTPStatus.PERMANENT_REDIRECT, "Moved.", Location=f"/runs/{quote(name, safe='')}/"
                 )
+            case ["", "runs", name, rest]:
+                for run in self._runs():
+                    if run.name == name:
+                        return self._answer_run(run, rest, _LIST_ADDRESS)
         return _not_found()
 
     def _runs(self) -> list[Path]:
@@ -180,21 +177,18 @@ class Website:
         except RunFolderError:
             return []
 
-    def _answer_run(self, run: Path, rest: str, home: str) -> Response:
+    def _answer_run(self, run: Path, rest: str, home: str, unit: Path | None = None) -> Response:
+        """Answer a request for a page of a run, or of one of its units; ``home``: as for the fragment."""
         if rest in ("", _FRAGMENT):
-            return _page_or_fragment(self._run_page(run, home), rest)
-        if rest in pages_of(run):
-            return _page_file(run / rest)
+            return _page_or_fragment(self._run_page(run, home, unit), rest)
+        if rest in pages_of(unit or run):
+            return _page_file((unit or run) / rest)
         match rest.split("/", maxsplit=2):
-            case [str(folder), number, within] if folder == UNITS_FOLDER:
-                return self._answer_unit(run, number, within)
+            case [str(folder), number, within] if folder == UNITS_FOLDER and unit is None:
+                for each in RunFolder(run).unit_folders:
+                    if each.path.name == number:
+                        return self._answer_run(run, within, _LIST_ADDRESS, each.path)
         return _not_found()
-
-    def _answer_unit(self, run: Path, number: str, rest: str) -> Response:
-        unit = next((each.path for each in RunFolder(run).unit_folders if each.path.name == number), None)
-        if unit is not None and rest in ("", _FRAGMENT):
-            return _page_or_fragment(self._run_page(run, _LIST_ADDRESS, unit), rest)
-        return _page_file(unit / rest) if unit is not None and rest in pages_of(unit) else _not_found()
 
     def _run_page(self, run: Path, home: str, unit: Path | None = None) -> str:
         try:

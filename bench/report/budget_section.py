@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -14,7 +14,7 @@ from gyrobench.bench.bias.error_sources import SOURCES
 from gyrobench.bench.foundations.text import bin_label, counted, listed
 from gyrobench.bench.navigation.positions import POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.figures.style import LEGEND_ROW_IN, common_legend, house_style, new_figure
-from gyrobench.bench.report.number_format import BiasScale
+from gyrobench.bench.report.number_format import BiasScale, range_text
 from gyrobench.bench.report.page import Box, Mark, Section, SectionFigure, SectionTable
 from gyrobench.bench.runs.tables.budget_table import (
     ANY_POWER_CYCLE,
@@ -67,7 +67,7 @@ def budget_box(budget: BudgetSummary) -> Box | None:
         texts.append(f"{sigma_dph:#.2g} deg/h for a {level_or_vertical(is_vertical)} gyro, {source_texts}")
     if not texts:
         return None
-    k = _range_text([factor for group in budget.all_gyros.values() for factor in group[COMBINED].k], ".2f")
+    k = range_text([factor for group in budget.all_gyros.values() for factor in group[COMBINED].k], ".2f")
     return Box(
         "open",
         "Standard uncertainty of a bias in a dwell:",
@@ -119,12 +119,7 @@ def _contributions_table(contributions: Mapping[str, ContributionSummary], orien
             continue
         if name in _SUM_TITLES:
             expanded = math.sqrt(contribution.expanded_square / contribution.known_count)
-            middle_cells = [
-                "",
-                "",
-                f"U = {scale.text(expanded)}",
-                f"k = {_range_text(contribution.k, '.2f')}",
-            ]
+            middle_cells = ["", "", f"U = {scale.text(expanded)}", f"k = {range_text(contribution.k, '.2f')}"]
         else:
             sensitivity = math.sqrt(contribution.sensitivity_square / max(contribution.sensitivity_count, 1))
             cell = f"{sensitivity:.3g}" if sensitivity else ""
@@ -184,13 +179,7 @@ def _source_text(contribution: ContributionSummary) -> str:
 def _input_text(contribution: ContributionSummary) -> str:
     """Standard uncertainty of the input, or its range, with unit."""
     low, high = contribution.input_sigma
-    return f"{_range_text((low, high), ',.4g')} {contribution.example.input_unit}" if low <= high else ""
-
-
-def _range_text(values: Iterable[float], number_format: str) -> str:
-    """Smallest and largest value, or one value if both have the same text."""
-    ordered = sorted(values)
-    return " to ".join(dict.fromkeys(format(each, number_format) for each in (ordered[0], ordered[-1])))
+    return f"{range_text((low, high), ',.4g')} {contribution.example.input_unit}" if low <= high else ""
 
 
 #: Colours of Okabe and Ito, and hatches, for the sources with the largest shares; the rest is grey.

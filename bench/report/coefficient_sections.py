@@ -12,6 +12,7 @@ from gyrobench.bench.bias.budget import NORMAL_K
 from gyrobench.bench.calibration.coefficients import NOT_OBSERVABLE
 from gyrobench.bench.foundations.text import counted, decimals_of, with_micro_sign
 from gyrobench.bench.report.figures.style import GYRO_STYLES, house_style, new_figure
+from gyrobench.bench.report.number_format import range_text
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable
 from gyrobench.bench.runs.tables.budget_table import BudgetSummary, coverage
 from gyrobench.bench.runs.tables.coefficient_table import (
@@ -93,10 +94,8 @@ def coefficients_overview(rows: Sequence[PlateauCoefficientRow]) -> SectionTable
     """Table with one row for each kind of coefficient: values, change between plateaus, uncertainty."""
     observed = [row for row in rows if not math.isnan(row.value)]
     gyros_c = [row.temperature_c for row in observed if row.coefficient.startswith("gyro")]
-    end_texts = [
-        f"{extreme(gyros_c):z.0f}" for extreme in (min, max) if gyros_c and not any(map(math.isnan, gyros_c))
-    ]
-    temperature_range = f" (gyros {' to '.join(dict.fromkeys(end_texts))} °C)" if end_texts else ""
+    is_known = gyros_c and not any(map(math.isnan, gyros_c))
+    temperature_range = f" (gyros {range_text(gyros_c, 'z.0f')} °C)" if is_known else ""
     plateaus = counted(len({row.plateau for row in observed}), "plateau")
     unobservable = _unobservable_axes(rows)
     return SectionTable(
@@ -122,18 +121,15 @@ def _overview_cells(
         by_axis.setdefault(row.axis, []).append(row.value)
     change, axis = max((max(values) - min(values), axis) for axis, values in by_axis.items())
     sigma = max(row.sigma for row in observed)
-    extremes = min(map(min, by_axis.values())), max(map(max, by_axis.values()))
-    low, high, change_text, uncertainty = (
-        f"{each:z.{decimals_of(sigma)}f}" for each in (*extremes, change, sigma)
-    )
+    number_format = f"z.{decimals_of(sigma)}f"
     note = f"\n{', '.join(unobservable)} {NOT_OBSERVABLE}" if unobservable else ""
     has_change = any(len(values) > 1 for values in by_axis.values())
     return [
         f"{name}{note}",
         observed[0].unit,
-        " to ".join(dict.fromkeys((low, high))),
-        f"{change_text} ({axis})" if has_change else "",
-        uncertainty,
+        range_text((row.value for row in observed), number_format),
+        f"{change:{number_format}} ({axis})" if has_change else "",
+        f"{sigma:{number_format}}",
     ]
 
 
@@ -213,8 +209,7 @@ def coefficients_figure(rows: Sequence[PlateauCoefficientRow], budget: BudgetSum
     coverage_factors = [
         k for (kind, *_), (k, _) in coverage_by_coefficient.items() if kind in _COEFFICIENT_NAMES
     ]
-    factor_texts = {f"{k:.2f}" for k in coverage_factors or [NORMAL_K]}
-    bars_text = f"bars: 95 %, k = {' to '.join(sorted({min(factor_texts), max(factor_texts)}))}"
+    bars_text = f"bars: 95 %, k = {range_text(coverage_factors or [NORMAL_K], '.2f')}"
     for (kind, title), axes in zip(_COEFFICIENT_NAMES.items(), panels.ravel(), strict=True):
         kind_rows = [row for row in rows if row.coefficient == kind and not math.isnan(row.value)]
         axes.set_title(f"{title} / {with_micro_sign(kind_rows[0].unit)}" if kind_rows else title, fontsize=8)

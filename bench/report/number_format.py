@@ -150,6 +150,12 @@ def temperature_ranges(bins: Iterable[BiasBin | PositionComparison]) -> str:
     return listed([f"{bin_label(low, high)} °C" for low, high in ranges])
 
 
+def range_text(values: Iterable[float], number_format: str) -> str:
+    """Smallest and largest value, or one value if both have the same text."""
+    ordered = sorted(values)
+    return " to ".join(dict.fromkeys(format(each, number_format) for each in (ordered[0], ordered[-1])))
+
+
 def true_minus(text: str) -> str:
     """Replace hyphens by minus signs."""
     return text.replace("-", "−")

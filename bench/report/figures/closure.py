@@ -192,63 +192,42 @@ def closure_effect_figure(closure: Closure, effect: FoundEffect) -> Figure:
     """
     columns = effect.candidate.columns(closure.campaign)
     residual_dph = closure.residuals_dph(closure.model)
-    main_terms = {
-        axis: _MainTerm(closure, effect, columns, axis)
-        for axis, name in enumerate(closure.quantity.axes)
-        if name in effect.axes
-    }
+    found_axes = [axis for axis, name in enumerate(closure.quantity.axes) if name in effect.axes]
     scale = scale_of_errors(closure)
     figure = new_figure(3.1, right_in=0.07, bottom_in=0.6, top_in=0.5, wspace=0.2)
     all_axes = figure.subplots(1, len(AXES), sharey=True)
     for axis, (axes, gyro) in enumerate(zip(all_axes, AXES, strict=True)):
         axes.set_title(closure.quantity.headings[axis])
-        if axis not in main_terms:
+        if axis not in found_axes:
             label_empty(axes, "not significant")
             axes.set_xticks([])
             continue
-        noise = nan_rms(closure.dwell_noise_dph[:, axis])
-        _draw_main_term(axes, main_terms[axis], residual_dph[:, axis], noise, scale, closure.searched, gyro)
+        abscissa, label, bias_dph = _main_term(closure, effect, columns, axis)
+        order = np.argsort(abscissa, kind="stable")
+        line, band = bias_dph[order] * scale.factor, nan_rms(closure.dwell_noise_dph[:, axis]) * scale.factor
+        area = axes.fill_between(abscissa[order], line - band, line + band, zorder=0.5, label=_NOISE_LABEL)
+        area.set(color=_BAND_COLOUR, linewidth=0)
+        values = (residual_dph[:, axis] + bias_dph) * scale.factor
+        _draw_dwells(axes, abscissa, values, closure.searched, gyro)
+        axes.plot(abscissa[order], line, color="black", linewidth=1.0, label="fit")
+        axes.set_xlabel(fill(label, _LABEL_WIDTH), fontsize=8)
     figure.supylabel(f"partial residual / ({scale.unit})", x=0.005, fontsize=9)
-    first = all_axes[min(main_terms)]
     figure.suptitle(effect.effect.display_name.capitalize(), fontsize=9)
-    common_legend(figure, [first])
+    common_legend(figure, [all_axes[found_axes[0]]])
     return figure
 
 
-class _MainTerm:
+def _main_term(
+    closure: Closure, effect: FoundEffect, columns: FloatArray, axis: int
+) -> tuple[FloatArray, str, FloatArray]:
     """The term that changes one gyro's bias most: abscissa and its label, bias (n,) without its mean."""
-
-    def __init__(self, closure: Closure, effect: FoundEffect, columns: FloatArray, axis: int) -> None:
-        campaign, searched = closure.campaign, closure.searched
-        terms_dph = columns[:, axis] * effect.sizes_dph[axis]
-        term = int(np.argmax(np.std(terms_dph[searched], axis=0)))
-        self.abscissa: FloatArray = (columns / effect.weights)[:, axis, term]
-        self.label = effect.candidate.form.terms[term]
-        self.bias_dph: FloatArray = terms_dph[:, term] - terms_dph[searched, term].mean()
-        if np.all(np.diff(self.abscissa) >= 0.0):
-            self.abscissa = (campaign.middle_s - campaign.start_s[0]) / S_PER_H
-            self.label = "time / h"
-
-
-def _draw_main_term(
-    axes: Axes,
-    main: _MainTerm,
-    residual_dph: FloatArray,
-    noise_dph: float,
-    scale: BiasScale,
-    searched: BoolArray,
-    gyro: str,
-) -> None:
-    values = (residual_dph + main.bias_dph) * scale.factor
-    order = np.argsort(main.abscissa, kind="stable")
-    abscissa, line = main.abscissa[order], main.bias_dph[order] * scale.factor
-    band = noise_dph * scale.factor
-    axes.fill_between(
-        abscissa, line - band, line + band, color=_BAND_COLOUR, zorder=0.5, linewidth=0, label=_NOISE_LABEL
-    )
-    _draw_dwells(axes, main.abscissa, values, searched, gyro)
-    axes.plot(abscissa, line, color="black", linewidth=1.0, label="fit")
-    axes.set_xlabel(fill(main.label, _LABEL_WIDTH), fontsize=8)
+    campaign, searched = closure.campaign, closure.searched
+    terms_dph = columns[:, axis] * effect.sizes_dph[axis]
+    term = int(np.argmax(np.std(terms_dph[searched], axis=0)))
+    abscissa, label = (columns / effect.weights)[:, axis, term], effect.candidate.form.terms[term]
+    if np.all(np.diff(abscissa) >= 0.0):
+        abscissa, label = (campaign.middle_s - campaign.start_s[0]) / S_PER_H, "time / h"
+    return abscissa, label, terms_dph[:, term] - terms_dph[searched, term].mean()
 
 
 @house_style

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,19 +12,13 @@ from gyrobench.bench.calibration.coefficients import COEFFICIENTS
 from gyrobench.bench.calibration.mission import HOURS
 from gyrobench.bench.report.figures.style import common_legend, house_style, label_empty, new_figure
 from gyrobench.bench.report.verification_text import LABELS
-from gyrobench.bench.verification.compensation_verification import (
-    DECLARED,
-    EFFECT,
-    NONE,
-    VerificationResult,
-    VerificationRow,
-)
+from gyrobench.bench.verification.compensation_verification import DECLARED, EFFECT, NONE, VerificationResult
 
 #: Colour and line of each compensation.
 _STYLES = {NONE: ("#AAAAAA", ":"), DECLARED: ("#E69F00", "--"), EFFECT: ("#0072B2", "-")}
 _NOISE_COLOUR = "#222222"
 _GROUP_WIDTH = 0.8
-#: Plateau labels are vertical if there are more.
+#: Labels of plateaus, with the cycle in brackets if there are several, are vertical if there are more.
 _MAX_HORIZONTAL_LABELS = 4
 _Panel = tuple[str, str, str, str, float]
 _PANELS: tuple[_Panel, ...] = (
@@ -124,18 +117,12 @@ def _draw_bars(axes: Axes, result: VerificationResult, size: str, noise: str, fa
         linewidth=1.2,
         label="noise",
     )
-    if len(rows) > _MAX_HORIZONTAL_LABELS:
-        axes.set_xticks(positions, _plateau_labels(rows, ""), rotation=90, fontsize=6.5)
-    else:
-        axes.set_xticks(positions, _plateau_labels(rows, " °C"), fontsize=8)
+    is_upright = len(rows) > _MAX_HORIZONTAL_LABELS
+    unit, several = "" if is_upright else " °C", len({row.cycle for row in rows}) > 1
+    labels = [f"{row.gyro_c:z.0f}{unit}" + (f" ({row.cycle})" if several else "") for row in rows]
+    axes.set_xticks(positions, labels, rotation=90 if is_upright else 0, fontsize=6.5 if is_upright else 8)
     axes.set_ylim(bottom=0.0)
     axes.grid(visible=False, axis="x")
-
-
-def _plateau_labels(rows: Sequence[VerificationRow], unit: str) -> list[str]:
-    """Labels with the temperature and, if there are several cycles, the cycle in brackets."""
-    several = len({row.cycle for row in rows}) > 1
-    return [f"{row.gyro_c:z.0f}{unit}" + (f" ({row.cycle})" if several else "") for row in rows]
 
 
 _MARKERS = {NONE: "o", DECLARED: "s", EFFECT: "D"}

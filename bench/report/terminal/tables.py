@@ -183,24 +183,19 @@ def preflight_report(checks: Sequence[Check]) -> RenderableType:
     """All checks with verdict, finding and advice, followed by a summary."""
     parts: list[RenderableType] = []
     for subject, group in itertools.groupby(checks, key=lambda check: check.subject):
-        parts += [Text(subject, style="bold"), _check_table(list(group))]
+        table = Table.grid(padding=(0, 1, 0, 0))
+        table.add_column(width=9)
+        table.add_column(width=19)
+        table.add_column(overflow="fold")
+        for check in group:
+            finding = Text(check.found)
+            if check.advice:
+                finding.append(f"\n{check.advice}", style="italic")
+            verdict = Text(f"  {check.verdict}", style=_VERDICT_STYLES[check.verdict])
+            table.add_row(verdict, Text(check.what), finding)
+        parts += [Text(subject, style="bold"), table]
     counts = Counter(check.verdict for check in checks)
     passed, failed, skipped = (counts[verdict] for verdict in CheckVerdict)
     outcome = "not ready for a run" if failed else f"ready for a run{' as far as checked' if skipped else ''}"
     total = f"{passed} passed, {failed} failed, {skipped} skipped: {outcome}."
     return Group(*parts, Text(), Text(total, style="bold red" if failed else "bold"))
-
-
-def _check_table(checks: Sequence[Check]) -> Table:
-    table = Table.grid(padding=(0, 1, 0, 0))
-    table.add_column(width=9)
-    table.add_column(width=19)
-    table.add_column(overflow="fold")
-    for check in checks:
-        finding = Text(check.found)
-        if check.advice:
-            finding.append(f"\n{check.advice}", style="italic")
-        table.add_row(
-            Text(f"  {check.verdict}", style=_VERDICT_STYLES[check.verdict]), Text(check.what), finding
-        )
-    return table
