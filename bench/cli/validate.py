@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from gyrobench.bench.cli.options import complete_station
 from gyrobench.bench.cli.output import EXIT_WRONG_INPUT, JsonOption, print_json
-
-if TYPE_CHECKING:
-    from gyrobench.bench.authoring.file_kinds import FileCheck
-
 
 #: Kinds of file; the names are those of gyrobench.bench.authoring.file_kinds.
 FileKindName = Literal[
@@ -52,26 +48,21 @@ def validate(
     bench = Station(find_document("stations", station)) if station else None
     checks = [check_file(path, kind, bench) for path in files]
     if as_json:
-        print_json({"files": [_record(check) for check in checks]})
+        records = [
+            {
+                "file": check.path,
+                "kind": check.kind or None,
+                "ok": check.is_good,
+                "found": check.found or None,
+                "problems": check.problems(),
+            }
+            for check in checks
+        ]
+        print_json({"files": records})
     else:
         for check in checks:
-            typer.echo(_line(check))
+            noun = "import map" if check.kind == "import" else f"{check.kind.replace('_', ' ')} file"
+            valid = f"{check.path}: valid {noun}{f', {check.found}' if check.found else ''}"
+            typer.echo(valid if check.is_good else check.text)
     if not all(check.is_good for check in checks):
         raise typer.Exit(EXIT_WRONG_INPUT)
-
-
-def _line(check: FileCheck) -> str:
-    if not check.is_good:
-        return check.text
-    noun = "import map" if check.kind == "import" else f"{check.kind.replace('_', ' ')} file"
-    return f"{check.path}: valid {noun}{f', {check.found}' if check.found else ''}"
-
-
-def _record(check: FileCheck) -> dict[str, object]:
-    return {
-        "file": check.path,
-        "kind": check.kind or None,
-        "ok": check.is_good,
-        "found": check.found or None,
-        "problems": check.problems(),
-    }

@@ -117,13 +117,13 @@ def _log_warnings(logs: Sequence[_ReadLog]) -> list[str]:
     for log in logs:
         if log.reader.truncated:
             warnings.append(f"{log.path}: its end is cut off or damaged, and left out")
-        if log.reader.bad_status:
-            warnings.append(f"{log.path}: {log.reader.bad_status} samples left out for their status")
-        if log.reader.no_time:
-            warnings.append(f"{log.path}: {log.reader.no_time} samples without a time left out")
-        dropped = sum(each.dropped for each in log.windows) - log.reader.bad_status
-        if dropped > 0:
-            warnings.append(f"{log.path}: {dropped} samples without a valid rate left out")
+        bad_status, no_time = log.reader.bad_status, log.reader.no_time
+        counts = (
+            (bad_status, "samples left out for their status"),
+            (no_time, "samples without a time left out"),
+            (sum(each.dropped for each in log.windows) - bad_status, "samples without a valid rate left out"),
+        )
+        warnings += [f"{log.path}: {count} {what}" for count, what in counts if count > 0]
     return warnings
 
 

@@ -27,17 +27,11 @@ from gyrobench.bench.procedure.timeline import position_spans, temperature_profi
 def planned_profile(plan: Plan) -> PlannedProfile:
     """Planned temperatures and positions."""
     time_s, chamber_c, gyro_c = (_evenly_chosen(each, MAX_PLANNED) for each in temperature_profile(plan))
-    spans = tuple(
-        PositionSpan(float(start_s), float(end_s), name, _dwells_between(plan, start_s, end_s))
-        for start_s, end_s, name in position_spans(plan)
-    )
-    return PlannedProfile(time_s, chamber_c, gyro_c, spans)
-
-
-def _dwells_between(plan: Plan, start_s: float, end_s: float) -> tuple[int, ...]:
-    """Numbers of the dwells that the plan begins in a time."""
-    steps = (each for each in plan.steps if start_s <= each.start_s < end_s)
-    return tuple(dict.fromkeys(each.dwell for each in steps if each.dwell))
+    spans = []
+    for start_s, end_s, name in position_spans(plan):
+        dwells = (each.dwell for each in plan.steps if start_s <= each.start_s < end_s and each.dwell)
+        spans.append(PositionSpan(float(start_s), float(end_s), name, tuple(dict.fromkeys(dwells))))
+    return PlannedProfile(time_s, chamber_c, gyro_c, tuple(spans))
 
 
 def profile_of_telemetry(telemetry: Mapping[str, FloatArray]) -> MeasuredProfile:

@@ -147,12 +147,6 @@ def _sigma_line(estimates: tuple[LiveBias, ...], width: int, is_ascii: bool) -> 
     return Text.assemble((head, "dim"), (bars, "cyan"), (tail, "dim"))
 
 
-def _message_lines(snapshot: RunSnapshot, count: int) -> list[Text]:
-    """The newest messages, the last at the bottom."""
-    newest = snapshot.messages[-count:] if count else ()
-    return [Text.assemble((f"{hours_minutes(each.time_s):>6s} ", "dim"), each.text) for each in newest]
-
-
 def _wrap(text: str, width: int, head: str, style: str) -> list[Text]:
     lines = textwrap.wrap(head + text, width, subsequent_indent=" " * len(head))
     if len(lines) > _MAX_TEXT_LINES:
@@ -355,7 +349,8 @@ def screen(snapshot: RunSnapshot, width: int, height: int, is_ascii: bool) -> li
     if rows["dwell"]:
         lines += _dwell_graphs(snapshot, width, rows["dwell"], is_ascii)
     lines += [*bias, *_bins_table(snapshot, rows["bins"], plus_minus)]
-    lines += _message_lines(snapshot, rows["messages"])
+    newest = snapshot.messages[-rows["messages"] :] if rows["messages"] else ()
+    lines += [Text.assemble((f"{hours_minutes(each.time_s):>6s} ", "dim"), each.text) for each in newest]
     shown = [*top, *lines][:height]
     for line in shown:
         line.truncate(width, overflow="ellipsis")

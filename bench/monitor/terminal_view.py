@@ -7,7 +7,7 @@ import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from typing import TextIO, cast
+from typing import Any, TextIO, cast
 
 from rich.console import Console, Group
 from rich.live import Live
@@ -264,17 +264,11 @@ class _TerminalView(RunObserver):
         if self._clock.now() >= self._next_snapshot_s:
             self._take_snapshot()
 
-    def held(self, why: str, needs_person: bool, command: RunCommand | None) -> None:  # noqa: ARG002
-        """Show at once that the run holds."""
+    def held(self, *_: Any, **__: Any) -> None:
+        """Show at once that the run holds, asks or has ended."""
         self._take_snapshot()
 
-    def asked(self, question: str, answers: Sequence[str]) -> None:  # noqa: ARG002
-        """Show a question at once."""
-        self._take_snapshot()
-
-    def ended(self, outcome: RunOutcome) -> None:  # noqa: ARG002
-        """Show the end."""
-        self._take_snapshot()
+    asked = ended = held
 
     def _take_snapshot(self) -> None:
         self._snapshot = self._recorder.snapshot()

@@ -65,26 +65,8 @@ _MISSION_TEXT = (
 )
 
 
-def _mission_sentence(result: VerificationResult) -> str:
-    """Position error after each time, with each compensation."""
-    times = listed([f"{hours:g}" for hours in HOURS])
-    errors = [
-        f"{', '.join(map(_nmi_text, each.worst.error.stated_nmi))} nmi {text.with_compensation(each)}"
-        for each in result.coefficients
-    ]
-    limits = ", ".join(map(_nmi_text, result.coefficients[-1].worst.error.high_nmi))
-    return (
-        f"Largest position error of a mission with the remaining coefficient errors, within {times} h: "
-        f"{'; '.join(errors)}. Given the uncertainty of the last, 95 % of all missions stay below {limits} "
-        "nmi."
-    )
-
-
-def _nmi_text(distance_nmi: float) -> str:
-    return f"{distance_nmi:.2g}" if distance_nmi < 1.0 else f"{distance_nmi:.1f}"
-
-
-def _coefficient_table(result: VerificationResult) -> SectionTable:
+def _coefficient_section(result: VerificationResult) -> Section:
+    """Rms of all coefficients with each compensation."""
     results = result.coefficients
     header = ["coefficient", "unit", *(text.LABELS[each.compensation] for each in results), "noise"]
     rows = []
@@ -92,48 +74,34 @@ def _coefficient_table(result: VerificationResult) -> SectionTable:
         sizes = [*(each.rms[index] for each in results), results[-1].noise[index]]
         texts = ["not observable" if np.isnan(size) else f"{size:.3g}" for size in sizes]
         rows.append([f"{plain_name(coefficient.name)} {coefficient.axis}", coefficient.unit, *texts])
-    return SectionTable("Rms over the plateaus", header, rows, words=2)
+    figure = SectionFigure(
+        "coefficients", _COEFFICIENTS_CAPTION, partial(coefficient_residuals_figure, result)
+    )
+    table = SectionTable("Rms over the plateaus", header, rows, words=2)
+    return Section("All coefficients", figures=[figure], tables=[table])
 
 
-def _mission_table(result: VerificationResult) -> SectionTable:
-    rows = [
-        [
-            text.LABELS[each.compensation],
-            f"{each.worst.gyro_c:z.0f}",
-            *(
-                f"{_nmi_text(error_nmi)} (< {_nmi_text(limit_nmi)})"
-                for error_nmi, limit_nmi in zip(
-                    each.worst.error.stated_nmi, each.worst.error.high_nmi, strict=True
-                )
-            ),
-        ]
-        for each in result.coefficients
-    ]
+def _mission_section(result: VerificationResult) -> Section:
+    """Position error after each time, with each compensation."""
+    rows, sentences, limits_of_runs = [], [], []
+    for each in result.coefficients:
+        errors, limits = (
+            [f"{nmi:.2g}" if nmi < 1.0 else f"{nmi:.1f}" for nmi in values]
+            for values in (each.worst.error.stated_nmi, each.worst.error.high_nmi)
+        )
+        limits_of_runs.append(limits)
+        sentences.append(f"{', '.join(errors)} nmi {text.with_compensation(each)}")
+        cells = [f"{error} (< {limit})" for error, limit in zip(errors, limits, strict=True)]
+        rows.append([text.LABELS[each.compensation], f"{each.worst.gyro_c:z.0f}", *cells])
+    sentence = (
+        "Largest position error of a mission with the remaining coefficient errors, within "
+        f"{listed([f'{hours:g}' for hours in HOURS])} h: {'; '.join(sentences)}. Given the uncertainty of "
+        f"the last, 95 % of all missions stay below {', '.join(limits_of_runs[-1])} nmi."
+    )
     header = ["compensation", "°C", *(f"{hours:g} h" for hours in HOURS)]
-    return SectionTable("Position error in nmi, in brackets the limit of 95 %", header, rows)
-
-
-def _coefficient_sections(result: VerificationResult) -> list[Section]:
-    """Sections about all coefficients; empty list if none were compensated."""
-    if not result.coefficients:
-        return []
-    return [
-        Section(
-            "All coefficients",
-            figures=[
-                SectionFigure(
-                    "coefficients", _COEFFICIENTS_CAPTION, partial(coefficient_residuals_figure, result)
-                )
-            ],
-            tables=[_coefficient_table(result)],
-        ),
-        Section(
-            "A mission of a rotational INS",
-            [_mission_sentence(result), _MISSION_TEXT],
-            [SectionFigure("mission", _MISSION_CAPTION, partial(mission_figure, result))],
-            [_mission_table(result)],
-        ),
-    ]
+    table = SectionTable("Position error in nmi, in brackets the limit of 95 %", header, rows)
+    figure = SectionFigure("mission", _MISSION_CAPTION, partial(mission_figure, result))
+    return Section("A mission of a rotational INS", [sentence, _MISSION_TEXT], [figure], [table])
 
 
 def verification_sections(result: VerificationResult) -> list[Section]:
@@ -161,7 +129,7 @@ def verification_sections(result: VerificationResult) -> list[Section]:
         ),
         Section("Residual", text.change_sentences(result), figures, [totals_table, plateaus_table]),
         *([Section("A day of a rotational INS", figures=[day_section_figure])] if has_day else []),
-        *_coefficient_sections(result),
+        *([_coefficient_section(result), _mission_section(result)] if result.coefficients else []),
         Section("Definitions", text.definition_sentences(result)),
     ]
 
