@@ -269,15 +269,11 @@ def verify_file(path: Path, trusted: Path | None = None) -> SignatureCheck:
 
 
 def _load_certificates(path: Path) -> Sequence[Certificate]:
+    content = read_limited(path, _MAX_KEY_BYTES, DocumentError)
     try:
-        certificates = require("cryptography.x509").load_pem_x509_certificates(
-            read_limited(path, _MAX_KEY_BYTES, DocumentError)
-        )
+        return require("cryptography.x509").load_pem_x509_certificates(content)  # type: ignore[no-any-return]
     except ValueError as error:
-        if isinstance(error, DocumentError):
-            raise
         raise DocumentError(f"{path}: holds no certificate in PEM: {error}") from error
-    return certificates  # type: ignore[no-any-return]
 
 
 def _verify_xml(content: bytes, path: Path) -> tuple[Certificate, str]:

@@ -120,7 +120,11 @@ def investigate(
 
     Example: gyrobench investigate quick_campaign --station quick --world quick --approve auto
     """
+    from gyrobench.bench.bias.dwell_table import read_dwells
+    from gyrobench.bench.foundations.clock import WallClock
     from gyrobench.bench.foundations.errors import DocumentError
+    from gyrobench.bench.investigation.external_bench import ExternalBench
+    from gyrobench.bench.investigation.investigation import Investigator
     from gyrobench.bench.runs.folder import RunFolder
 
     consent = _Consent(console(as_json, of_run=True), approve == "auto", as_json)
@@ -133,7 +137,9 @@ def investigate(
                 "--bench goes with one table, without --station, --world, --seed and --verification"
             )
         folder = out or Path(sources[0]).parent / "investigation"
-        investigation = _with_command(bench, Path(sources[0]), folder, budget_h, bench_time_limit_s, consent)
+        dwells = read_dwells(Path(sources[0]))
+        external = ExternalBench(bench, dwells, bench_time_limit_s, consent.terminal.print)
+        investigation = Investigator(external, folder, budget_h, consent).run(WallClock())
         _report(consent.terminal, investigation, folder, sources, None, as_json)
         return
     start = _start(sources, runs, station, world, seed, out, adaptive=adaptive)
@@ -167,19 +173,6 @@ class _Consent:
     def is_given(self) -> bool:
         """Whether to measure the printed block."""
         return self.is_automatic or typer.confirm("Measure it?", err=self.as_json)
-
-
-def _with_command(
-    command: str, table: Path, folder: Path, budget_h: float, time_limit_s: float | None, consent: _Consent
-) -> Investigation:
-    """Investigate a table with blocks measured by an external command."""
-    from gyrobench.bench.bias.dwell_table import read_dwells
-    from gyrobench.bench.foundations.clock import WallClock
-    from gyrobench.bench.investigation.external_bench import ExternalBench
-    from gyrobench.bench.investigation.investigation import Investigator
-
-    external = ExternalBench(command, read_dwells(table), time_limit_s, consent.terminal.print)
-    return Investigator(external, folder, budget_h, consent).run(WallClock())
 
 
 def _start(

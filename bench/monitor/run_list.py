@@ -29,12 +29,10 @@ from gyrobench.bench.monitor.snapshot import (
     PlannedProfile,
     RunSnapshot,
     RunState,
-    read_snapshot,
-)
-from gyrobench.bench.monitor.snapshot_parts import (
     live_bins,
     planned_profile,
     profile_of_telemetry,
+    read_snapshot,
     snapshot_dwells,
 )
 from gyrobench.bench.procedure.plan import Plan

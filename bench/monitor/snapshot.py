@@ -1,25 +1,32 @@
 """Snapshot of a run: everything that its views show, as plain numbers and texts.
 
-Times are on the run's clock unless a name says otherwise. An unknown number is NaN, null in JSON.
+Its last functions make the parts that follow from the plan and the tables of a run. Times are on the run's
+clock unless a name says otherwise. An unknown number is NaN, null in JSON.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError
 from pydantic_core import to_json
 
+from gyrobench.bench.bias.bins import bin_biases
+from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import read_limited
+from gyrobench.bench.foundations.text import flag_text
 from gyrobench.bench.navigation.positions import AXES
+from gyrobench.bench.procedure.plan import Plan
+from gyrobench.bench.procedure.timeline import position_spans, temperature_profile
 
 #: A number; NaN if unknown.
 Number = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
@@ -402,3 +409,45 @@ def _series(snapshot: RunSnapshot) -> Iterator[list[Series]]:
     for part in parts:
         values = (getattr(part, each.name) for each in fields(part) if each.name != "positions")
         yield [value for value in values if isinstance(value, tuple)]
+
+
+def planned_profile(plan: Plan) -> PlannedProfile:
+    """Planned temperatures and positions."""
+    time_s, chamber_c, gyro_c = (_evenly_chosen(each, MAX_PLANNED) for each in temperature_profile(plan))
+    spans = []
+    for start_s, end_s, name in position_spans(plan):
+        dwells = (each.dwell for each in plan.steps if start_s <= each.start_s < end_s and each.dwell)
+        spans.append(PositionSpan(float(start_s), float(end_s), name, tuple(dict.fromkeys(dwells))))
+    return PlannedProfile(time_s, chamber_c, gyro_c, tuple(spans))
+
+
+def profile_of_telemetry(telemetry: Mapping[str, FloatArray]) -> MeasuredProfile:
+    """Profile of a run from its telemetry, whose columns have the names of its series."""
+    return MeasuredProfile(
+        *(_evenly_chosen(telemetry[each.name], MAX_MEASURED) for each in fields(MeasuredProfile))
+    )
+
+
+def _evenly_chosen(values: FloatArray, max_count: int) -> tuple[float, ...]:
+    """At most ``max_count`` values, evenly chosen, with the first and the last."""
+    if len(values) > max_count:
+        values = values[np.linspace(0, len(values) - 1, max_count).round().astype(int)]
+    return tuple(map(float, values))
+
+
+def snapshot_dwells(rows: Sequence[DwellRow]) -> tuple[SnapshotDwell, ...]:
+    """Summary of each dwell."""
+    return tuple(
+        SnapshotDwell(
+            row.dwell, row.cycle, row.position, row.gyro_c, row.bias_dph, row.sigma_dph, flag_text(row.flags)
+        )
+        for row in rows
+    )
+
+
+def live_bins(rows: Sequence[DwellRow], width_c: float) -> tuple[LiveBin, ...]:
+    """Bins of the dwells without flags, including empty bins between them."""
+    return tuple(
+        LiveBin(row.gyro, row.position, row.bin_low_c, row.bin_high_c, row.bias_dph, row.sigma_dph, row.count)
+        for row in bin_biases([each for each in rows if not each.flags], width_c)
+    )

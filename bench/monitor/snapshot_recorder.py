@@ -43,9 +43,11 @@ from gyrobench.bench.monitor.snapshot import (
     SnapshotDwell,
     UnitStatus,
     WindowTrace,
+    live_bins,
+    planned_profile,
     read_snapshot,
+    snapshot_dwells,
 )
-from gyrobench.bench.monitor.snapshot_parts import live_bins, planned_profile, snapshot_dwells
 from gyrobench.bench.procedure.plan import Plan, PlannedStep
 from gyrobench.bench.procedure.rotation_steps import RotatingStep
 from gyrobench.bench.procedure.steps import Align, GoTo, Navigate, Turn

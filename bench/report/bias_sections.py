@@ -266,8 +266,7 @@ def _dwell_cells(row: DwellRow, scale: BiasScale) -> list[str]:
 
 
 def _dwell_biases(row: DwellRow, scale: BiasScale) -> list[str]:
-    pairs = zip(row.bias_dph, row.sigma_dph, strict=True)
-    return ["" if math.isnan(bias) else scale.with_sigma(bias, sigma) for bias, sigma in pairs]
+    return [scale.with_sigma(*pair) for pair in zip(row.bias_dph, row.sigma_dph, strict=True)]
 
 
 def _available_figure(figures: Mapping[str, Path], name: str, caption: str) -> list[SectionFigure]:

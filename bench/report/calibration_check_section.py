@@ -95,9 +95,9 @@ def table_rows(rows: Sequence[CalibrationCheckRow]) -> list[list[str]]:
             row.gyro.upper(),
             row.method,
             "" if math.isnan(row.temperature_c) else f"{row.temperature_c:.1f}",
-            _with_sigma(scale, row.bias_dph, row.sigma_dph),
-            _with_sigma(scale, row.paper_bias_dph, row.paper_sigma_dph),
-            _with_sigma(scale, row.calibrated_dph, row.calibrated_sigma_dph),
+            scale.with_sigma(row.bias_dph, row.sigma_dph),
+            scale.with_sigma(row.paper_bias_dph, row.paper_sigma_dph),
+            scale.with_sigma(row.calibrated_dph, row.calibrated_sigma_dph),
             _difference_cell(row, row in significant),
         ]
         for row in rows
@@ -151,7 +151,3 @@ def _difference_cell(row: CalibrationCheckRow, is_significant: bool) -> str:
     if row.flags:
         return "flagged"
     return f"{_normalised_difference(row):+z.1f}{'*' if is_significant else ''}" if row.is_compared else ""
-
-
-def _with_sigma(scale: BiasScale, bias_dph: float, sigma_dph: float) -> str:
-    return "" if math.isnan(bias_dph) else scale.with_sigma(bias_dph, sigma_dph)

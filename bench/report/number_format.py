@@ -51,8 +51,8 @@ class BiasScale:
         return text if float(text) == value else f"{value:g}"
 
     def with_sigma(self, value_dph: float, sigma_dph: float, between: str = " ± ") -> str:
-        """Write a bias with its uncertainty, without their unit."""
-        return f"{self.text(value_dph)}{between}{self.text(sigma_dph)}"
+        """Write a bias with its uncertainty, without their unit; empty for NaN."""
+        return "" if math.isnan(value_dph) else f"{self.text(value_dph)}{between}{self.text(sigma_dph)}"
 
 
 def scale_of_bins(bins: Iterable[BiasBin]) -> BiasScale:

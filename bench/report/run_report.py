@@ -331,17 +331,14 @@ def _list_section(title: str, items: object) -> Section | None:
 
 def _instruments_section(content: RunContent) -> Section:
     instruments, provenance = instruments_of(content), content.provenance
-    versions = {name: provenance[name] for name in _VERSION_KEYS if name in provenance} | provenance.get(
-        "packages", {}
-    )
+    versions = {name: provenance[name] for name in _VERSION_KEYS if name in provenance}
+    versions |= provenance.get("packages", {})
+    version_text = ", ".join(f"{name} {version}" for name, version in versions.items())
+    hashes = _as_texts(provenance.get("files_sha256") or {})
     parts = [
         _list_section("Resolution of the INS output", content.last("resolution").get("lines")),
-        Section("Versions", [", ".join(f"{name} {version}" for name, version in versions.items())])
-        if versions
-        else None,
-        Section("SHA-256 of the input files", facts=_as_texts(provenance["files_sha256"]))
-        if provenance.get("files_sha256")
-        else None,
+        Section("Versions", [version_text]) if versions else None,
+        Section("SHA-256 of the input files", facts=hashes) if hashes else None,
     ]
     return Section(
         "Instruments and software",

@@ -309,11 +309,7 @@ def separability_figure(separability: Separability, target_dph: float, name: str
     axes.set_yticks(range(len(names)), labels)
     axes.spines[:].set_visible(False)
     axes.tick_params(length=0)
-    framed = {
-        pair
-        for row_name, column_name in separability.not_distinguished(target_dph)
-        for pair in ((row_name, column_name), (column_name, row_name))
-    }
+    framed = {frozenset(pair) for pair in separability.not_distinguished(target_dph)}
     for row, row_name in enumerate(names):
         for column, column_name in enumerate(names):
             if row == column:
@@ -322,7 +318,7 @@ def separability_figure(separability: Separability, target_dph: float, name: str
             axes.text(
                 column, row, f"{values[row, column]:.2f}", ha="center", va="center", color=colour, fontsize=7
             )
-            if (row_name, column_name) in framed:
+            if {row_name, column_name} in framed:
                 frame = Rectangle((column - 0.46, row - 0.44), 0.92, 0.88, fill=False)
                 frame.set(edgecolor="#D55E00", linewidth=1.6)
                 axes.add_patch(frame)
