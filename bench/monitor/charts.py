@@ -96,12 +96,6 @@ def value_axis(title: str, values: Iterable[float], min_span: float) -> Axis:
     return _with_ticks(axis, step, lambda value: true_minus(f"{value:z.{decimals}f}"))
 
 
-def _temperature_axis(temperatures_c: Iterable[float]) -> Axis:
-    """Make a horizontal axis that covers the finite temperatures, as :func:`value_axis`."""
-    axis = replace(value_axis("Gyro temperature, °C", temperatures_c, _MIN_SPAN_C), is_upright=False)
-    return replace(axis, ticks=tuple(Tick(100.0 - tick.percent, tick.text) for tick in axis.ticks))
-
-
 def time_axis(title: str, high_s: float, unit_s: float) -> Axis:
     """Make an axis of time from zero with ticks at round minutes or hours.
 
@@ -226,7 +220,9 @@ def _temperature_chart(gyro: str, bins: Sequence[LiveBin], scale: BiasScale) -> 
         point = (each.low_c + each.high_c) / 2.0, scale.factor * each.bias_dph, scale.factor * each.sigma_dph
         points.setdefault(each.position, []).append(point)
     all_points = [point for position_points in points.values() for point in position_points]
-    x = _temperature_axis(point[0] for point in all_points)
+    upright = value_axis("Gyro temperature, °C", (point[0] for point in all_points), _MIN_SPAN_C)
+    ticks = tuple(Tick(100.0 - tick.percent, tick.text) for tick in upright.ticks)
+    x = replace(upright, is_upright=False, ticks=ticks)
     ends = [bias + side * sigma for _, bias, sigma in all_points for side in (-1.0, 1.0)]
     y = value_axis(f"Bias, {scale.unit}", ends, _MIN_SPAN_BIAS)
     curves = tuple(

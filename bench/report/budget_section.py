@@ -7,6 +7,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 from matplotlib.figure import Figure
 
@@ -244,27 +245,14 @@ def budget_figure(bars: Sequence[Shares]) -> Figure:
     rows = range(len(bars))
     starts = [0.0] * len(bars)
     for name, (colour, hatch) in [*zip(named, _SOURCE_STYLES, strict=False), ("", _OTHER_STYLE)]:
-        widths = [
-            100.0
-            * (
-                each.parts.get(name, 0.0)
-                if name
-                else 1.0 - sum(each.parts.get(source, 0.0) for source in named)
-            )
-            for each in bars
-        ]
-        label = SOURCES[name].title if name else f"other, each below {100.0 * _MIN_SHARE:g} %"
-        axes.barh(
-            rows,
-            widths,
-            0.72,
-            starts,
-            color=colour,
-            hatch=hatch,
-            edgecolor="white",
-            linewidth=0.4,
-            label=label,
-        )
+        if name:
+            label, shares = SOURCES[name].title, [each.parts.get(name, 0.0) for each in bars]
+        else:
+            label = f"other, each below {100.0 * _MIN_SHARE:g} %"
+            shares = [1.0 - sum(each.parts.get(source, 0.0) for source in named) for each in bars]
+        widths = [100.0 * share for share in shares]
+        look: dict[str, Any] = {"color": colour, "hatch": hatch, "edgecolor": "white", "linewidth": 0.4}
+        axes.barh(rows, widths, 0.72, starts, label=label, **look)
         starts = [start + width for start, width in zip(starts, widths, strict=True)]
     for row, each in zip(rows, bars, strict=True):
         axes.annotate(

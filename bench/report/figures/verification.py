@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,12 +12,17 @@ from matplotlib.figure import Figure
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS
 from gyrobench.bench.calibration.mission import HOURS
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.report.figures.style import common_legend, house_style, label_empty, new_figure
 from gyrobench.bench.report.verification_text import LABELS
 from gyrobench.bench.verification.compensation_verification import DECLARED, EFFECT, NONE, VerificationResult
 
-#: Colour and line of each compensation.
-_STYLES = {NONE: ("#AAAAAA", ":"), DECLARED: ("#E69F00", "--"), EFFECT: ("#0072B2", "-")}
+#: Colour and label of each compensation, and its line.
+_STYLES: dict[str, dict[str, Any]] = {
+    name: {"color": colour, "label": LABELS[name]}
+    for name, colour in ((NONE, "#AAAAAA"), (DECLARED, "#E69F00"), (EFFECT, "#0072B2"))
+}
+_LINES = {NONE: ":", DECLARED: "--", EFFECT: "-"}
 _NOISE_COLOUR = "#222222"
 _GROUP_WIDTH = 0.8
 #: Labels of plateaus, with the cycle in brackets if there are several, are vertical if there are more.
@@ -62,15 +69,13 @@ def day_figure(result: VerificationResult) -> Figure:
     panels = figure.subplots(len(plateaus), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     for axes, plateau in zip(panels, plateaus, strict=True):
         for each, check in zip(result.results, plateau.checks, strict=True):
-            colour, line = _STYLES[each.compensation]
             error = check.day.error if check is not None and check.day is not None else None
             # A run without this plateau has an empty line, which keeps the order of the legend.
             axes.plot(
                 [] if error is None else error.time_s / 3600.0,
                 [] if error is None else error.distance_nmi,
-                color=colour,
-                linestyle=line,
-                label=LABELS[each.compensation],
+                linestyle=_LINES[each.compensation],
+                **_STYLES[each.compensation],
             )
         noise_nmi = plateau.noise_row("position_nmi").position_noise_nmi
         axes.axhline(noise_nmi, color=_NOISE_COLOUR, linewidth=0.8, label="noise")
@@ -100,29 +105,23 @@ def _draw_bars(axes: Axes, result: VerificationResult, size: str, noise: str, fa
         # Without a value there is no bar: one of height NaN is not drawn.
         values = [math.nan if row is None else factor * getattr(row, size) for row in run_rows]
         offset = (index - 0.5 * (len(result.results) - 1)) * width
-        axes.bar(
-            positions + offset,
-            values,
-            0.92 * width,
-            color=_STYLES[each.compensation][0],
-            label=LABELS[each.compensation],
-        )
+        axes.bar(positions + offset, values, 0.92 * width, **_STYLES[each.compensation])
     noises = [factor * getattr(plateau.noise_row(size), noise) for plateau in plateaus]
     rows = [plateau.measured_rows[0] for plateau in plateaus]
-    axes.hlines(
-        noises,
-        positions - 0.5 * _GROUP_WIDTH,
-        positions + 0.5 * _GROUP_WIDTH,
-        color=_NOISE_COLOUR,
-        linewidth=1.2,
-        label="noise",
-    )
+    _draw_noise(axes, noises, 0.5 * _GROUP_WIDTH)
     is_upright = len(rows) > _MAX_HORIZONTAL_LABELS
     unit, several = "" if is_upright else " °C", len({row.cycle for row in rows}) > 1
     labels = [f"{row.gyro_c:z.0f}{unit}" + (f" ({row.cycle})" if several else "") for row in rows]
     axes.set_xticks(positions, labels, rotation=90 if is_upright else 0, fontsize=6.5 if is_upright else 8)
     axes.set_ylim(bottom=0.0)
     axes.grid(visible=False, axis="x")
+
+
+def _draw_noise(axes: Axes, values: Sequence[float] | FloatArray, half_width: float) -> None:
+    """Draw the noise of each group of bars or points as a line across the group."""
+    positions = np.arange(len(values))
+    ends = positions - half_width, positions + half_width
+    axes.hlines(values, *ends, color=_NOISE_COLOUR, linewidth=1.2, label="noise")
 
 
 _MARKERS = {NONE: "o", DECLARED: "s", EFFECT: "D"}
@@ -148,14 +147,10 @@ def coefficient_residuals_figure(result: VerificationResult) -> Figure:
                 linestyle="none",
                 marker=_MARKERS[each.compensation],
                 markersize=4,
-                color=_STYLES[each.compensation][0],
-                label=LABELS[each.compensation],
+                **_STYLES[each.compensation],
             )
         positions = np.arange(len(indices))
-        noise = factor * result.coefficients[-1].noise[indices]
-        axes.hlines(
-            noise, positions - 0.35, positions + 0.35, color=_NOISE_COLOUR, linewidth=1.2, label="noise"
-        )
+        _draw_noise(axes, factor * result.coefficients[-1].noise[indices], 0.35)
         axes.set_yscale("log")
         low, high = axes.get_ylim()
         axes.set_ylim(10.0 ** np.floor(np.log10(low)), 10.0 ** np.ceil(np.log10(high)))
@@ -172,13 +167,15 @@ def mission_figure(result: VerificationResult) -> Figure:
     axes = figure.subplots()
     for each in result.coefficients:
         error = each.worst.error
-        colour, label = _STYLES[each.compensation][0], LABELS[each.compensation]
-        axes.plot(error.time_s / 3600.0, error.distance_nmi, color=colour, linewidth=1.0, label=label)
-        ends = [0.0, *HOURS]
-        high = [error.high_nmi[0], *error.high_nmi]
-        axes.step(
-            ends, high, where="pre", color=colour, linewidth=0.8, linestyle="--", label=f"{label}, 95 %"
-        )
+        style = _STYLES[each.compensation]
+        axes.plot(error.time_s / 3600.0, error.distance_nmi, linewidth=1.0, **style)
+        limit_style: dict[str, Any] = {
+            "color": style["color"],
+            "label": f"{style['label']}, 95 %",
+            "linestyle": "--",
+        }
+        limits_nmi = [error.high_nmi[0], *error.high_nmi]
+        axes.step([0.0, *HOURS], limits_nmi, where="pre", linewidth=0.8, **limit_style)
     axes.set(xlabel="time / h", ylabel="distance / nmi", xlim=(0.0, HOURS[-1]), yscale="log")
     axes.set_xticks(np.arange(0, 25, 4))
     axes.set_ylim(
