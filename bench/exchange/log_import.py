@@ -16,7 +16,7 @@ import numpy as np
 from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow, write_dwells
 from gyrobench.bench.exchange.earth_check import earth_warnings
 from gyrobench.bench.exchange.import_map import LogMap, load_log_map
-from gyrobench.bench.exchange.log_windows import SampleReader, Window, cut_windows
+from gyrobench.bench.exchange.log_windows import SampleReader, Trend, Window, cut_windows
 from gyrobench.bench.exchange.window_checks import (
     earth_rate_dph,
     nearest_position,
@@ -268,10 +268,10 @@ def _dwell_rows(logs: Sequence[_ReadLog], sigma_dph: FloatArray, log_map: LogMap
                 bias_dph=triple(window.rate_dph - earth),
                 sigma_dph=triple(sigma_dph),
                 azimuth_deg=np.nan if azimuth_deg is None else azimuth_deg,
-                chamber_set_c=window.means.get("chamber_set_c", np.nan),
-                chamber_c=window.means.get("chamber_c", np.nan),
-                case_c=window.means.get("case_c", np.nan),
-                board_c=_means(window, "board") if "board_x_c" in window.means else NOT_MEASURED,
+                chamber_set_c=window.trends.get("chamber_set_c", Trend()).mean,
+                chamber_c=window.trends.get("chamber_c", Trend()).mean,
+                case_c=window.trends.get("case_c", Trend()).mean,
+                board_c=_means(window, "board") if "board_x_c" in window.trends else NOT_MEASURED,
             )
         )
     return rows
@@ -309,7 +309,7 @@ def _cycles(
     if rule.constant is not None:
         return [rule.constant] * len(windows)
     if rule.column is not None:
-        return [round(window.means["cycle"]) for window in windows]
+        return [round(window.trends["cycle"].mean) for window in windows]
     if rule.each_log:
         return [1 + log_index for log_index in log_indices]
     if rule.block_s is not None:
@@ -329,7 +329,7 @@ def _position(window: Window, log_map: LogMap) -> str:
     if rule.constant is not None:
         return rule.constant
     if rule.column is not None:
-        return list(POSITIONS)[int(window.means["position"])]
+        return list(POSITIONS)[int(window.trends["position"].mean)]
     return nearest_position(window.force)[0]
 
 
@@ -338,8 +338,8 @@ def _gyro_temperatures(window: Window, log_map: LogMap) -> tuple[Triple, Triple]
     constant = log_map.averages.temperatures.constant_c
     if constant is not None:
         return (constant, constant, constant), (0.0, 0.0, 0.0)
-    return _means(window, "gyro"), triple(window.slopes_per_h[f"gyro_{axis}_c"] for axis in AXES)
+    return _means(window, "gyro"), triple(window.trends[f"gyro_{axis}_c"].slope_per_h for axis in AXES)
 
 
 def _means(window: Window, sensor: str) -> Triple:
-    return triple(window.means[f"{sensor}_{axis}_c"] for axis in AXES)
+    return triple(window.trends[f"{sensor}_{axis}_c"].mean for axis in AXES)

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -302,6 +302,15 @@ MIN_WINDOW_SAMPLES = 10
 _ROUNDING = 1e-9
 
 
+class Trend(NamedTuple):
+    """A quantity in a window; NaN if not measured."""
+
+    mean: float = np.nan
+    slope_per_h: float = np.nan
+    step: float = np.inf  #: Smallest change; infinite if there is none.
+    span: float = np.nan  #: Difference of largest and smallest value.
+
+
 @dataclass(frozen=True, eq=False)
 class Window:
     """Means of one window."""
@@ -326,12 +335,7 @@ class Window:
     extreme_dph: FloatArray
     max_samples_at_extreme: NDArray[np.intp]
     max_samples_unchanged: NDArray[np.intp]  #: Shape (3,). Longest series of samples with a constant rate.
-    #: means, slopes_per_h, steps, spans: Of temperatures, position and cycle: mean, slope, smallest change,
-    #: and difference of largest and smallest value. NaN if not measured.
-    means: dict[str, float]
-    slopes_per_h: dict[str, float]
-    steps: dict[str, float]
-    spans: dict[str, float]
+    trends: dict[str, Trend]  #: Of temperatures, position and cycle.
     force: FloatArray  #: Shape (3,). Mean of the accelerometers; NaN if the import map names none.
 
 
@@ -377,10 +381,7 @@ def _window(samples: Samples, window_s: float, skip_s: float, before_s: float) -
     rates = rates[valid]
     abs_rates = np.abs(rates)
     steps = np.diff(time_s, prepend=time_s[0] if np.isnan(before_s) else before_s)
-    means, slopes, smallest, spans = {}, {}, {}, {}
-    for name, values in samples.items():
-        if name.endswith("_c") or name in ("position", "cycle"):
-            means[name], slopes[name], smallest[name], spans[name] = _trend(time_s, values)
+    names = [name for name in samples if name.endswith("_c") or name in ("position", "cycle")]
     is_sufficient = len(rates) >= MIN_WINDOW_SAMPLES
     unknown = np.full(3, np.nan)
     block_count = next((count for count in BLOCKS if 2 * count <= len(rates)), 0)
@@ -401,24 +402,22 @@ def _window(samples: Samples, window_s: float, skip_s: float, before_s: float) -
             [max_consecutive(each == each.max(initial=0.0)) for each in abs_rates.T]
         ),
         max_samples_unchanged=np.array([1 + max_consecutive(np.diff(rate) == 0.0) for rate in rates.T]),
-        means=means,
-        slopes_per_h=slopes,
-        steps=smallest,
-        spans=spans,
-        force=np.array([_trend(time_s, samples[name])[0] if name in samples else np.nan for name in FORCES]),
+        trends={name: _trend(time_s, samples[name]) for name in names},
+        force=np.array(
+            [_trend(time_s, samples[name]).mean if name in samples else np.nan for name in FORCES]
+        ),
     )
 
 
-def _trend(time_s: FloatArray, values: FloatArray) -> tuple[float, float, float, float]:
-    """Mean, slope per hour, smallest step and span; NaN, NaN, infinite and NaN without values."""
+def _trend(time_s: FloatArray, values: FloatArray) -> Trend:
     is_known = np.isfinite(values)
     if not is_known.any():
-        return np.nan, np.nan, np.inf, np.nan
+        return Trend()
     time_h, known_values = (time_s[is_known] - time_s[is_known].mean()) / 3600.0, values[is_known]
     mean = float(known_values.mean())
     squares = float(time_h @ time_h)
     slope = float(time_h @ (known_values - mean)) / squares if squares > 0.0 else np.nan
-    return mean, slope, _smallest_step(known_values), float(np.ptp(known_values))
+    return Trend(mean, slope, _smallest_step(known_values), float(np.ptp(known_values)))
 
 
 def _smallest_step(values: FloatArray) -> float:

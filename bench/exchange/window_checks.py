@@ -87,7 +87,7 @@ def rejection_reasons(windows: Sequence[Window], log_map: LogMap) -> list[str]:
 
 def temperature_resolution_c(windows: Sequence[Window], name: str) -> float:
     """Smallest step of a temperature; infinite if it never changes."""
-    return min((each.steps[name] for each in windows if name in each.steps), default=np.inf)
+    return min((each.trends[name].step for each in windows if name in each.trends), default=np.inf)
 
 
 def temperature_warnings(rows: Sequence[DwellRow], windows: Sequence[Window], log_map: LogMap) -> list[str]:
@@ -170,7 +170,7 @@ def _temperature_problem(window: Window, log_map: LogMap, is_stuck: bool) -> str
     """Reason against a window by its temperatures; empty if there is none."""
     if log_map.averages.temperatures.constant_c is not None:
         return ""
-    if any(np.isnan(window.slopes_per_h[name]) for name in _GYRO_TEMPERATURES):
+    if any(np.isnan(window.trends[name].slope_per_h) for name in _GYRO_TEMPERATURES):
         return f"no temperature from {COLDEST_C:g} to {HOTTEST_C:g} degC"
     return "temperature stuck" if is_stuck else ""
 
@@ -178,10 +178,10 @@ def _temperature_problem(window: Window, log_map: LogMap, is_stuck: bool) -> str
 def _position_problem(window: Window, log_map: LogMap) -> str:
     """Reason against a window by its position or cycle; empty if there is none."""
     for name in ("position", "cycle"):
-        if name in window.means:
-            if np.isnan(window.means[name]):
+        if trend := window.trends.get(name):
+            if np.isnan(trend.mean):
                 return f"no {name}"
-            if window.spans[name] > 0.0:
+            if trend.span > 0.0:
                 return f"{name} changed"
     if (rule := log_map.averages.position.accelerometers) is not None:
         _, tilt_deg = nearest_position(window.force)
@@ -212,8 +212,8 @@ def _stuck_temperature(windows: Sequence[Window], log_map: LogMap) -> BoolArray:
     for name in _GYRO_TEMPERATURES:
         if temperature_resolution_c(windows, name) > _FINE_RESOLUTION_C:
             continue
-        is_constant = np.array([each.spans[name] == 0.0 for each in windows])
-        is_equal = np.diff([each.means[name] for each in windows]) == 0.0
+        is_constant = np.array([each.trends[name].span == 0.0 for each in windows])
+        is_equal = np.diff([each.trends[name].mean for each in windows]) == 0.0
         for begin, end in true_spans(is_equal & is_constant[1:] & is_constant[:-1]):
             count = 1 + end - begin
             if count >= _STUCK_WINDOWS and count * log_map.averages.window_s >= _STUCK_S:

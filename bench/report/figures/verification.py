@@ -169,11 +169,7 @@ def mission_figure(result: VerificationResult) -> Figure:
         error = each.worst.error
         style = _STYLES[each.compensation]
         axes.plot(error.time_s / 3600.0, error.distance_nmi, linewidth=1.0, **style)
-        limit_style: dict[str, Any] = {
-            "color": style["color"],
-            "label": f"{style['label']}, 95 %",
-            "linestyle": "--",
-        }
+        limit_style = style | {"label": f"{style['label']}, 95 %", "linestyle": "--"}
         limits_nmi = [error.high_nmi[0], *error.high_nmi]
         axes.step([0.0, *HOURS], limits_nmi, where="pre", linewidth=0.8, **limit_style)
     axes.set(xlabel="time / h", ylabel="distance / nmi", xlim=(0.0, HOURS[-1]), yscale="log")

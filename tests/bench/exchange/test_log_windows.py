@@ -22,7 +22,7 @@ def test_windows_do_not_depend_on_how_the_log_was_cut_into_batches():
         for part, one in zip(parts, whole, strict=True):
             np.testing.assert_array_equal(part.rate_dph, one.rate_dph)
             assert part.max_step_s == one.max_step_s
-            assert part.means == one.means
+            assert part.trends == one.trends
 
 
 def test_no_more_than_a_batch_and_a_window_are_held():
@@ -40,7 +40,7 @@ def test_no_more_than_a_batch_and_a_window_are_held():
 
 def test_the_slope_is_per_hour():
     [*_, window] = cut_windows(batches(1000, 100), 30.0, 0.0)
-    assert np.isclose(window.slopes_per_h["gyro_x_c"], 3600.0)
+    assert np.isclose(window.trends["gyro_x_c"].slope_per_h, 3600.0)
 
 
 def test_the_longest_run_of_true_values_is_counted():
