@@ -103,7 +103,9 @@ class MonitorServer(ThreadingHTTPServer):
                 self.end_waiting(oldest)
                 _shut_down(oldest)
             if oldest is None or not self._free_threads.acquire(timeout=_MAX_RELEASE_S):
-                self._reject(request)
+                with contextlib.suppress(OSError):  # disconnected already
+                    request.sendall(_BUSY_RESPONSE)
+                self.shutdown_request(request)
                 return
         self._waiting[request] = None
         super().process_request(request, client_address)
@@ -128,15 +130,6 @@ class MonitorServer(ThreadingHTTPServer):
         """Ignore clients that disconnected."""
         if not isinstance(sys.exception(), OSError):
             super().handle_error(request, client_address)
-
-    def _reject(self, request: socket.socket) -> None:
-        """Reject a connection, since all threads are busy."""
-        try:
-            request.sendall(_BUSY_RESPONSE)
-        except OSError:
-            pass  # disconnected already
-        finally:
-            self.shutdown_request(request)
 
 
 def _shut_down(request: socket.socket) -> None:

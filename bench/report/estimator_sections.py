@@ -131,8 +131,6 @@ _LATITUDE_CONCLUSION = (
 _INVALID_CONCLUSION = "the joint biases of this plateau are invalid."
 #: The data do not determine an accelerometer bias with a larger uncertainty.
 _MAX_ACCELEROMETER_SIGMA_UG = 100.0
-
-
 #: Uncertainties by plateau and whether the gyro was vertical.
 _JointSigmasByGroup = Mapping[tuple[int, bool], JointSigmas]
 
@@ -208,14 +206,12 @@ def _misfit_sentences(plateaus: Sequence[JointPlateauRow]) -> list[str]:
 def _gain_table(sigmas: _JointSigmasByGroup) -> SectionTable:
     cells = []
     for plateau in sorted({plateau for plateau, _ in sigmas}):
-        cells.append([str(plateau)])
-        for is_vertical in (False, True):
-            group = sigmas.get((plateau, is_vertical), JointSigmas())
-            cells[-1] += [
-                f"{1e3 * float(np.median(group.single_dph)):.2f}",
-                f"{1e3 * float(np.median(group.joint_dph)):.2f}",
-                f"{float(np.median(group.gains)):.3f}",
-            ]
+        groups = [sigmas.get((plateau, is_vertical), JointSigmas()) for is_vertical in (False, True)]
+        medians = [map(np.median, (each.single_dph, each.joint_dph, each.gains)) for each in groups]
+        texts = [
+            (f"{1e3 * single:.2f}", f"{1e3 * joint:.2f}", f"{gain:.3f}") for single, joint, gain in medians
+        ]
+        cells.append([str(plateau), *texts[0], *texts[1]])
     return SectionTable(
         "Median standard uncertainty of a bias, single and joint, 0.001 deg/h, and their ratio",
         [

@@ -39,7 +39,9 @@ _PANELS: tuple[_Panel, ...] = (
 @house_style
 def residual_bars_figure(result: VerificationResult) -> Figure:
     """Draw the residuals at all plateaus as bars, one for each compensation, with the noise as a line."""
-    panels = _measured_panels(result)
+    measured = [row for each in result.results for row in each.rows]
+    panels = [each for each in _PANELS if any(math.isfinite(getattr(row, each[2])) for row in measured)]
+    panels = panels or [_PANELS[0]]
     rows, columns = -(-len(panels) // 2), min(len(panels), 2)
     figure = new_figure(0.2 + 2.7 * rows, wspace=0.24, hspace=0.42)
     all_axes = figure.subplots(rows, columns, squeeze=False).ravel()
@@ -51,14 +53,6 @@ def residual_bars_figure(result: VerificationResult) -> Figure:
         axes.set_ylabel(unit)
     common_legend(figure, figure.axes[:1])
     return figure
-
-
-def _measured_panels(result: VerificationResult) -> list[_Panel]:
-    """Panels of the quantities that were measured; the first panel if none was."""
-    rows = [row for each in result.results for row in each.rows]
-    return [each for each in _PANELS if any(math.isfinite(getattr(row, each[2])) for row in rows)] or [
-        _PANELS[0]
-    ]
 
 
 @house_style
