@@ -328,6 +328,7 @@ def test_a_long_question_is_cut_and_whole_on_demand():
 def test_a_run_under_way_shows_its_dwell_and_one_that_is_over_what_it_left():
     running = run_fragment(*SNAPSHOTS["running"], {}, "")
     finished = run_fragment(*SNAPSHOTS["finished"], {"report.html": "Report"}, "")
+    assert '<td class="whole">Z-Up</td>' in running
     assert "Live bias of the X gyro" in running
     assert "Step 212 of 325: navigate 10 min (cycle 1, -10 degC, Z-Down)" in running
     snapshot, *others = SNAPSHOTS["running"]
