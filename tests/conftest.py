@@ -41,19 +41,23 @@ SHIFT_RUNS = {
 WAITING = {
     "tests/bench/cli/test_emulate.py",
     "tests/bench/cli/test_jog.py",
+    "tests/bench/engine/test_live_bench.py",
     "tests/bench/guard/test_abandoned_bench.py",
     "tests/bench/guard/test_guard.py",
     "tests/bench/guard/test_rescue.py",
+    "tests/bench/guard/test_watching.py",
     "tests/bench/investigation/test_external_bench.py",
     "tests/bench/jog/test_jog_session.py",
+    "tests/bench/station/test_bench_lock.py",
     "tests/bench/station/test_instruments.py",
-    "tests/bench/station/test_locks.py",
     "tests/bench/station/test_safe_state.py",
     "tests/drivers/chamber/test_watlow_f4.py",
     "tests/drivers/emulators/test_clients.py",
     "tests/drivers/emulators/test_serve.py",
+    "tests/drivers/ins/test_can_bus.py",
     "tests/drivers/ins/test_text_buses.py",
     "tests/drivers/rate_table/test_acutrol3000.py",
+    "tests/drivers/test_protocol_rfc2217.py",
     "tests/drivers/test_serial_line.py",
 }
 #: What takes long comes next, so that no worker has it left over at the end.
@@ -68,29 +72,59 @@ LONG = SHIFT_RUNS | {
 class WaitingApartScheduling(LoadFileScheduling):
     """One worker runs all tests of a file, and all files that share runs.
 
-    Workers beyond the number of cores run the files that wait, and no others: they would only be in the way
-    of those that compute.
+    Workers beyond the number of cores collect and run the files that wait, and no others: they would only be
+    in the way of those that compute.
     """
 
     def _split_scope(self, nodeid):
         path = super()._split_scope(nodeid)
         return "runs of a shift" if path in SHIFT_RUNS else path
 
-    def _is_waiting_one(self, node):
-        return int(node.gateway.id.removeprefix("gw")) < self.numnodes - len(os.sched_getaffinity(0))
+    def schedule(self):
+        """All tests are those that the workers collected that compute; without work, these end last."""
+        for by_worker in (self.registered_collections, self.assigned_work):
+            for node in [each for each in by_worker if waits(each.workerinput)]:
+                by_worker[node] = by_worker.pop(node)
+        super().schedule()
+
+    def _check_nodes_have_same_collection(self):
+        collected = self.registered_collections
+        self.registered_collections = {
+            node: tests for node, tests in collected.items() if not waits(node.workerinput)
+        }
+        try:
+            return super()._check_nodes_have_same_collection()
+        finally:
+            self.registered_collections = collected
 
     def _assign_work_unit(self, node):
         """Files that wait come last for a worker that computes."""
-        is_waiting_one = self._is_waiting_one(node)
+        is_waiting_one = waits(node.workerinput)
+        if is_waiting_one and not WAITING & self.workqueue.keys():
+            node.shutdown()
+            return
         for scope in [each for each in self.workqueue if (each in WAITING) != is_waiting_one]:
             self.workqueue.move_to_end(scope)
         super()._assign_work_unit(node)
 
-    def _reschedule(self, node):
-        if self._is_waiting_one(node) and not WAITING & self.workqueue.keys():
-            node.shutdown()
-        else:
-            super()._reschedule(node)
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_configure_node(node):
+    """State how many workers of ``--dist loadfile`` run the files that wait, and no others."""
+    if node.config.getvalue("dist") == "loadfile":
+        node.workerinput["waiting"] = node.workerinput["workercount"] - len(os.sched_getaffinity(0))
+
+
+def waits(workerinput):
+    """Whether a worker collects and runs only files that wait."""
+    return int(workerinput["workerid"].removeprefix("gw")) < workerinput.get("waiting", 0)
+
+
+def pytest_ignore_collect(collection_path, config):
+    """Leave out, where a worker runs the files that wait, all others."""
+    if collection_path.suffix == ".py" and waits(getattr(config, "workerinput", {"workerid": "0"})):
+        return str(collection_path.relative_to(config.rootpath)) not in WAITING or None
+    return None
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -104,8 +138,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
     def order(item: pytest.Item) -> tuple[bool, bool]:
         path = item.nodeid.partition("::")[0]
-        waits = path in WAITING or item.get_closest_marker("wall_time") is not None
-        return not waits, path not in LONG
+        is_waiting = path in WAITING or item.get_closest_marker("wall_time") is not None
+        return not is_waiting, path not in LONG
 
     items.sort(key=order)
 
@@ -120,12 +154,14 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         return
     atexit.register(os._exit, 0)  # after all others: freeing each object of all tests takes seconds
     gc.disable()  # importing hardly leaves anything to free
-    number, others = int(config.workerinput["workerid"][2:]), config.workerinput["workercount"] - 1
+    number, count = int(config.workerinput["workerid"][2:]), config.workerinput["workercount"]
     if number == 0:
         importlib.import_module("gyrobench.drivers.emulators.bench").compile_world()
+    if number == 0 or waits(config.workerinput):
         return
+    first = max(1, config.workerinput.get("waiting", 0))
     paths = [path for arg in config.args for path in sorted((config.rootpath / arg).rglob("test_*.py"))]
-    for path in paths[number - 1 :: others]:
+    for path in paths[number - first :: count - first]:
         with contextlib.suppress(Exception, pytest.skip.Exception):  # collecting reports it
             importlib.import_module(".".join(path.relative_to(config.rootpath).with_suffix("").parts))
 
