@@ -20,9 +20,9 @@ from functools import lru_cache
 import numpy as np
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, SensorErrors
-from gyrobench.bench.calibration.turns import set_turn
+from gyrobench.bench.calibration.turns import multiply, set_turn
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.foundations.kernels import compiled
+from gyrobench.bench.foundations.kernels import compiled, multiply_3x3
 from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vectors
 from gyrobench.bench.navigation.earth import EARTH_RATE, curvature_radii, earth_rate_enu
 from gyrobench.bench.navigation.error_model import Site
@@ -64,9 +64,11 @@ def mission_error(values: FloatArray, covariance: FloatArray, site: Site) -> Mis
     time_s, responses = _responses(site)
     stated = np.hypot(*navigate_mission(SensorErrors.from_vector(values), site, RETRACED_HALF_TURNS)[1])
     draws = np.random.default_rng(0).multivariate_normal(values, covariance, _DRAWS, method="eigh")
-    distances_m = np.hypot(*np.moveaxis(np.tensordot(draws, responses, axes=1), 1, 0))
+    east_m, north_m = np.moveaxis(np.tensordot(draws, responses, axes=1), 1, 0)
+    squares = east_m**2 + north_m**2
     ends = [int(np.searchsorted(time_s, hours * _S_PER_H)) + 1 for hours in HOURS]
-    largest_nmi = np.array([distances_m[:, :end].max(axis=1) for end in ends]) / NAUTICAL_MILE_M
+    largest = np.maximum.reduceat(squares[:, : ends[-1]], [0, *ends[:-1]], axis=1)
+    largest_nmi = np.sqrt(np.maximum.accumulate(largest.T)) / NAUTICAL_MILE_M
     return MissionError(
         stated_nmi=np.array([stated[:end].max() for end in ends]) / NAUTICAL_MILE_M,
         median_nmi=np.median(largest_nmi, axis=1),
@@ -89,8 +91,9 @@ def navigate_mission(
         velocity @ (np.eye(3) + errors.force_matrix).T + errors.force_bias * interval_s[:, np.newaxis]
     )
     cycles = int(np.ceil(_DURATION_S / interval_s.sum()))
+    half_turned = np.einsum("nij,nj->ni", rotation_matrices(0.5 * measured_angle), measured_velocity)
     track_m = _navigate(
-        interval_s, measured_angle, measured_velocity, cycles, start, site.latitude,
+        interval_s, rotation_matrices(measured_angle), half_turned, cycles, start, site.latitude,
         np.array(curvature_radii(site.latitude, site.height)), EARTH_RATE,
     )  # fmt: skip
     ends_s = np.concatenate([[0.0], np.cumsum(np.tile(interval_s, cycles))])
@@ -141,46 +144,42 @@ def _increments(site: Site, scheme: RotationScheme) -> tuple[FloatArray, FloatAr
 
 @compiled
 def _navigate(
-    interval_s: FloatArray, angle: FloatArray, velocity: FloatArray, cycles: int, start: FloatArray,
+    interval_s: FloatArray, turns: FloatArray, velocity: FloatArray, cycles: int, start: FloatArray,
     latitude: float, radii: FloatArray, earth_rate: float,
 ) -> FloatArray:  # fmt: skip
     """Error East and North (2, n + 1), m, from the increments of one cycle, repeated.
 
-    Half of the rotation of the navigation frame is applied before, and half after each step; the velocity
-    increment is resolved in the middle of the step.
+    Half of the rotation of the navigation frame is applied before, and half after each step.
+
+    ``turns`` (n, 3, 3): matrices of the rotations. ``velocity`` (n, 3): in the axes at the begin of each step.
     """
     steps = interval_s.size
     track = np.zeros((2, cycles * steps + 1))
-    C_nb, east_mps, north_mps, east_m, north_m = start.copy(), 0.0, 0.0, 0.0, 0.0
+    C_nb, product, turn = start.copy(), np.empty((3, 3)), np.empty((3, 3))
+    east_mps, north_mps, east_m, north_m = 0.0, 0.0, 0.0, 0.0
     meridian_m, across_m = radii[0], radii[1]
     for k in range(cycles * steps):
         step = k % steps
         dt = interval_s[step]
+        half = -0.5 * dt
         present_latitude = latitude + north_m / meridian_m
-        cosine, sine, tangent = np.cos(present_latitude), np.sin(present_latitude), np.tan(present_latitude)
+        cosine, sine = np.cos(present_latitude), np.sin(present_latitude)
+        tangent = sine / cosine
         earth_n, earth_u = earth_rate * cosine, earth_rate * sine
-        turn = np.array(
-            [-north_mps / meridian_m, earth_n + east_mps / across_m, earth_u + east_mps * tangent / across_m]
-        )
-        C_nb = _rotation(-0.5 * dt * turn) @ C_nb
-        force = (C_nb @ _rotation(0.5 * angle[step])) @ velocity[step]
-        coriolis = 2.0 * earth_u + east_mps * tangent / across_m
+        turn_n, turn_u = earth_n + east_mps / across_m, earth_u + east_mps * tangent / across_m
+        set_turn(turn, (-half * north_mps / meridian_m, half * turn_n, half * turn_u))
+        multiply_3x3(product, turn, C_nb)
+        force = multiply(product, (velocity[step, 0], velocity[step, 1], velocity[step, 2]))
+        multiply_3x3(C_nb, product, turns[step])
+        coriolis = earth_u + turn_u
         change_e, change_n = force[0] + coriolis * north_mps * dt, force[1] - coriolis * east_mps * dt
         east_m += (east_mps + 0.5 * change_e) * dt * np.cos(latitude) / cosine
         north_m += (north_mps + 0.5 * change_n) * dt
         east_mps += change_e
         north_mps += change_n
-        turn = np.array(
-            [-north_mps / meridian_m, earth_n + east_mps / across_m, earth_u + east_mps * tangent / across_m]
-        )
-        C_nb = _rotation(-0.5 * dt * turn) @ (C_nb @ _rotation(angle[step]))
+        turn_n, turn_u = earth_n + east_mps / across_m, earth_u + east_mps * tangent / across_m
+        set_turn(turn, (-half * north_mps / meridian_m, half * turn_n, half * turn_u))
+        multiply_3x3(product, turn, C_nb)
+        C_nb, product = product, C_nb
         track[0, k + 1], track[1, k + 1] = east_m, north_m
     return track
-
-
-@compiled
-def _rotation(vector: FloatArray) -> FloatArray:
-    """Matrix (3, 3) of a rotation vector, rad."""
-    matrix = np.empty((3, 3))
-    set_turn(matrix, (vector[0], vector[1], vector[2]))
-    return matrix

@@ -24,10 +24,11 @@ from functools import lru_cache
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.foundations.kernels import compiled
 from gyrobench.bench.navigation.attitude import UP
 from gyrobench.bench.navigation.earth import curvature_radii
 from gyrobench.bench.navigation.error_model import INPUTS, STATES, Site, integrate
@@ -187,9 +188,7 @@ def navigate_with_drift(steps_s: FloatArray, drift_enu_dph: FloatArray, site: Si
     inputs[:, :3] = DPH_TO_RADPS * drift_enu_dph
     forced = np.einsum("nij,nj...->ni...", intervals.response[duration_index], inputs)
     states = np.concatenate([np.zeros((1, STATES, *drift_enu_dph.shape[2:])), forced])
-    transitions, state_rows = list(intervals.transition), list(states)
-    for index, (before, after) in zip(duration_index.tolist(), itertools.pairwise(state_rows), strict=True):
-        after += transitions[index].dot(before)
+    _propagate(states.reshape(len(states), STATES, -1), intervals.transition, duration_index)
     velocity_east = states[:, _EAST_VELOCITY]
     mean_velocities_mps = 0.5 * (velocity_east[:-1] + velocity_east[1:])
     meridian_m, _ = curvature_radii(site.latitude, site.height)
@@ -198,6 +197,19 @@ def navigate_with_drift(steps_s: FloatArray, drift_enu_dph: FloatArray, site: Si
         east_m=np.cumsum((steps_s * mean_velocities_mps.T).T, axis=0),
         north_m=meridian_m * states[1:, _LATITUDE],
     )
+
+
+@compiled
+def _propagate(states: FloatArray, transitions: FloatArray, durations: NDArray[np.int64]) -> None:
+    """Add to each of the states (n + 1, 6, k) the one before times its transition, of (m, 6, 6)."""
+    _, size, navigations = states.shape
+    for step in range(len(durations)):
+        transition, before, after = transitions[durations[step]], states[step], states[step + 1]
+        for row in range(size):
+            for column in range(size):
+                factor = transition[row, column]
+                for each in range(navigations):
+                    after[row, each] += factor * before[column, each]
 
 
 def bias_by_position(biases_dph: Mapping[str, ArrayLike]) -> ResidualBias:
