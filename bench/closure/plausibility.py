@@ -130,15 +130,19 @@ def _thousand_times_larger(sizes: FloatArray) -> BoolArray:
 
     The median of a row counts, so that one failed gyro makes no group.
     """
-    medians = np.ma.median(np.ma.masked_invalid(sizes), axis=1)  # type: ignore[no-untyped-call]
-    row_sizes: FloatArray = np.ma.filled(medians, 0.0)
+    counts = np.isfinite(sizes).sum(axis=1)
+    ordered = np.sort(np.where(np.isfinite(sizes), sizes, np.inf), axis=1)
+    middle = np.stack([np.maximum(counts - 1, 0), counts], axis=1) // 2
+    row_sizes = np.where(counts > 0, np.take_along_axis(ordered, middle, axis=1).mean(axis=1), 0.0)
     is_used = row_sizes > 0.0
     logs, count = np.sort(np.log10(row_sizes[is_used])), int(is_used.sum())
     smallest = max(_MIN_COPIES, math.ceil(_MIN_GROUP * count))
-    splits = range(smallest, count - smallest + 1)
-    if not splits:
+    splits = np.arange(smallest, count - smallest + 1)
+    if not len(splits):
         return np.zeros_like(is_used)
-    split = min(splits, key=lambda each: each * np.var(logs[:each]) + (count - each) * np.var(logs[each:]))
+    # That with the largest sum of squares between the groups has the smallest within them.
+    sums = np.cumsum(logs - logs.mean())[splits - 1]
+    split = int(splits[np.argmax(sums**2 / (splits * (count - splits)))])
     ratio = 10.0 ** float(np.median(logs[split:]) - np.median(logs[:split]))
     scatter = max(np.std(logs[:split]), np.std(logs[split:]))
     is_separate = _THOUSAND[0] < ratio < _THOUSAND[1] and scatter < _MAX_SCATTER
