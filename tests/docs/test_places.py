@@ -2,6 +2,7 @@
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -34,15 +35,17 @@ def test_modules_named_in_the_overview_of_a_folder_exist(overview):
     assert [name for name in re.findall(r"``([a-z][a-z_]+)``", text) if name not in modules] == []
 
 
+@cache
 def defined_in(module):
     """Names of the functions, classes, arguments and variables of a module, and its own."""
-    yield module.stem
+    names = {module.stem}
     for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
         match node:
             case ast.FunctionDef(name=name) | ast.ClassDef(name=name) | ast.arg(arg=name):
-                yield name
+                names.add(name)
             case ast.Name(id=name, ctx=ast.Store()) | ast.Attribute(attr=name, ctx=ast.Store()):
-                yield name
+                names.add(name)
+    return names
 
 
 @pytest.mark.parametrize(

@@ -68,11 +68,14 @@ def test_without_a_gyro_up_and_down_a_wrong_latitude_flags_the_dwells():
 
 
 @pytest.mark.parametrize(
-    ("error_arcmin", "declared_arcmin"),
-    [(0.33, 0.33), pytest.param(0.0, 0.33, marks=LONG), pytest.param(1.0, 0.6, marks=LONG)],
+    ("error_arcmin", "declared_arcmin", "positions"),
+    [
+        (0.33, 0.33, ALL[:2]),
+        *(pytest.param(*each, ALL, marks=LONG) for each in ((0.0, 0.33), (0.33, 0.33), (1.0, 0.6))),
+    ],
 )
-def test_an_error_within_the_declared_uncertainty_changes_nothing(error_arcmin, declared_arcmin):
-    dwells, results = evaluated(error_arcmin, declared_arcmin=declared_arcmin)
+def test_an_error_within_the_declared_uncertainty_changes_nothing(error_arcmin, declared_arcmin, positions):
+    dwells, results = evaluated(error_arcmin, positions, declared_arcmin)
     assert [each.row for each in results.dwells] == [each.row for each in dwells]
 
 
@@ -90,8 +93,9 @@ def test_a_latitude_far_off_is_named_and_corrected_and_passes_for_nothing_else(e
     assert np.abs(np.array([dwell.estimate.latitude_error for dwell in dwells])).min() > 0.0005
 
 
-def test_a_degree_off_flags_every_dwell():
-    _, results = evaluated(60.0)
+@pytest.mark.parametrize("positions", [ALL[:2], pytest.param(ALL, marks=LONG)], ids=["pair", "all"])
+def test_a_degree_off_flags_every_dwell(positions):
+    _, results = evaluated(60.0, positions)
     for dwell in results.dwells:
         assert re.search(r"latitude error of \+(59|60)", str(dwell.row.flags))
     assert results.bins == []
