@@ -51,10 +51,11 @@ def least_chi2(rows: FloatArray, data: FloatArray, prior_root: FloatArray) -> fl
 
 
 def _triangular_root(rows: FloatArray, data: FloatArray, prior_root: FloatArray) -> FloatArray:
-    count = prior_root.shape[1]
-    return compress(
-        np.block([[rows @ prior_root, data[:, np.newaxis]], [np.eye(count), np.zeros((count, 1))]])
-    )
+    number, count = len(rows), prior_root.shape[1]
+    stacked = np.zeros((number + count, count + 1))
+    stacked[:number, :count], stacked[:number, count] = rows @ prior_root, data
+    stacked[number:].flat[:: count + 2] = 1.0
+    return compress(stacked)
 
 
 def compress(rows: FloatArray) -> FloatArray:

@@ -31,6 +31,7 @@ from gyrobench.bench.characteristics.profile_fit import (
 from gyrobench.bench.characteristics.results import Coefficient, Curve, TestResult, from_draws
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.foundations.kernels import follow_with_play
 from gyrobench.bench.navigation.positions import AXES
 
 #: Smallest span of temperatures, K.
@@ -207,9 +208,6 @@ def _play_state(temperature_c: FloatArray, half_widths_c: FloatArray, starts: Fl
 
     -1 after sufficient heating, +1 after sufficient cooling.
     """
-    states = np.empty((len(starts), len(temperature_c)))
-    follower_c = temperature_c[:1] + starts * half_widths_c
-    for index, value_c in enumerate(temperature_c):
-        follower_c = np.clip(follower_c, value_c - half_widths_c, value_c + half_widths_c)
-        states[:, index] = (follower_c - value_c) / half_widths_c
-    return states
+    courses_c = np.tile(temperature_c, (len(starts), 1))
+    followers_c = follow_with_play(courses_c, half_widths_c, temperature_c[0] + starts * half_widths_c)
+    return (followers_c - courses_c) / half_widths_c[:, np.newaxis]

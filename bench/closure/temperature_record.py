@@ -5,22 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 
-from gyrobench.bench.foundations.arrays import S_PER_H, BoolArray, FloatArray, IntArray, true_spans
+from gyrobench.bench.foundations.arrays import S_PER_H, BoolArray, FloatArray, true_spans
+from gyrobench.bench.foundations.kernels import compiled, follow_with_play
 
 _STEPS_A_DWELL = 6
 _MAX_STEPS = 20_000
 #: Iterations that match the means of the smooth course to the measured ones.
 _ITERATIONS = 3
-#: Smaller weights of the past in a lag are neglected.
-_NEGLIGIBLE = 1e-12
-#: Time steps of a record that differ by less than this share are equal except for rounding.
-_SAME_STEP = 1e-9
-#: Number of instants in one block of a decaying sum, and the largest number that is computed without blocks.
-_BLOCK, _MAX_BLOCK = 32, 128
 
 
 @dataclass(frozen=True)
@@ -100,48 +94,20 @@ def lag(values: FloatArray, time_s: FloatArray, tau_s: float) -> FloatArray:
 
     Exact for values that are linear between instants.
     """
-    steps_s, step_s = time_s[1:] - time_s[:-1], time_s[1] - time_s[0]
-    course = np.ascontiguousarray(values.T)
-    lag_values = np.zeros_like(course)
-    np.subtract(course[:, :-1], course[:, 1:], out=lag_values[:, 1:])
-    if np.abs(steps_s - step_s).max() < _SAME_STEP * step_s:
-        keep_each = math.exp(-step_s / tau_s)
-        lag_values *= (1.0 - keep_each) * tau_s / step_s
-        return _decaying_sum(lag_values, keep_each).T
-    keep = np.exp(-np.append(0.0, steps_s) / tau_s)
-    lag_values[:, 1:] *= (1.0 - keep[1:]) * tau_s / steps_s
-    # Sums over the last 1, 2, 4, ... steps, until the weights are negligible.
-    reach = 1
-    while reach < len(keep) and np.any(keep[reach:] > _NEGLIGIBLE):
-        lag_values[:, reach:] += keep[reach:] * lag_values[:, :-reach]
-        keep[reach:] *= keep[:-reach]
-        reach *= 2
-    return np.asarray(lag_values.T)
+    steps_s = np.diff(time_s)
+    keep = np.exp(-steps_s / tau_s)
+    return _lag(np.ascontiguousarray(values.T), keep, (1.0 - keep) * tau_s / steps_s).T
 
 
-def _decaying_sum(added: FloatArray, keep: float) -> FloatArray:
-    """Decaying sums (k, m): each is the previous one multiplied by ``keep``, plus the value ``added`` (k, m).
-
-    Sums within blocks are products with one matrix; sums at the ends of blocks are computed recursively.
-    """
-    rows, count = added.shape
-    size = _BLOCK if count > _MAX_BLOCK else count
-    block_count = -(-count // size)
-    powers = keep ** np.arange(size + 1.0)
-    matrix = np.concatenate([np.zeros(size - 1), powers[:-1]])[_ages(size)]
-    blocks = np.zeros((rows, block_count * size))
-    blocks[:, :count] = added
-    sums = blocks.reshape(rows, block_count, size) @ matrix
-    if block_count > 1:
-        sums[:, 1:] += _decaying_sum(sums[:, :-1, -1], powers[-1])[..., np.newaxis] * powers[1:]
-    return np.asarray(sums.reshape(rows, -1)[:, :count])
-
-
-@cache
-def _ages(size: int) -> IntArray:
-    """Number of steps from each instant (row) to each other (column), plus ``size - 1``."""
-    instants = np.arange(size)
-    return np.asarray(instants - instants[:, np.newaxis] + size - 1)
+@compiled
+def _lag(course: FloatArray, keep: FloatArray, gain: FloatArray) -> FloatArray:
+    """Recursion of a lag (k, m), with factors (m - 1,) of the lag and of the change in each step."""
+    result = np.zeros_like(course)
+    for row in range(course.shape[0]):
+        for step in range(len(keep)):
+            change = course[row, step + 1] - course[row, step]
+            result[row, step + 1] = keep[step] * result[row, step] - gain[step] * change
+    return result
 
 
 def followed_with_play(values: FloatArray, half_width: FloatArray | float, first: FloatArray) -> FloatArray:
@@ -149,28 +115,9 @@ def followed_with_play(values: FloatArray, half_width: FloatArray | float, first
 
     ``first`` (k,): position of the follower before the first instant. NaN from the first instant on at which
     the quantity is NaN.
-
-    Notes ----- Each instant clips the previous position of the follower to two limits. Successive clips
-    combine to one, so that the limits of 2, 4, 8, ... instants follow from each other. Between two turns of
-    the quantity, the limits of the last instant suffice.
     """
-    course, half = np.ascontiguousarray(values.T), np.reshape(half_width, (-1, 1))
-    steps = course[:, 1:] - course[:, :-1]
-    turns = np.flatnonzero(~(steps[:, 1:] * steps[:, :-1] > 0.0).all(axis=0)) + 1
-    turns = np.concatenate([[0], turns])
-    low, high = course - half, course + half
-    limits = np.stack([low[:, turns], high[:, turns]])
-    reach = 1
-    while reach < len(turns):
-        earlier = np.maximum(limits[..., :-reach], limits[0, :, reach:])
-        np.minimum(earlier, limits[1, :, reach:], out=earlier)
-        limits[..., reach:] = earlier
-        if (earlier[0] == earlier[1]).all():  # if both limits are equal, earlier instants have no influence
-            break
-        reach *= 2
-    at_turns = np.minimum(np.maximum(first[:, np.newaxis], limits[0]), limits[1])
-    follower = np.repeat(at_turns, np.diff(turns, append=len(values)), axis=1)
-    return np.asarray(np.minimum(np.maximum(follower, low), high).T)
+    course = np.ascontiguousarray(values.T)
+    return follow_with_play(course, np.full(len(course), half_width), np.ascontiguousarray(first)).T
 
 
 def record_of_dwells(

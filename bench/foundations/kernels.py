@@ -10,6 +10,8 @@ from collections.abc import Callable
 from functools import cached_property, update_wrapper
 from typing import Any, ClassVar, Generic, ParamSpec, TypeVar
 
+import numpy as np
+
 from gyrobench.bench.foundations.arrays import FloatArray
 
 _P = ParamSpec("_P")
@@ -72,3 +74,22 @@ def copy_matrix(target: FloatArray, source: FloatArray) -> None:
     for i in range(source.shape[0]):
         for j in range(source.shape[1]):
             target[i, j] = source[i, j]
+
+
+@compiled
+def follow_with_play(values: FloatArray, half_widths: FloatArray, first: FloatArray) -> FloatArray:
+    """Followers (k, m) with play: each moves when its quantity is a half width (k,) ahead of it.
+
+    ``values`` (k, m): courses of the quantities. ``first`` (k,): positions before the first instant.
+    """
+    followers = np.empty_like(values)
+    for row in range(values.shape[0]):
+        follower, half_width = first[row], half_widths[row]
+        for index in range(values.shape[1]):
+            value = values[row, index]
+            if value != value or follower < value - half_width:  # noqa: PLR0124 - NaN
+                follower = value - half_width
+            elif follower > value + half_width:
+                follower = value + half_width
+            followers[row, index] = follower
+    return followers
