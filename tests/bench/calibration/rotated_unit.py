@@ -53,13 +53,14 @@ class Unit:
         return found
 
     def profile(self, time):
-        """Angle, rate and acceleration of each axis (outer, inner), rad, s, at times (n,)."""
+        """Angle, rate and acceleration of each axis (outer, inner), rad, s, at increasing times (n,)."""
         state = {axis: np.zeros((3, len(time))) for axis in ("outer", "inner")}
         for begin, span, axis, angle in self.segments():
             if angle == 0.0:
                 continue
+            first, end = np.searchsorted(time, [begin, begin + span])
             # Raised cosines at both ends, a constant rate between them.
-            t = np.clip(time - begin, 0.0, span)
+            t = time[first:end] - begin
             full = angle / (span - self.ramp_s)
             w = np.pi / self.ramp_s
             up, down = np.minimum(t, self.ramp_s), np.minimum(span - t, self.ramp_s)
@@ -67,17 +68,15 @@ class Unit:
             left = 0.5 * full * (down - np.sin(w * down) / w)
             middle = full * (np.clip(t, self.ramp_s, span - self.ramp_s) - self.ramp_s)
             moved = np.where(t < span - self.ramp_s, rising + middle, angle - left)
-            inside = (time > begin) & (time < begin + span)
             shape = np.where(t < self.ramp_s, up, np.where(t > span - self.ramp_s, down, self.ramp_s))
             sign = np.where(t < self.ramp_s, 1.0, -1.0)
             ramping = (t < self.ramp_s) | (t > span - self.ramp_s)
-            state[axis] += np.array(
-                [
-                    moved,
-                    inside * 0.5 * full * (1.0 - np.cos(w * shape)),
-                    inside * ramping * sign * 0.5 * full * w * np.sin(w * shape),
-                ]
-            )
+            state[axis][:, first:end] += [
+                moved,
+                0.5 * full * (1.0 - np.cos(w * shape)),
+                ramping * sign * 0.5 * full * w * np.sin(w * shape),
+            ]
+            state[axis][0, end:] += angle
         return state["outer"], state["inner"]
 
     def sensed(self, time):
@@ -85,19 +84,20 @@ class Unit:
         outer, inner = self.profile(time)
         east, up = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
         first = Rotation.from_rotvec(outer[0][:, np.newaxis] * east)
-        C_nb = first * Rotation.from_rotvec(inner[0][:, np.newaxis] * up) * self.start
+        C_bn = (first * Rotation.from_rotvec(inner[0][:, np.newaxis] * up) * self.start).inv()
         carried = first.apply(up)
         turning = outer[1][:, np.newaxis] * east + inner[1][:, np.newaxis] * carried
+        latitude = np.deg2rad(self.latitude_deg)
+        earth = EARTH * np.array([0.0, np.cos(latitude), np.sin(latitude)])
+        rate, force = C_bn.apply(turning + earth), self.gravity * C_bn.apply(up)
+        if not self.arms.any():
+            return rate, force
         acceleration = (
             outer[2][:, np.newaxis] * east
             + inner[2][:, np.newaxis] * carried
             + np.cross(outer[1][:, np.newaxis] * east, inner[1][:, np.newaxis] * carried)
         )
-        latitude = np.deg2rad(self.latitude_deg)
-        earth = EARTH * np.array([0.0, np.cos(latitude), np.sin(latitude)])
-        rate = C_nb.inv().apply(turning + earth)
-        force = self.gravity * C_nb.as_matrix()[:, 2, :]
-        w, a = C_nb.inv().apply(turning), C_nb.inv().apply(acceleration)
+        w, a = C_bn.apply(turning), C_bn.apply(acceleration)
         for i, arm in enumerate(self.arms):
             force[:, i] += (np.cross(a, arm) + np.cross(w, np.cross(w, arm)))[:, i]
         return rate, force
