@@ -109,8 +109,10 @@ class Table:
         """Attitudes (n, 3, 3) at axis angles (n,)."""
         outer, inner = np.zeros((2, len(outer_rad), 3))
         outer[:, 0], inner[:, 2] = outer_rad, inner_rad
-        base = Rotation.from_rotvec(self.turned_deg, degrees=True)
-        return np.asarray((base * Rotation.from_rotvec(outer) * Rotation.from_rotvec(inner)).as_matrix())
+        turned = Rotation.from_rotvec(outer) * Rotation.from_rotvec(inner)
+        if any(self.turned_deg):
+            turned = Rotation.from_rotvec(self.turned_deg, degrees=True) * turned
+        return np.asarray(turned.as_matrix())
 
 
 def simulate(

@@ -18,7 +18,7 @@ from gyrobench.bench.station.instruments import Emulation, Outputs, open_ins
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.frames import concatenate
 from gyrobench.drivers.ins.navigation_data import decode_navigation
-from tests.bench.command_line import PROCESS, gyrobench_process, refusal_of
+from tests.bench.command_line import PROCESS, gyrobench, refusal_of
 
 
 @pytest.fixture
@@ -84,23 +84,32 @@ def test_operators_are_reported_where_it_is_and_the_emulators_end_with_it_even_i
         time.sleep(0.05)
 
 
-def test_what_the_emulators_find_wrong_is_shown_with_its_exit_code(tmp_path):
-    result = gyrobench_process("emulate", "--for-s", "1", "--world", "atlantis", cwd=tmp_path)
-    assert result.returncode == 2
-    assert result.stderr.startswith("gyrobench emulate: atlantis: no such file or shipped name")
-    assert "Traceback" not in result.stderr
+@pytest.fixture
+def refused(tmp_path, capfd):
+    """Run the command in this process; its exit code, and the complaints of the emulators' process."""
+    handler = signal.getsignal(signal.SIGTERM)
+    yield lambda *options: (gyrobench("emulate", *options, cwd=tmp_path).returncode, capfd.readouterr().err)
+    signal.signal(signal.SIGTERM, handler)
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        (("--for-s", "1", "--world", "atlantis"), "emulate: atlantis: no such file or shipped name"),
+        (("--table-port", "99999", "--for-s", "0"), "port must be 0-65535"),
+    ],
+)
+def test_what_the_emulators_find_wrong_is_shown_with_its_exit_code(refused, options, problem):
+    code, complaints = refused(*options)
+    assert code == 2
+    assert complaints.startswith("gyrobench")
+    assert problem in complaints
+    assert "Traceback" not in complaints
 
 
 def test_a_station_that_is_wrong_is_printed_before_anything_starts(tmp_path):
     problem = refusal_of("emulate", "--station", "atlantis", cwd=tmp_path)
     assert "atlantis: no such file or shipped name" in problem
-
-
-def test_a_number_that_is_no_port_is_refused(tmp_path):
-    result = gyrobench_process("emulate", "--table-port", "99999", "--for-s", "0", cwd=tmp_path)
-    assert result.returncode == 2
-    assert "port must be 0-65535" in result.stderr
-    assert "Traceback" not in result.stderr
 
 
 class SerialServer:
