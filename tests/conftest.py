@@ -37,17 +37,23 @@ SHIFT_RUNS = {
     "tests/bench/engine/test_whole_procedure_results.py",
     "tests/bench/dwells/test_run_dwells.py",
 }
-#: These wait in real time for most of their duration.
+#: These wait in real time for most of their duration, or fork processes that have loaded the emulated bench:
+#: a worker takes seconds to have the first.
 WAITING = {
     "tests/bench/cli/test_emulate.py",
     "tests/bench/cli/test_jog.py",
+    "tests/bench/engine/preflight/test_wall_time.py",
     "tests/bench/engine/test_live_bench.py",
+    "tests/bench/engine/test_resumption.py",
+    "tests/bench/engine/test_wall_time.py",
     "tests/bench/guard/test_abandoned_bench.py",
     "tests/bench/guard/test_guard.py",
+    "tests/bench/guard/test_process.py",
     "tests/bench/guard/test_rescue.py",
     "tests/bench/guard/test_watching.py",
     "tests/bench/investigation/test_external_bench.py",
     "tests/bench/jog/test_jog_session.py",
+    "tests/bench/runs/index/test_index.py",
     "tests/bench/station/test_bench_lock.py",
     "tests/bench/station/test_instruments.py",
     "tests/bench/station/test_safe_state.py",

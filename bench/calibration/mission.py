@@ -151,7 +151,7 @@ def _navigate(
 
     Half of the rotation of the navigation frame is applied before, and half after each step.
 
-    ``turns`` (n, 3, 3): matrices of the rotations. ``velocity`` (n, 3): in the axes at the begin of each step.
+    ``turns`` (n, 3, 3): matrices of the rotations. ``velocity`` (n, 3): in the axes before each step.
     """
     steps = interval_s.size
     track = np.zeros((2, cycles * steps + 1))

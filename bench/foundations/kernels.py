@@ -87,7 +87,7 @@ def follow_with_play(values: FloatArray, half_widths: FloatArray, first: FloatAr
         follower, half_width = first[row], half_widths[row]
         for index in range(values.shape[1]):
             value = values[row, index]
-            if value != value or follower < value - half_width:  # noqa: PLR0124 - NaN
+            if value != value or follower < value - half_width:  # NaN stays
                 follower = value - half_width
             elif follower > value + half_width:
                 follower = value + half_width
