@@ -422,23 +422,21 @@ def _compare(
     covariance = np.linalg.pinv(rows.T @ rows)
     values_dph = covariance @ (rows.T @ data)
     projection = np.linalg.pinv(design) @ design  # onto the combinations that the data determine
-    largest_pair, largest_dph, largest_sigma_dph = ("", ""), -math.inf, math.nan
     positions = list(dict.fromkeys(position for position, _ in means))
-    for a, b in permutations(range(len(positions)), 2):
-        contrast = np.zeros(design.shape[1])
-        contrast[[a, b]] = 1.0, -1.0
-        is_determined = np.abs(projection @ contrast - contrast).max() <= _MAX_ROUNDING
-        if is_determined and (difference_dph := float(contrast @ values_dph)) > largest_dph:
-            largest_pair, largest_dph = (positions[a], positions[b]), difference_dph
-            largest_sigma_dph = math.sqrt(contrast @ covariance @ contrast)
+    pairs = np.array(list(permutations(range(len(positions)), 2)), dtype=int).reshape(-1, 2)
+    contrasts = np.eye(design.shape[1])[pairs[:, 0]] - np.eye(design.shape[1])[pairs[:, 1]]
+    is_determined = np.abs(contrasts @ projection.T - contrasts).max(axis=1, initial=0.0) <= _MAX_ROUNDING
+    differences_dph = np.where(is_determined, contrasts @ values_dph, -math.inf)
+    best = int(np.argmax(differences_dph))
+    (high, low), largest = pairs[best].tolist(), contrasts[best]
     return PositionComparison(
         gyro=group[0].gyro,
         bin_low_c=group[0].bin_low_c,
         bin_high_c=group[-1].bin_high_c,
         p_value=chi2_p_value(dof, chi2(white @ constants) - chi2(rows)),
-        largest_pair=largest_pair,
-        largest_difference_dph=largest_dph,
-        largest_difference_sigma_dph=largest_sigma_dph,
+        largest_pair=(positions[high], positions[low]),
+        largest_difference_dph=float(differences_dph.max()),
+        largest_difference_sigma_dph=math.sqrt(largest @ covariance @ largest),
         temperature_spread_c=float(np.ptp([each.temperature_c for each in group])),
     )
 
