@@ -179,9 +179,14 @@ def test_a_run_interrupted_during_its_approach_resumes_as_well(undisturbed, in_t
     assert_agree(read_dwells(folder.dwells), undisturbed)
 
 
-def test_times_and_counts_of_power_ons_continue(in_third_dwell):
+def test_times_and_counts_of_power_ons_continue_and_the_approach_is_noted_as_it_begins(in_third_dwell):
     path = in_third_dwell
-    resumed(path)
+    _, _, watcher = resumed(path)
+    (way,) = [text for text in watcher.notes if text.startswith("returning to step")]
+    assert "power on" in way
+    assert "chamber to 25 degC" in way
+    assert "soak 30 s" in way
+    assert "go to z_up" in way
     entries = list(read_journal(path / "journal.jsonl"))
     times_s = [entry["time_s"] for entry in entries]
     assert times_s == sorted(times_s)
@@ -206,15 +211,6 @@ def test_an_ins_that_is_always_on_is_not_said_to_be_switched(broken, in_third_dw
     words = prepare_resumption(in_third_dwell).describe()
     assert "Before that temperature and position are approached again.\nThe INS stays on" in words
     assert "switched off" not in words
-
-
-def test_the_approach_is_noted_as_it_begins(in_third_dwell):
-    _, _, watcher = resumed(in_third_dwell)
-    (way,) = [text for text in watcher.notes if text.startswith("returning to step")]
-    assert "power on" in way
-    assert "chamber to 25 degC" in way
-    assert "soak 30 s" in way
-    assert "go to z_up" in way
 
 
 def test_an_aborted_run_can_be_resumed(procedure, undisturbed, tmp_path):

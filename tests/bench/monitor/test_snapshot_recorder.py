@@ -250,7 +250,7 @@ def test_an_answer_that_ends_the_run_is_its_reason(witnessed):
     assert "'no' to: Is the cable free?" in last.reason
 
 
-def test_a_pause_gives_the_dwell_up_and_says_who_paused(witnessed):
+def test_a_pause_gives_the_dwell_up_says_who_paused_and_leads_back_by_steps_with_their_numbers(witnessed):
     seen, last = witnessed("navigate", order(signal.SIGTSTP))
     paused = seen[RunState.PAUSED]
     assert all(each.dwell is None and each.step is None for each in paused)
@@ -258,21 +258,19 @@ def test_a_pause_gives_the_dwell_up_and_says_who_paused(witnessed):
     assert paused[0].question.answers == ("continue", "abort")
     assert any("repeated" in message.text for message in last.messages)
     assert len(last.dwells) == 2
-
-
-def test_steps_that_lead_back_to_an_interrupted_one_show_the_number_of_that_one(witnessed):
-    seen, _ = witnessed("navigate", order(signal.SIGTSTP))
     steps = [each.step for each in seen[RunState.RUNNING] if each.step]
     returns = {(step.number, step.description) for step in steps if step.is_return}
     align = next(step.number for step in steps if step.description.startswith("align"))
     assert returns == {(align, "go to z_up, azimuth 0 deg")}
 
 
-def test_a_hold_that_was_ordered_keeps_the_dwell_that_was_under_way(witnessed):
+def test_a_hold_that_was_ordered_keeps_the_dwell_that_was_under_way_and_goes_on_reading(witnessed):
     seen, _ = witnessed("navigate", order(signal.SIGUSR1))
     holding = seen[RunState.HOLDING]
     assert [len(each.dwells) for each in holding[:1]] == [1]
     assert "commanded" in holding[0].reason
+    assert holding[-1].now_s > holding[0].now_s
+    assert holding[-1].left_s == holding[0].left_s
 
 
 def test_a_dwell_that_was_skipped_is_neither_measured_nor_a_completed_share_of_the_plan(witnessed, tmp_path):
@@ -284,13 +282,6 @@ def test_a_dwell_that_was_skipped_is_neither_measured_nor_a_completed_share_of_t
     assert (first.is_over, second.is_over) == (False, True)
     records = snapshot_from_records(RunFolder(tmp_path / "run"))
     assert (records.skipped, records.share_done) == (last.skipped, pytest.approx(last.share_done))
-
-
-def test_time_and_readings_continue_in_a_hold(witnessed):
-    seen, _ = witnessed("navigate", order(signal.SIGUSR1))
-    holding = seen[RunState.HOLDING]
-    assert holding[-1].now_s > holding[0].now_s
-    assert holding[-1].left_s == holding[0].left_s
 
 
 def test_a_trip_waits_for_the_operator_and_says_why_when_its_cause_is_over(witnessed):
