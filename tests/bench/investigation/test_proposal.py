@@ -36,9 +36,27 @@ def closure(rows):
     return search_campaign(campaign_of(rows), [2])
 
 
-def test_an_effect_whose_input_only_a_block_has_is_predicted_for_that_block(rows, closure):
+@pytest.fixture(scope="module")
+def rivals(closure):
+    return rivals_of(closure)
+
+
+@pytest.fixture(scope="module")
+def proposed(rows, rivals):
+    """Proposals by the names of their blocks."""
+    return {each.block.name: each for each in propose(Forecast(rows), rivals)}
+
+
+@pytest.fixture(scope="module")
+def hot(rows):
+    """Dwells of the block ``hot, six positions``, measured after the campaign."""
+    steps = next(each.plan for each in catalogue(rows) if each.name == "hot, six positions").steps
+    return simulate(UNIT | {"steps": UNIT["steps"] + [step.model_dump() for step in steps]})[len(rows) :]
+
+
+def test_an_effect_whose_input_only_a_block_has_is_predicted_for_that_block(rows, closure, rivals):
     gravity, magnetic = (
-        next(each for each in rivals_of(closure) if each.names == (name,))
+        next(each for each in rivals if each.names == (name,))
         for name in ("g_sensitivity", "magnetic_sensitivity")
     )
     assert [each.name for each in magnetic.unfitted] == ["magnetic_sensitivity"]
@@ -70,16 +88,13 @@ def test_what_is_improbable_beside_the_cause_counts_as_the_cause(closure):
     }
 
 
-def test_a_kind_that_was_measured_is_worth_half_of_what_is_expected(rows, closure):
-    rivals, forecast = rivals_of(closure), Forecast(rows)
-    before = {each.block.name: each for each in propose(forecast, rivals)}
+def test_a_kind_that_was_measured_is_worth_half_of_what_is_expected(rows, rivals, proposed):
     measured = [("four headings",), ("power cycle", "four headings")]
-    for name, each in {
-        each.block.name: each for each in propose(forecast, rivals, PossibleBlocks(measured=measured))
-    }.items():
+    for each in propose(Forecast(rows), rivals, PossibleBlocks(measured=measured)):
+        name = each.block.name
         if name in ("four headings", "power cycle", "slow ramp"):
             repeats = {"four headings": 2, "power cycle": 1}.get(name, 0)
-            assert each.gain_per_h == pytest.approx(before[name].gain_per_h * 0.5**repeats)
+            assert each.gain_per_h == pytest.approx(proposed[name].gain_per_h * 0.5**repeats)
 
 
 def test_an_effect_whose_input_the_new_dwells_lack_is_predicted_with_its_size_as_scatter(rows):
@@ -97,26 +112,21 @@ def test_an_effect_whose_input_the_new_dwells_lack_is_predicted_with_its_size_as
     assert np.isfinite(proposal.predictions[0].covariance).all()
 
 
-def test_new_dwells_without_electronics_are_compared_with_those_forecast(rows, closure):
-    steps = next(each.plan for each in catalogue(rows) if each.name == "hot, six positions").steps
-    new = simulate(UNIT | {"steps": UNIT["steps"] + [step.model_dump() for step in steps]})[len(rows) :]
-    forecast, rivals = Forecast(rows), rivals_of(closure)
-    proposal = next(each for each in propose(forecast, rivals) if each.block.name == "hot, six positions")
-    bare = [replace(row, board_c=(np.nan,) * 3) for row in new]
-    outcome = outcome_of(Forecast(rows, closure.noise_scale), proposal, bare, rivals)
+def test_new_dwells_without_electronics_are_compared_with_the_forecast(rows, closure, rivals, proposed, hot):
+    bare = [replace(row, board_c=(np.nan,) * 3) for row in hot]
+    forecast = Forecast(rows, closure.noise_scale)
+    outcome = outcome_of(forecast, proposed["hot, six positions"], bare, rivals)
     assert np.isfinite(outcome.error_dph).all()
     assert sum(outcome.probabilities) == pytest.approx(1.0)
 
 
-def test_correlated_noise_makes_new_dwells_worth_less(rows, closure):
-    steps = next(each.plan for each in catalogue(rows) if each.name == "hot, six positions").steps
-    new = simulate(UNIT | {"steps": UNIT["steps"] + [step.model_dump() for step in steps]})[len(rows) :]
+def test_correlated_noise_makes_new_dwells_worth_less(rows, closure, hot):
     effect = Rival(("g_sensitivity",), tuple(each.candidate for each in closure.effects), 0.5)
     rivals, odds, gains = (effect, Rival((), (), 0.5)), [], []
     for factor in (1.0, 2.0):
         forecast = Forecast(rows, closure.noise.scales, factor)
         found = next(each for each in propose(forecast, rivals) if each.block.name == "hot, six positions")
-        probable, improbable = outcome_of(forecast, found, new, rivals).probabilities
+        probable, improbable = outcome_of(forecast, found, hot, rivals).probabilities
         odds.append(np.log(probable / improbable))
         gains.append(found.tested_per_h)
     assert odds[1] == pytest.approx(odds[0] / 2.0)
