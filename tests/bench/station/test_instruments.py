@@ -144,7 +144,7 @@ def test_a_thread_that_hangs_is_abandoned_and_the_port_opened_by_another_one(rea
 
 
 def test_a_port_that_opens_and_does_not_answer_is_closed_again_by_the_thread(real_ports, monkeypatch):
-    closed = threading.Event()
+    closed, before = threading.Event(), threading.enumerate()
 
     def silent():
         raise NoReplyError(RATE_TABLE, "says nothing")
@@ -154,7 +154,8 @@ def test_a_port_that_opens_and_does_not_answer_is_closed_again_by_the_thread(rea
     monkeypatch.setattr("gyrobench.bench.station.instruments._LATE_REPLY_S", 0.01)
     with Outputs(real_ports, WallClock()) as outputs:
         assert not outputs.try_reopen(RATE_TABLE)
-        (thread,) = (each for each in threading.enumerate() if each.name == "limited: rate table")
+        started = [each for each in threading.enumerate() if each not in before]
+        (thread,) = (each for each in started if each.name == "limited: rate table")
         thread.join(60)
         assert closed.is_set()
         with pytest.raises(ConnectionFailedError, match="its port is open, but says nothing"):
