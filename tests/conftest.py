@@ -43,7 +43,6 @@ WAITING = {
     "tests/bench/cli/test_emulate.py",
     "tests/bench/cli/test_jog.py",
     "tests/bench/engine/preflight/test_wall_time.py",
-    "tests/bench/engine/test_live_bench.py",
     "tests/bench/engine/test_resumption.py",
     "tests/bench/engine/test_wall_time.py",
     "tests/bench/guard/test_abandoned_bench.py",

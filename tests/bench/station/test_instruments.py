@@ -98,7 +98,7 @@ def real_ports(changed):
 
 @pytest.mark.parametrize("take", ["try_reopen", "exchange", "close"])
 def test_a_port_that_hangs_is_opened_by_one_thread_until_its_result_is_taken(real_ports, monkeypatch, take):
-    answers, opened, closed = threading.Event(), [], []
+    answers, opened, closed, before = threading.Event(), [], [], threading.enumerate()
 
     def table(*_):
         if opened:
@@ -110,7 +110,8 @@ def test_a_port_that_hangs_is_opened_by_one_thread_until_its_result_is_taken(rea
     with Outputs(real_ports, WallClock()) as outputs:
         outputs.table.stop()
         assert not outputs.try_reopen(RATE_TABLE)
-        (thread,) = (each for each in threading.enumerate() if each.name == "limited: rate table")
+        started = [each for each in threading.enumerate() if each not in before]
+        (thread,) = (each for each in started if each.name == "limited: rate table")
         assert not outputs.try_reopen(RATE_TABLE)
         answers.set()
         thread.join(60)
