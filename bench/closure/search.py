@@ -164,7 +164,8 @@ class Search:
         """The most probable set of effects without objections, and the probabilities of all sets.
 
         Compared are the sets of the search by BIC, and all sets with one effect added to the most probable
-        one or exchanged in it, significant or not. Of about equally probable sets the simplest is selected.
+        one or exchanged in it, significant or not. Of about equally probable sets the simplest is selected,
+        and of its forms the one with the smallest BIC unless another one is clearly more probable.
         """
         best, evidences = self.best(), self.evidences
         for _ in range(_MAX_EXCHANGES):
@@ -182,7 +183,16 @@ class Search:
             is_simpler = each.parameter_count < selected.parameter_count
             if is_simpler and is_as_probable and not self._has_objection(each):
                 selected = each
+        selected = self._in_most_probable_form(selected)
         return selected, replace(posterior, more_general=self._find_more_general(selected, fitted, posterior))
+
+    def _in_most_probable_form(self, hypothesis: Hypothesis) -> Hypothesis:
+        """The same set of effects in the forms that are clearly more probable, if there is no objection."""
+        forms = [each for each in self._best_by_forms.values() if each.names == hypothesis.names]
+        allowed = [each for each in forms if not self._has_objection(each)]
+        best = max(allowed, key=lambda each: self.evidences.weights(each)[0], default=hypothesis)
+        is_clear = self.evidences.log_odds(best, hypothesis) >= 2.0 * math.log(_EVEN_ODDS)
+        return best if is_clear else hypothesis
 
     def _find_more_general(
         self, selected: Hypothesis, fitted: Mapping[frozenset[str], Hypothesis], posterior: Posterior

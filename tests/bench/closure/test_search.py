@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.candidates import fit_hypothesis
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect, Form
@@ -17,7 +18,7 @@ from gyrobench.bench.closure.posterior import TIE_ODDS
 from gyrobench.bench.closure.problem import declared_problem
 from gyrobench.bench.closure.search import EFFECT_SIGNIFICANCE, MAY_CORRECT_LAWS, Search
 from tests.bench.closure.conftest import EQUIPPED, among
-from tests.bench.closure.thermal_bench import SIGMA_DPH
+from tests.bench.closure.thermal_bench import SIGMA_DPH, measure
 
 CLEAN_SEEDS = range(8)
 TRIANGLE = ((-20.0, 0.2, 0.0), (60.0, 0.2, 0.0), (20.0, 0.2, 0.0))
@@ -311,3 +312,17 @@ def test_each_effect_of_the_best_set_is_significant(search, among):
 def test_effects_with_missing_inputs_are_not_fitted(search):
     one, _ = search({"bias_jump": 3.0}, sensors=())
     assert one.single_effects.keys().isdisjoint({"chamber_state", "thermal_gradient"})
+
+
+@pytest.mark.parametrize(("seed", "is_clear"), [(20, True), (2, False)])
+def test_the_form_with_the_smallest_bic_is_selected_unless_another_one_is_clearly_more_probable(
+    seed, is_clear
+):
+    """In both campaigns the other form is more probable: by odds of 3.6, and of 1.7."""
+    measured = measure({"attitude_thermal": 1.2}, seed=seed, cycles=1, headings_deg=(0.0, 90.0))
+    data = declared_problem(campaign_of(measured.rows), np.ones(len(measured.rows), bool))
+    laws = [each for each in all_effects() if each.name in ("attitude_thermal", "g_sensitivity")]
+    selected, posterior = Search(data, laws).most_probable()
+    [found] = selected.candidates
+    [(probability, _)] = posterior.other_forms(selected.names, found)
+    assert (probability < 0.5) == is_clear
