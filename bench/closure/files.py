@@ -351,6 +351,8 @@ def _effect_document(effect: FoundEffect) -> dict[str, Any]:
                 "probability": each.probability,
                 "parameters": _by_parameter(each, each.candidate.values),
                 "parameters_95": _by_parameter(each, map(list, each.values_range)),
+                "difference_dph": each.difference_dph,
+                "dwell": each.dwell,
             }
             for each in effect.other_forms
         ],

@@ -14,7 +14,7 @@ from gyrobench.bench.closure.problem import DEGREE, SCALE_C
 from gyrobench.bench.closure.uncertainty import DRAWS, Draws
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.bench.foundations.text import plain_name
+from gyrobench.bench.foundations.text import listed, plain_name
 from gyrobench.drivers.ins.compensation import CORRECTION_DEGREE, PARAMETER_NAMES, Compensation, Correction
 
 #: Terms that an INS has also for coefficients other than gyro biases, with their names for gyro biases.
@@ -72,6 +72,10 @@ def model_with_effects(closure: Closure) -> LoadableModel:
         if found.tied_with:
             rivals = " or ".join(map(closure.label, found.tied_with))
             notes.append(f"{name} is loaded, but {rivals} fits the data equally well")
+        if note := _form_note(found):
+            notes.append(note)
+    if note := _set_note(closure):
+        notes.append(note)
     coefficients = _coefficients(
         closure, closure.model.declared, [_ins_terms(closure, each) for each in loaded]
     )
@@ -206,6 +210,37 @@ def _constants(closure: Closure, solution: FloatArray) -> FloatArray:
     """Constants (3, runs) of the power cycles searched that have at least one whole dwell."""
     runs = np.unique(closure.campaign.run[closure.searched])
     return np.asarray(solution[:, DEGREE + runs])
+
+
+def _form_note(found: FoundEffect) -> str:
+    """Note on a form that is more probable than the loaded one; empty without one."""
+    other = next(iter(found.other_forms), None)
+    if other is None or other.probability <= found.form_probability:
+        return ""
+    change = f"{other.difference_dph:.2g} {found.quantity.unit}"
+    return (
+        f"{found.effect.display_name} is loaded with the form {found.candidate.form.name}, which has the "
+        f"smallest BIC (P = {found.form_probability:.2f}), though {other.candidate.form.name} is more "
+        f"probable (P = {other.probability:.2f}); that changes the bias by at most {change}, "
+        f"in dwell {other.dwell}: repeat that dwell with those before it to decide"
+    )
+
+
+def _set_note(closure: Closure) -> str:
+    """Note on effects with which the loaded ones are more probable; empty without any."""
+    posterior, names = closure.posterior, frozenset(closure.names)
+    best = next(each for each in posterior.hypotheses if not each.has_remainder)
+    added = [each for each in closure.evidence if each.effect.name in best.names - names]
+    probability = posterior.set_probability(names)
+    if not names < best.names or best.probability <= probability:
+        return ""
+    labels, is_one = listed([each.effect.display_name for each in added]), len(added) == 1
+    reasons = "; ".join(f"{each.rejected}; to decide, {each.effect.experiment}" for each in added)
+    return (
+        f"{labels} {'is' if is_one else 'are'} not loaded, though the effects found are more probable with "
+        f"{'it' if is_one else 'them'} (P = {best.probability:.2g}) than alone (P = {probability:.2g}): "
+        f"{reasons}"
+    )
 
 
 def _constant_note(closure: Closure) -> str:

@@ -256,19 +256,32 @@ def _describe_effects(selected: Selected, model: Solution, draws: Draws) -> tupl
                 weights=weights,
                 weighted_sigma_dph=draws.sigma(sizes_drawn * weights_drawn[:, None, :], sizes * weights),
                 quantity=quantity,
-                other_forms=tuple(_describe_other_forms(selected, each)),
+                other_forms=tuple(_describe_other_forms(selected, model, each)),
             )
         )
     return tuple(sorted(result, key=lambda each: -each.rms_dph))
 
 
-def _describe_other_forms(selected: Selected, candidate: Candidate) -> Iterator[OtherForm]:
+def _describe_other_forms(selected: Selected, model: Solution, candidate: Candidate) -> Iterator[OtherForm]:
+    problem, others = selected.search.problem, selected.accepted.without(candidate)
+    bias_dph = measured_minus_model(problem.campaign, problem.searched, model)
     for probability, candidates in selected.posterior.other_forms(selected.accepted.names, candidate):
         [other] = [each for each in candidates if each.effect.name == candidate.effect.name]
-        drawn = draw(selected.search.problem, candidates)
+        drawn = draw(problem, candidates)
         values = drawn.values[other.effect.name]
         ranges = tuple(map(interval, other.form.parameters, other.values, values.T))
-        yield OtherForm(other, probability, drawn.sigma(values, np.array(other.values)), ranges)
+        other_bias_dph = measured_minus_model(
+            problem.campaign, problem.searched, solve_with(problem, [*others, other])
+        )
+        differences_dph = np.nan_to_num(np.abs(other_bias_dph - bias_dph)).max(axis=1)
+        yield OtherForm(
+            other,
+            probability,
+            drawn.sigma(values, np.array(other.values)),
+            ranges,
+            float(differences_dph.max()),
+            int(problem.campaign.dwell[differences_dph.argmax()]),
+        )
 
 
 def _candidate_results(selected: Selected) -> tuple[CandidateResult, ...]:

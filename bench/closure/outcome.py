@@ -39,6 +39,9 @@ class OtherForm:
     #: values_sigma, values_range: As in :class:`FoundEffect`.
     values_sigma: FloatArray
     values_range: tuple[tuple[float, float], ...]
+    #: Largest difference that it makes to the modelled bias of any gyro, and the number of that dwell.
+    difference_dph: float
+    dwell: int
 
     @property
     def text(self) -> str:
@@ -81,6 +84,11 @@ class FoundEffect:
         return self.candidate.effect
 
     @property
+    def form_probability(self) -> float:
+        """Probability of its form, given that the effects found are present."""
+        return 1.0 - sum(each.probability for each in self.other_forms)
+
+    @property
     def at_bound(self) -> tuple[str, ...]:
         """Names of the nonlinear parameters at a bound of the fit."""
         form, values = self.candidate.form, self.candidate.values
@@ -98,8 +106,7 @@ class FoundEffect:
         """Sentence with the behaviour of the bias, its size, gyros and parameters, with uncertainties."""
         parameters = "; ".join(self.parameter_texts)
         if self.other_forms:
-            share = 1.0 - sum(each.probability for each in self.other_forms)
-            form = f"{self.candidate.form.name} with P = {share:.2f}"
+            form = f"{self.candidate.form.name} with P = {self.form_probability:.2f}"
             parameters = "; ".join(
                 [f"{form}: {parameters}" if parameters else form, *(each.text for each in self.other_forms)]
             )

@@ -137,16 +137,15 @@ class Posterior:
     ) -> list[tuple[float, tuple[Candidate, ...]]]:
         """Probability share and fit of a set of effects with one of them in other forms, most probable first.
 
-        Only forms with more than ``_FORM_SHARE`` of the probability of the set.
+        Of the most probable set that includes the effects ``names``, since their forms say nothing in a set
+        that the data exclude. Only forms with more than ``_FORM_SHARE`` of its probability.
         """
+        sets = (each for each in self.hypotheses if each.names >= names and not each.has_remainder)
         by_form: dict[str, tuple[float, tuple[Candidate, ...]]] = {}
-        for each in self.hypotheses:
-            for share, candidates in each.forms if each.names == names and not each.has_remainder else ():
-                [form] = [
-                    other.form.name for other in candidates if other.effect.name == candidate.effect.name
-                ]
-                previous_share, best_fit = by_form.get(form, (0.0, candidates))
-                by_form[form] = previous_share + share, best_fit
+        for share, candidates in next(sets).forms:
+            [form] = [other.form.name for other in candidates if other.effect.name == candidate.effect.name]
+            previous_share, best_fit = by_form.get(form, (0.0, candidates))
+            by_form[form] = previous_share + share, best_fit
         by_form.pop(candidate.form.name, None)
         return sorted((each for each in by_form.values() if each[0] > _FORM_SHARE), key=lambda each: -each[0])
 

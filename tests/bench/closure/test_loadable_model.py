@@ -7,8 +7,11 @@ import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.effects import all_effects, attitude_thermal
+from gyrobench.bench.closure.effects.laws import WARM_UP
 from gyrobench.bench.closure.loadable_model import declared_model, model_with_effects
 from gyrobench.bench.closure.loop import close_loop
+from gyrobench.bench.closure.outcome import CandidateResult, OtherForm
+from gyrobench.bench.closure.posterior import HypothesisProbability
 from gyrobench.bench.closure.problem import SCALE_C
 from tests.bench.closure.thermal_bench import STEP_S, measure
 from tests.drivers.ins.compensation_reference import Conditions, compensated_dph
@@ -157,6 +160,46 @@ def test_a_tied_effect_is_loaded_with_a_note():
     assert loadable.effects == ("g_sensitivity",)
     assert (
         "g-sensitivity is loaded, but warm up or time drift fits the data equally well" in loadable.notes[1]
+    )
+
+
+def test_a_form_that_is_less_probable_than_another_is_loaded_with_a_note():
+    _, closure = search("thermal_hysteresis")
+    [found] = closure.effects
+    many_widths = replace(found.candidate, form=found.effect.forms[1])
+
+    def note(probability):
+        other = OtherForm(many_widths, probability, found.values_sigma, found.values_range, 0.0002, 43)
+        closed = replace(closure, effects=(replace(found, other_forms=(other,)),))
+        return "; ".join(model_with_effects(closed).notes[1:])
+
+    assert note(0.4) == ""
+    assert note(0.6) == (
+        "thermal hysteresis is loaded with the form one width, which has the smallest BIC (P = 0.40), though "
+        "many widths is more probable (P = 0.60); that changes the bias by at most 0.0002 deg/h, in dwell "
+        "43: repeat that dwell with those before it to decide"
+    )
+
+
+def test_effects_that_are_more_probable_with_another_one_are_loaded_with_a_note():
+    _, closure = search("g_sensitivity")
+    found = frozenset({"g_sensitivity"})
+    warm_up = CandidateResult(WARM_UP, rejected="it may only correct the inexact laws of the others")
+
+    def note(p_both, p_alone):
+        hypotheses = [
+            HypothesisProbability(names, False, probability, ())
+            for names, probability in ((found | {"warm_up"}, p_both), (found, p_alone))
+        ]
+        ranked = tuple(sorted(hypotheses, key=lambda each: -each.probability))
+        posterior = replace(closure.posterior, hypotheses=ranked)
+        closed = replace(closure, posterior=posterior, evidence=(*closure.evidence, warm_up))
+        return "; ".join(model_with_effects(closed).notes[1:])
+
+    assert note(0.4, 0.6) == ""
+    assert note(0.9, 0.1) == (
+        "warm-up is not loaded, though the effects found are more probable with it (P = 0.9) than alone "
+        f"(P = 0.1): {warm_up.rejected}; to decide, {WARM_UP.experiment}"
     )
 
 

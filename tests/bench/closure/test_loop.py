@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.candidates import solve_with
 from gyrobench.bench.closure.effects import all_effects, attitude_thermal
 from gyrobench.bench.closure.effects.laws import (
     BIAS_JUMP,
@@ -134,6 +135,10 @@ def test_a_form_that_the_data_do_not_exclude_is_stated_with_its_probability(cand
     assert 0.05 < other.probability < 0.5
     [(low_c, high_c)], [width_c] = other.values_range, other.candidate.values
     assert low_c < width_c < high_c
+    fitted = solve_with(weak.noise.problem(weak.campaign, weak.searched), [other.candidate])
+    differences_dph = np.abs(weak.residuals_dph(fitted) - weak.residuals_dph(weak.model))
+    assert other.difference_dph == pytest.approx(np.max(differences_dph))
+    assert other.difference_dph == pytest.approx(np.max(differences_dph[weak.campaign.dwell == other.dwell]))
     assert strong.effects[0].other_forms == ()
 
 

@@ -5,8 +5,10 @@ from dataclasses import replace
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.effects.laws import THERMAL_HYSTERESIS, WARM_UP
 from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.closure.posterior import HypothesisProbability, Posterior
+from tests.bench.closure.test_candidates import whole
 from tests.benchmarks.closure_calibration import drawn
 from tests.benchmarks.closure_units import make_unit
 
@@ -42,6 +44,23 @@ def test_an_effect_that_is_not_improbable_is_a_rival():
     )
     assert posterior.joint_probability(one) == pytest.approx(1.0)
     assert posterior.rivals(one) == {"b": pytest.approx(0.2)}
+
+
+def test_the_forms_of_an_effect_are_those_of_the_most_probable_set_that_includes_it():
+    one, both = frozenset({"thermal_hysteresis"}), frozenset({"thermal_hysteresis", "warm_up"})
+    width, many = (replace(whole(THERMAL_HYSTERESIS, 4.5), form=form) for form in THERMAL_HYSTERESIS.forms)
+    warm_up = whole(WARM_UP, 900.0)
+    posterior = Posterior(
+        (
+            HypothesisProbability(both, False, 0.9, (), ((0.7, (width, warm_up)), (0.3, (warm_up, many)))),
+            HypothesisProbability(one, False, 0.1, (), ((0.1, (width,)), (0.9, (many,)))),
+        ),
+        {},
+    )
+    assert posterior.other_forms(one, width) == [(0.3, (warm_up, many))]
+    assert posterior.other_forms(one, many) == [(0.7, (width, warm_up))]
+    alone = replace(posterior, hypotheses=posterior.hypotheses[1:])
+    assert alone.other_forms(one, width) == [(0.9, (many,))]
 
 
 @pytest.mark.long

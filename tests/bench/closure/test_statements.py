@@ -69,7 +69,7 @@ def test_a_parameter_at_its_bound_is_named_with_what_is_known_of_it():
 
 def test_another_form_that_is_not_improbable_is_stated_with_its_parameters():
     many_widths = replace(whole(THERMAL_HYSTERESIS, 4.5), form=THERMAL_HYSTERESIS.forms[1])
-    other = OtherForm(many_widths, 0.34, np.array([0.25]), ((4.0, 5.0),))
+    other = OtherForm(many_widths, 0.34, np.array([0.25]), ((4.0, 5.0),), 0.0002, 43)
     sentence = found(
         THERMAL_HYSTERESIS, 5.25, sigma=[0.12], within=[(5.02, 5.5)], other_forms=(other,)
     ).statement
