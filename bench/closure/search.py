@@ -65,8 +65,7 @@ class Search:
         self.effects = tuple(each.bounded(problem.campaign) for each in effects)
         self.declared = fit_hypothesis(problem, ())
         self._fits: dict[tuple[object, ...], Hypothesis | None] = {}
-        self._insignificant: dict[frozenset[str], Hypothesis] = {}
-        self._best_by_forms: dict[frozenset[tuple[str, str]], Hypothesis] = {}
+        self._best_by_forms = {self.declared.forms: self.declared}
         single_fits = {effect.name: self._fit_with_effect(self.declared, effect) for effect in self.effects}
         self.single_effects = {name: each for name, each in single_fits.items() if each is not None}
 
@@ -135,7 +134,7 @@ class Search:
         fewer = fit_hypothesis(
             self.problem, hypothesis.without(hypothesis.candidates[int(np.argmax(p_values))])
         )
-        return self.without_corrections(self._best_fits(fewer)[fewer.names])
+        return self.without_corrections(ranked([fewer, *self._in_all_forms(fewer)])[0])
 
     def correction_objection(self, hypothesis: Hypothesis, index: int) -> str:
         """Objection that one effect may only correct the inexact laws of the others; empty if excluded."""
@@ -170,8 +169,9 @@ class Search:
         best, evidences = self.best(), self.evidences
         for _ in range(_MAX_EXCHANGES):
             self._fit_similar(best)
-            fitted = self._best_fits(best)
-            posterior = evidences.posterior([*fitted.values(), *self._fits_in_other_forms(fitted)])
+            fits = self._fits_near(best)
+            fitted = {each.names: each for each in reversed(fits)}
+            posterior = evidences.posterior(fits)
             sets = (fitted[names] for names in posterior.sets if names in fitted)
             selected = next(each for each in sets if not self._has_objection(each))
             if selected.names == best.names:
@@ -188,8 +188,7 @@ class Search:
 
     def _in_most_probable_form(self, hypothesis: Hypothesis) -> Hypothesis:
         """The same set of effects in the forms that are clearly more probable, if there is no objection."""
-        forms = [each for each in self._best_by_forms.values() if each.names == hypothesis.names]
-        allowed = [each for each in forms if not self._has_objection(each)]
+        allowed = [each for each in self._in_all_forms(hypothesis) if not self._has_objection(each)]
         best = max(allowed, key=lambda each: self.evidences.weights(each)[0], default=hypothesis)
         is_clear = self.evidences.log_odds(best, hypothesis) >= 2.0 * math.log(_EVEN_ODDS)
         return best if is_clear else hypothesis
@@ -228,28 +227,22 @@ class Search:
             for effect in self.effects:
                 self.add(each, effect)
 
-    def _best_fits(self, best: Hypothesis) -> dict[frozenset[str], Hypothesis]:
-        """Best fit of each set of effects fitted so far, by names.
+    def _fits_near(self, best: Hypothesis) -> list[Hypothesis]:
+        """Best fit of each set of effects in each combination of forms so far, smallest BIC first.
 
-        Of the insignificant fits, only those of sets with one effect that ``best`` does not have.
+        Of the insignificant sets, only those with one effect that ``best`` does not have.
         """
-        fitted = {self.declared.names: self.declared, best.names: best}
-        for each in (*self.single_effects.values(), *self._fits.values()):
-            if each and (each.names not in fitted or each.is_better_than(fitted[each.names])):
-                fitted[each.names] = each
-        for each in self._insignificant.values():
-            is_near = len(each.names - best.names) == 1 >= len(best.names - each.names)
-            if is_near and each.names not in fitted:
-                fitted[each.names] = each
-        return fitted
-
-    def _fits_in_other_forms(self, fitted: Mapping[frozenset[str], Hypothesis]) -> list[Hypothesis]:
-        """Fits of the same sets of effects in other forms."""
+        significant = {each.names for each in (*self.single_effects.values(), *self._fits.values()) if each}
+        significant |= {self.declared.names, best.names}
         return [
             each
-            for forms, each in self._best_by_forms.items()
-            if each.names in fitted and forms != fitted[each.names].forms
+            for each in ranked(self._best_by_forms.values())
+            if each.names in significant or len(each.names - best.names) == 1 >= len(best.names - each.names)
         ]
+
+    def _in_all_forms(self, hypothesis: Hypothesis) -> list[Hypothesis]:
+        """Best fit of the same set of effects in each combination of forms so far."""
+        return [each for each in self._best_by_forms.values() if each.names == hypothesis.names]
 
     def _fit_with_effect(self, hypothesis: Hypothesis, effect: Effect) -> Hypothesis | None:
         problem, campaign = self.problem, self.problem.campaign
@@ -282,10 +275,6 @@ class Search:
             if significant
             else [fit_hypothesis(problem, [*hypothesis.candidates, each]) for each in insignificant]
         )
-        if weak_fits:
-            best = ranked(weak_fits)[0]
-            previous = self._insignificant.get(best.names, best)
-            self._insignificant[best.names] = ranked([best, previous])[0]
         for each in (*significant, *weak_fits):
             self._best_by_forms[each.forms] = ranked([each, self._best_by_forms.get(each.forms, each)])[0]
         return ranked(significant)[0] if significant else None
