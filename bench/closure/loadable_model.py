@@ -232,14 +232,16 @@ def _set_note(closure: Closure) -> str:
     best = next(each for each in posterior.hypotheses if not each.has_remainder)
     added = [each for each in closure.evidence if each.effect.name in best.names - names]
     probability = posterior.set_probability(names)
-    if not names < best.names or best.probability <= probability:
+    if not names or not names < best.names or best.probability <= probability:
         return ""
     labels, is_one = listed([each.effect.display_name for each in added]), len(added) == 1
-    reasons = "; ".join(f"{each.rejected}; to decide, {each.effect.experiment}" for each in added)
+    reasons = [
+        text for each in added for text in (each.rejected, f"to decide, {each.effect.experiment}") if text
+    ]
     return (
         f"{labels} {'is' if is_one else 'are'} not loaded, though the effects found are more probable with "
         f"{'it' if is_one else 'them'} (P = {best.probability:.2g}) than alone (P = {probability:.2g}): "
-        f"{reasons}"
+        f"{'; '.join(reasons)}"
     )
 
 

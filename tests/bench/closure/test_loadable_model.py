@@ -186,14 +186,15 @@ def test_effects_that_are_more_probable_with_another_one_are_loaded_with_a_note(
     found = frozenset({"g_sensitivity"})
     warm_up = CandidateResult(WARM_UP, rejected="it may only correct the inexact laws of the others")
 
-    def note(p_both, p_alone):
+    def note(p_both, p_alone, reason=warm_up.rejected, effects=closure.effects):
         hypotheses = [
             HypothesisProbability(names, False, probability, ())
             for names, probability in ((found | {"warm_up"}, p_both), (found, p_alone))
         ]
         ranked = tuple(sorted(hypotheses, key=lambda each: -each.probability))
         posterior = replace(closure.posterior, hypotheses=ranked)
-        closed = replace(closure, posterior=posterior, evidence=(*closure.evidence, warm_up))
+        closed = replace(closure, posterior=posterior, evidence=(replace(warm_up, rejected=reason),))
+        closed = replace(closed, effects=effects)
         return "; ".join(model_with_effects(closed).notes[1:])
 
     assert note(0.4, 0.6) == ""
@@ -201,6 +202,8 @@ def test_effects_that_are_more_probable_with_another_one_are_loaded_with_a_note(
         "warm-up is not loaded, though the effects found are more probable with it (P = 0.9) than alone "
         f"(P = 0.1): {warm_up.rejected}; to decide, {WARM_UP.experiment}"
     )
+    assert note(0.9, 0.1, reason="").endswith(f"(P = 0.1): to decide, {WARM_UP.experiment}")
+    assert note(0.9, 0.1, effects=()) == ""
 
 
 def test_a_heat_flow_unknown_in_flagged_dwells_is_left_out():
