@@ -22,7 +22,7 @@ _TERMS_OF_COEFFICIENTS = {"polynomial_dph", "rate_dph_per_c_per_h", "rate_limit_
 #: Elements of the sensors' matrix that follow gravity at rest like the biases of a quantity.
 _FOLLOWS_GRAVITY = {"accelerometer_bias": ("accelerometer_scale", "accelerometer_misalignment")}
 #: Coefficients to which several effects may contribute.
-_SUMMED = ("polynomial_dph", "gradient_dph_per_k")
+_SUMMED = ("polynomial_dph", "gradient_dph_per_k", "rate_dph_per_c_per_h")
 
 
 @dataclass(frozen=True, eq=False)

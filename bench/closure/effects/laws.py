@@ -18,7 +18,6 @@ from gyrobench.bench.closure.effects.effect import (
     constant_at_end,
     fixed,
     needs_positions,
-    no_ins_term,
     same_for_all_gyros,
     searched_length_s,
     time_constant,
@@ -65,6 +64,31 @@ def _begins_settled(campaign: Campaign) -> bool:
     return bool(np.abs(rate_c_per_h).max() <= _SETTLED_C_PER_H)
 
 
+def _terms_of_nearest(fitted: FittedForm, law: Law, values: tuple[float, ...], name: str) -> InsTerms:
+    """Terms of a law that an INS can subtract, with the sizes that fit another one best.
+
+    ``values``: parameters of the law. ``name``: what it is, for the note on what it leaves.
+    """
+    form = form_of(law)
+    course, nearest = (
+        columns - columns.mean(axis=0)
+        for columns in (
+            each.columns(fitted.campaign, own_values)[fitted.searched, :, 0]
+            for each, own_values in ((fitted.form, fitted.values), (form, values))
+        )
+    )
+    shares = np.sum(nearest * course, axis=0) / np.maximum(np.sum(nearest**2, axis=0), 1e-300)
+    sizes_dph = fitted.sizes_dph * shares[:, np.newaxis]
+    residual_dph = rms(course * fitted.sizes_dph[:, 0] - nearest * sizes_dph[:, 0])
+    terms = ins_terms({form.name: law}, replace(fitted, form=form, values=values, sizes_dph=sizes_dph))
+    return replace(terms, note=f"compensated {name}, which leaves {residual_dph:.2g} deg/h rms of it")
+
+
+def _lag_terms(fitted: FittedForm) -> InsTerms:
+    """The temperature rate: on a long ramp, a lag is proportional to it."""
+    return _terms_of_nearest(fitted, Law("gyro_rate_c_per_h"), (), "as the temperature rate")
+
+
 #: What warmed or cooled an INS before the first dwell is not recorded, and acts for hours.
 THERMAL_LAG = Effect(
     name="thermal_lag",
@@ -75,7 +99,7 @@ THERMAL_LAG = Effect(
     ),
     imitated_by=("thermal_gradient",),
     contains=("temperature_rate",),
-    compensation=no_ins_term("the INS has no term for what follows a lagging temperature"),
+    compensation=_lag_terms,
     forms=(
         Form(
             _SENSOR_AHEAD,
@@ -110,25 +134,10 @@ def _many_widths(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
     return campaign.means_over_dwells(np.asarray(sum(states)) / len(_JOINT_WIDTHS))[:, :, np.newaxis]
 
 
-def _single_width_terms(fitted: FittedForm) -> InsTerms:
-    """Play of a single width, which an INS can subtract: the mean width, with the best sizes."""
-    one_width = {_ONE_WIDTH: _PLAY}
+def _hysteresis_terms(fitted: FittedForm) -> InsTerms:
     if fitted.form.name == _ONE_WIDTH:
-        return ins_terms(one_width, fitted)
-    many_widths, single_width = (
-        columns(fitted.campaign, fitted.values)[fitted.searched, :, 0]
-        for columns in (fitted.form.columns, _PLAY.columns)
-    )
-    many_widths, single_width = (
-        many_widths - many_widths.mean(axis=0),
-        single_width - single_width.mean(axis=0),
-    )
-    shares = np.sum(single_width * many_widths, axis=0) / np.maximum(np.sum(single_width**2, axis=0), 1e-300)
-    sizes_dph = fitted.sizes_dph * shares[:, np.newaxis]
-    residual_dph = rms(many_widths * fitted.sizes_dph[:, 0] - single_width * sizes_dph[:, 0])
-    terms = ins_terms(one_width, replace(fitted, form=THERMAL_HYSTERESIS.forms[0], sizes_dph=sizes_dph))
-    note = f"compensated as play of a single width, which leaves {residual_dph:.2g} deg/h rms of it"
-    return replace(terms, note=note)
+        return ins_terms({_ONE_WIDTH: _PLAY}, fitted)
+    return _terms_of_nearest(fitted, _PLAY, fitted.values, "as play of a single width")
 
 
 _ONE_WIDTH = "one width"
@@ -143,7 +152,7 @@ THERMAL_HYSTERESIS = Effect(
         "reach one temperature from above and from below and soak for hours: a lag decays, hysteresis "
         "remains; small temperature loops show its width"
     ),
-    compensation=_single_width_terms,
+    compensation=_hysteresis_terms,
     forms=(
         form_of(_PLAY, ("play behind the temperature, K",), _ONE_WIDTH),
         Form(

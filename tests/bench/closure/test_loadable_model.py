@@ -1,5 +1,6 @@
 """What a search found, as numbers that an INS subtracts."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -26,7 +27,7 @@ LOADED = {
     "warm_up": {},
     "thermal_hysteresis": {},
 }
-NOT_LOADED = ["thermal_lag", "chamber_state"]
+NOT_LOADED = ["chamber_state"]
 
 
 def search(effect, **options):
@@ -125,6 +126,33 @@ def test_an_effect_without_a_term_of_the_ins_is_left_out_with_a_note(effect):
     assert loadable.effects == ()
     assert loadable.compensation.terms() == ()
     assert any(note.startswith(f"{closure.label(effect)} is left out") for note in loadable.notes)
+
+
+def test_a_lag_is_compensated_as_the_temperature_rate_that_is_nearest_to_it():
+    measured, closure = search("thermal_lag")
+    [found], loadable = closure.effects, model_with_effects(closure)
+    assert loadable.effects == ("thermal_lag",)
+    of_ins = subtracted_dph(loadable.compensation, measured.course, measured.rows)
+    left_dph = (closure.model.bias_dph - of_ins)[closure.searched]
+    left_dph -= left_dph.mean(axis=0)
+    assert rms(left_dph) < 0.6 * found.rms_dph
+    [stated] = re.findall(
+        r"thermal lag is compensated as the temperature rate, which leaves (\S+) deg/h rms of it",
+        "; ".join(loadable.notes),
+    )
+    assert rms(left_dph) == pytest.approx(float(stated), rel=0.1)
+
+
+def test_a_temperature_rate_and_a_lag_add_up():
+    measured = measure({"temperature_rate": 6.0, "thermal_lag": 6.0})
+    known = [each for each in all_effects() if each.name in ("temperature_rate", "thermal_lag")]
+    closure = close_loop(campaign_of(measured.rows), effects=known)
+    assert set(closure.names) == {"temperature_rate", "thermal_lag"}
+    both, *alone = (
+        model_with_effects(replace(closure, effects=effects)).compensation.rate_dph_per_c_per_h
+        for effects in (closure.effects, closure.effects[:1], closure.effects[1:])
+    )
+    np.testing.assert_allclose(both, sum(alone))
 
 
 def test_a_drift_is_taken_as_it_was_at_the_end():
