@@ -12,7 +12,6 @@ from __future__ import annotations
 import base64
 import csv
 import hashlib
-import io
 import re
 import struct
 import zlib
@@ -183,6 +182,11 @@ def _event(line: bytes) -> str:
 
 def _column(content: bytes, before: bytes) -> str:
     """Name of the column of a cell; ``before``: the part of its row up to the changed byte."""
-    header = next(csv.reader(io.StringIO(content.partition(b"\n")[0].decode(errors="replace"))), [])
-    cells = next(csv.reader(io.StringIO(before.decode(errors="replace") + "x")), [""])
+    header, cells = _cells(content.partition(b"\n")[0]), _cells(before + b"x")
     return header[len(cells) - 1] if len(cells) <= len(header) else str(len(cells))
+
+
+def _cells(line: bytes) -> list[str]:
+    """Cells of a line of CSV, which may be damaged: csv refuses a carriage return inside."""
+    text = line.decode(errors="replace").rstrip("\r").replace("\r", " ")
+    return next(csv.reader([text]), [])

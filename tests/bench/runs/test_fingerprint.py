@@ -50,6 +50,7 @@ def test_the_range_of_several_changes_holds_the_first(tmp_path, content, data):
     [
         ("t.csv", b'a,b,c\n1,"x,y",3\n4,5,6\n', 14, "line 2, column c"),
         ("t.csv", b"a,b,c\n1,2,3\n4,5,6\n", 14, "line 3, column b"),
+        ("t.csv", b"a,b,c\r\n1,2\r,3\r\n", 12, "line 2, column c"),
         ("j.jsonl", b'{"event": "held"}\n{"event": "note", "t": 1}\n', 40, "line 2 (event note)"),
         ("p.yaml", b"a: 1\nb: 2\n", 8, "line 2"),
     ],
