@@ -74,17 +74,6 @@ LONG = SHIFT_RUNS | {
 }
 
 
-class Collected(list):
-    """Tests of a worker, found by their names."""
-
-    def __init__(self, tests):
-        super().__init__(tests)
-        self._places = {test: place for place, test in enumerate(tests)}
-
-    def index(self, test):
-        return self._places[test]
-
-
 class WaitingApartScheduling(LoadFileScheduling):
     """One worker runs all tests of a file, and all files that share runs.
 
@@ -95,19 +84,6 @@ class WaitingApartScheduling(LoadFileScheduling):
     def _split_scope(self, nodeid):
         path = super()._split_scope(nodeid)
         return "runs of a shift" if path in SHIFT_RUNS else path
-
-    def add_node_collection(self, node, collection):
-        """Keep where each test is in the list of its worker, which is searched for every test."""
-        super().add_node_collection(node, collection)
-        if node in self.registered_collections:
-            self.registered_collections[node] = Collected(collection)
-
-    def mark_test_complete(self, node, item_index, duration=0):
-        """Forget files that are done: what is left of those assigned is counted after every test."""
-        scope = self._split_scope(self.registered_collections[node][item_index])
-        super().mark_test_complete(node, item_index, duration)
-        if all(self.assigned_work[node][scope].values()):
-            del self.assigned_work[node][scope]
 
     def schedule(self):
         """All tests are those that the workers collected that compute; without work, these end last."""
@@ -181,8 +157,6 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     config = session.config
     if not hasattr(config, "workerinput"):
         return
-    if not config.getvalue("durations"):
-        send_less(config)
     atexit.register(os._exit, 0)  # after all others: freeing each object of all tests takes seconds
     gc.disable()  # importing hardly leaves anything to free
     number, count = int(config.workerinput["workerid"][2:]), config.workerinput["workercount"]
@@ -195,20 +169,6 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     for path in paths[number - first :: count - first]:
         with contextlib.suppress(Exception, pytest.skip.Exception):  # collecting reports it
             importlib.import_module(".".join(path.relative_to(config.rootpath).with_suffix("").parts))
-
-
-def send_less(config):
-    """Have a worker send only what is printed: neither begin and end of tests, nor set-ups that passed."""
-    worker = next(each for each in config.pluginmanager.get_plugins() if hasattr(each, "sendevent"))
-    send = worker.sendevent
-
-    def sendevent(name, **event):
-        report = event.get("data", {})
-        is_silent = report.get("when") in ("setup", "teardown") and report["outcome"] == "passed"
-        if name not in ("logstart", "logfinish") and not is_silent:
-            send(name, **event)
-
-    worker.sendevent = sendevent
 
 
 @pytest.hookimpl(trylast=True)
