@@ -120,7 +120,7 @@ def verification_sections(result: VerificationResult) -> list[Section]:
     )
     figures = [SectionFigure("residuals", _RESIDUALS_CAPTION, partial(residual_bars_figure, result))]
     day_section_figure = SectionFigure("day", _DAY_CAPTION, partial(day_figure, result))
-    has_day = any(plateau.day for each in result.results for plateau in each.plateaus)
+    has_day = any(row.day for each in result.results for row in each.rows)
     return [
         Section(
             "Compensations",

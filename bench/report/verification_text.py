@@ -25,12 +25,12 @@ from gyrobench.bench.verification.compensation_verification import (
     NONE,
     CompensationResult,
     VerificationResult,
-    VerificationRow,
     has_worse_constant,
     is_better,
     is_worse,
 )
 from gyrobench.bench.verification.measured_change import MeasuredChange
+from gyrobench.bench.verification.run_residuals import VerificationRow
 from gyrobench.drivers.ins.compensation import PARAMETER_NAMES
 
 #: Names of the compensations as displayed.

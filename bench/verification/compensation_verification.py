@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import astuple, dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +37,7 @@ from gyrobench.bench.verification.measured_change import (
     without_cycle_means,
 )
 from gyrobench.bench.verification.paired_plateaus import comparable_dwells, pair_dwells
-from gyrobench.bench.verification.run_residuals import AnyDwell, ResidualCheck, bias_rows, check_plateau
+from gyrobench.bench.verification.run_residuals import AnyDwell, VerificationRow, bias_rows, check_plateau
 from gyrobench.drivers.ins.compensation import Compensation
 
 #: The compensations, in the order of the runs.
@@ -54,56 +54,12 @@ _SIGNIFICANT_SIGMAS = float(norm.isf(SIGNIFICANT_P))
 _WORSE_CONSTANT = 1.5
 
 
-@dataclass(frozen=True)
-class VerificationRow:
-    """Residual bias with one compensation at one plateau, or at all of them.
-
-    A field with ``noise`` is the value expected from the measurement noise alone.
-    """
-
-    compensation: str  #: :data:`NONE`, :data:`DECLARED` or :data:`EFFECT`.
-    #: Number of the plateau, from 1 (column ``stop``), the same in all runs; there is no row for a plateau
-    #: that the run lacks. 0 for all plateaus: an rms over the dwells that every run has, and for other sizes
-    #: the maximum over the plateaus at which every run has a value.
-    plateau: int
-    #: cycle, chamber_set_c, gyro_c: Cycle, set point and mean gyro temperature of the plateau; None for all.
-    cycle: int | None
-    chamber_set_c: float | None
-    gyro_c: float | None
-    #: Temperature relative to those fitted: "fitted", "between" or "outside"; empty for all.
-    fit: str
-    dwells: int  #: Number of biases per gyro, only of dwells that the other runs have too.
-    #: bias_rms_dph, bias_noise_dph: Rms over all gyros, including the constant of the power cycle.
-    bias_rms_dph: float
-    bias_noise_dph: float
-    #: Rms of the varying bias: without the mean of each gyro over the dwells that every run has, which
-    #: includes the constant.
-    varying_rms_dph: float
-    varying_p_value: float = math.nan  #: p-value of the varying bias over all plateaus; NaN for one plateau.
-    #: spread_dph, spread_noise_dph, velocity_east_mps, velocity_noise_mps: See
-    #: :class:`gyrobench.bench.verification.run_residuals.ResidualCheck`.
-    spread_dph: float = math.nan
-    spread_noise_dph: float = math.nan
-    velocity_east_mps: float = math.nan
-    velocity_noise_mps: float = math.nan
-    #: position_nmi, position_noise_nmi: Largest position error of a rotational INS with these biases within a
-    #: day; NaN without all six positions.
-    position_nmi: float = math.nan
-    position_noise_nmi: float = math.nan
-    #: Rms standard uncertainty of the varying bias due to the compensation; NaN without one.
-    compensation_sigma_dph: float = math.nan
-    #: p-value of the varying bias, given the noise and that uncertainty, over all plateaus; NaN for one
-    #: plateau.
-    agreement_p_value: float = math.nan
-
-
 @dataclass(frozen=True, eq=False)
 class CompensationResult:
     """Residual bias with one compensation."""
 
     compensation: str  #: As in :class:`VerificationRow`.
-    plateaus: tuple[ResidualCheck, ...]  #: In the order of time.
-    rows: tuple[VerificationRow, ...]  #: One for each plateau.
+    rows: tuple[VerificationRow, ...]  #: One for each plateau, in the order of time.
     total: VerificationRow  #: All plateaus.
     #: Change of the biases from each earlier run to this one, by the compensation of the earlier run; only if
     #: it can be evaluated.
@@ -116,9 +72,7 @@ class CompensationResult:
 class PairedPlateau:
     """One plateau in all runs."""
 
-    #: rows, checks: Those of each run, in the order of the runs; None if a run lacks the plateau.
-    rows: tuple[VerificationRow | None, ...]
-    checks: tuple[ResidualCheck | None, ...]
+    rows: tuple[VerificationRow | None, ...]  #: In the order of the runs; None if a run lacks the plateau.
 
     @property
     def measured_rows(self) -> tuple[VerificationRow, ...]:
@@ -157,14 +111,8 @@ class VerificationResult:
     def plateaus(self) -> tuple[PairedPlateau, ...]:
         """Plateaus that any run has, in the order of the plan."""
         rows = [{row.plateau: row for row in each.rows} for each in self.results]
-        checks = [
-            {row.plateau: check for row, check in zip(each.rows, each.plateaus, strict=True)}
-            for each in self.results
-        ]
         return tuple(
-            PairedPlateau(
-                tuple(each.get(number) for each in rows), tuple(each.get(number) for each in checks)
-            )
+            PairedPlateau(tuple(each.get(number) for each in rows))
             for number in sorted({number for each in rows for number in each})
         )
 
@@ -203,7 +151,7 @@ def compare_runs(
     gyros in the dwells to which the model was fitted.
     """
     dwells: list[list[AnyDwell]] = [[*run.dwells, *run.check_dwells] for run in runs]
-    checks: list[dict[int, ResidualCheck]] = [{} for _ in runs]  # of each run, by the number of the plateau
+    checks: list[list[VerificationRow]] = [[] for _ in runs]
     in_all_runs: set[int] = set()
     for number, plateau in enumerate(pair_dwells(dwells), start=1):
         biases = [{row.dwell for row in bias_rows(each)} for each in plateau]
@@ -211,9 +159,9 @@ def compare_runs(
         compared = comparable_dwells(biases) | comparable_dwells(check_dwells)
         if all(biases):
             in_all_runs |= compared
-        for run_checks, members in zip(checks, plateau, strict=True):
+        for run, run_checks, members in zip(runs, checks, plateau, strict=True):
             if members:
-                run_checks[number] = check_plateau(members, compared, site)
+                run_checks.append(check_plateau(members, compared, site, run.compensation, number))
     measured = [
         _measured_rows(run, run_checks, in_all_runs, fitted_c)
         for run, run_checks in zip(runs, checks, strict=True)
@@ -251,39 +199,26 @@ def _compared_with(
 
 
 def _measured_rows(
-    run: MeasuredRun, checks: Mapping[int, ResidualCheck], in_all_runs: Collection[int], fitted_c: FloatArray
+    run: MeasuredRun, checks: Iterable[VerificationRow], in_all_runs: Collection[int], fitted_c: FloatArray
 ) -> CompensationResult:
-    """Rows of one run with its plateaus by number; the total is without maxima, see :func:`_with_largest`."""
+    """Rows of one run with its varying biases; the total is without maxima, see :func:`_with_largest`."""
     usable = [row for row in run.dwells if not row.flags]
     counts = np.array([row.dwell in in_all_runs for row in usable], dtype=bool)
     varying = _varying_bias(usable, np.array([row.bias_dph for row in usable]).reshape(-1, 3), counts)
     deviations = _compensation_deviations(usable, run, counts)
     rows = []
-    for number, check in checks.items():
-        is_included = [row.dwell in check.dwells for row in usable]
-        row = VerificationRow(
-            compensation=run.compensation,
-            plateau=number,
-            cycle=check.cycle,
-            chamber_set_c=check.chamber_set_c,
-            gyro_c=check.gyro_c,
+    for check in checks:
+        is_included = [row.dwell in check.members for row in usable]
+        row = replace(
+            check,
             fit=_relation_to_fit(check.gyro_c, fitted_c),
-            dwells=sum(is_included),
-            bias_rms_dph=check.bias_rms_dph,
-            bias_noise_dph=check.sigma_rms_dph,
             varying_rms_dph=rms(varying[is_included]),
-            spread_dph=check.spread_dph,
-            spread_noise_dph=check.spread_noise_dph,
-            velocity_east_mps=check.velocity_east_mps,
-            velocity_noise_mps=check.velocity_noise_mps,
-            position_nmi=check.day.error.max_nmi if check.day else math.nan,
-            position_noise_nmi=check.day.noise_nmi if check.day else math.nan,
             compensation_sigma_dph=_sigma_dph(deviations[:, is_included]),
         )
         rows.append(row)
     total_rows = [each for each, is_counted in zip(usable, counts, strict=True) if is_counted]
     total = _total_row(run.compensation, total_rows, varying[counts], deviations[:, counts])
-    return CompensationResult(run.compensation, tuple(checks.values()), tuple(rows), total)
+    return CompensationResult(run.compensation, tuple(rows), total)
 
 
 def is_worse(after: CompensationResult, before: CompensationResult) -> bool:
@@ -314,14 +249,19 @@ def has_worse_constant(after: CompensationResult, before: CompensationResult) ->
 
 #: Columns of the table; the number of the plateau is in ``stop``.
 VERIFICATION_COLUMNS = tuple(
-    "stop" if each.name == "plateau" else each.name for each in fields(VerificationRow)
+    "stop" if each.name == "plateau" else each.name
+    for each in fields(VerificationRow)
+    if each.name not in ("members", "day")
 )
 
 
 def table_records(results: Iterable[CompensationResult]) -> list[dict[str, str | float | None]]:
     """Rows of the table by column: the plateaus of each compensation, then all of them together."""
     rows = [row for each in results for row in (*each.rows, each.total)]
-    return [dict(zip(VERIFICATION_COLUMNS, astuple(row), strict=True)) for row in rows]
+    return [
+        {column: getattr(row, "plateau" if column == "stop" else column) for column in VERIFICATION_COLUMNS}
+        for row in rows
+    ]
 
 
 def write_verification_table(path: Path, results: Iterable[CompensationResult]) -> None:
@@ -372,10 +312,6 @@ def _total_row(
     return VerificationRow(
         compensation=compensation,
         plateau=_ALL_PLATEAUS,
-        cycle=None,
-        chamber_set_c=None,
-        gyro_c=None,
-        fit="",
         dwells=len(compared),
         bias_rms_dph=rms(np.array([row.bias_dph for row in compared])),
         bias_noise_dph=rms(sigma),

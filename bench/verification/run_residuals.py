@@ -30,35 +30,62 @@ from gyrobench.bench.navigation.rotational_ins import (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class ResidualCheck:
-    """Residual biases of one plateau, over all positions."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class VerificationRow:
+    """Residual bias with one compensation at one plateau, or at all of them.
 
-    #: cycle, chamber_set_c: Identify the plateau; set point None if the chamber had none.
-    cycle: int
-    chamber_set_c: float | None
-    dwells: tuple[int, ...]  #: Numbers of the dwells whose biases are included.
-    gyro_c: float  #: Mean temperature of the gyros.
-    #: bias_rms_dph, sigma_rms_dph: Rms of all biases, and of their standard uncertainties; NaN without
-    #: dwells.
+    A field with ``noise`` is the value expected from the measurement noise alone; a size that was not
+    measured is NaN.
+    """
+
+    compensation: str  #: Name, as in the module of the verification.
+    #: Number of the plateau, from 1 (column ``stop``), the same in all runs; there is no row for a plateau
+    #: that the run lacks. 0 for all plateaus: an rms over the dwells that every run has, and for other sizes
+    #: the maximum over the plateaus at which every run has a value.
+    plateau: int
+    #: cycle, chamber_set_c, gyro_c: Cycle, set point and mean gyro temperature; not set for all plateaus.
+    cycle: int | None = None
+    chamber_set_c: float | None = None
+    gyro_c: float = math.nan
+    #: Temperature relative to those fitted: "fitted", "between" or "outside"; empty for all.
+    fit: str = ""
+    dwells: int  #: Number of biases per gyro, only of dwells that the other runs have too.
+    #: bias_rms_dph, bias_noise_dph: Rms over all gyros, including the constant of the power cycle.
     bias_rms_dph: float
-    sigma_rms_dph: float
-    #: spread_dph, spread_noise_dph: Largest difference between two positions in the bias of one gyro, and the
-    #: value expected from the uncertainties alone; NaN with fewer than two positions.
-    spread_dph: float
-    spread_noise_dph: float
+    bias_noise_dph: float
+    #: Rms of the varying bias: without the mean of each gyro over the dwells that every run has, which
+    #: includes the constant.
+    varying_rms_dph: float = math.nan
+    varying_p_value: float = math.nan  #: p-value of the varying bias over all plateaus; NaN for one plateau.
+    #: spread_dph, spread_noise_dph: Largest difference between two positions in the bias of one gyro.
+    spread_dph: float = math.nan
+    spread_noise_dph: float = math.nan
     #: velocity_east_mps, velocity_noise_mps: Largest absolute error of the velocity East in navigations
-    #: directly after an alignment, and the value expected from the sensor noise alone; NaN without any.
-    velocity_east_mps: float
-    velocity_noise_mps: float
-    day: DayOfNavigation | None  #: Errors of a day; None unless all six positions were measured.
+    #: directly after an alignment.
+    velocity_east_mps: float = math.nan
+    velocity_noise_mps: float = math.nan
+    #: position_nmi, position_noise_nmi: Largest position error of a rotational INS with these biases within a
+    #: day; NaN without all six positions.
+    position_nmi: float = math.nan
+    position_noise_nmi: float = math.nan
+    #: Rms standard uncertainty of the varying bias due to the compensation; NaN without one.
+    compensation_sigma_dph: float = math.nan
+    #: p-value of the varying bias, given the noise and that uncertainty, over all plateaus; NaN for one
+    #: plateau.
+    agreement_p_value: float = math.nan
+    #: members, day: Numbers of the dwells, and errors of a day (None unless all six positions were measured);
+    #: no columns of the table.
+    members: tuple[int, ...] = ()
+    day: DayOfNavigation | None = None
 
 
 AnyDwell = DwellRow | CheckDwell
 
 
-def check_plateau(plateau: Sequence[AnyDwell], compared: Collection[int], site: Site) -> ResidualCheck:
-    """Evaluate one plateau from the dwells ``compared``, which other runs have too.
+def check_plateau(
+    plateau: Sequence[AnyDwell], compared: Collection[int], site: Site, compensation: str, number: int
+) -> VerificationRow:
+    """Evaluate one plateau, by its ``number``, from the dwells ``compared``, which other runs have too.
 
     The day of navigation uses all dwells, since it needs six positions.
     """
@@ -68,18 +95,24 @@ def check_plateau(plateau: Sequence[AnyDwell], compared: Collection[int], site: 
     rows = [each for each in measured if each.dwell in compared]
     check_dwells = [each for each in plateau if isinstance(each, CheckDwell) and each.dwell in compared]
     biases, sigmas = ([getattr(row, name) for row in rows] for name in ("bias_dph", "sigma_dph"))
-    return ResidualCheck(
+    day = day_of_navigation(measured, site) if all_six else None
+    return VerificationRow(
+        compensation=compensation,
+        plateau=number,
         cycle=plateau[0].cycle,
         chamber_set_c=set_point_c(plateau[0].chamber_set_c),
-        dwells=tuple(row.dwell for row in rows),
         gyro_c=float(np.mean(gyro_c)),
+        dwells=len(rows),
         bias_rms_dph=rms(biases),
-        sigma_rms_dph=rms(sigmas),
+        bias_noise_dph=rms(sigmas),
         spread_dph=_spread(rows),
         spread_noise_dph=_spread_noise(rows),
         velocity_east_mps=max(map(_largest_velocity_east, check_dwells), default=math.nan),
         velocity_noise_mps=_velocity_noise(check_dwells, site),
-        day=day_of_navigation(measured, site) if all_six else None,
+        position_nmi=day.error.max_nmi if day else math.nan,
+        position_noise_nmi=day.noise_nmi if day else math.nan,
+        members=tuple(row.dwell for row in rows),
+        day=day,
     )
 
 

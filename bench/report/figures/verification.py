@@ -58,12 +58,12 @@ def residual_bars_figure(result: VerificationResult) -> Figure:
 @house_style
 def day_figure(result: VerificationResult) -> Figure:
     """Draw the position error over a day for each plateau with all six positions, of which at least one."""
-    plateaus = [each for each in result.plateaus if any(check and check.day for check in each.checks)]
+    plateaus = [each for each in result.plateaus if any(row.day for row in each.measured_rows)]
     figure = new_figure(1.0 + 1.7 * len(plateaus), hspace=0.2)
     panels = figure.subplots(len(plateaus), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     for axes, plateau in zip(panels, plateaus, strict=True):
-        for each, check in zip(result.results, plateau.checks, strict=True):
-            error = check.day.error if check is not None and check.day is not None else None
+        for each, row in zip(result.results, plateau.rows, strict=True):
+            error = row.day.error if row is not None and row.day is not None else None
             # A run without this plateau has an empty line, which keeps the order of the legend.
             axes.plot(
                 [] if error is None else error.time_s / 3600.0,

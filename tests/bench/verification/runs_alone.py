@@ -19,6 +19,6 @@ def coefficient_result(compensation, rows, correlations, site):
 
 def check_residuals(rows, check_dwells, site):
     return [
-        check_plateau(plateau, {each.dwell for each in plateau}, site)
+        check_plateau(plateau, {each.dwell for each in plateau}, site, "none", 1)
         for [plateau] in pair_dwells([[*rows, *check_dwells]])
     ]
