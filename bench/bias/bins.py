@@ -15,11 +15,9 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import permutations
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -27,16 +25,8 @@ from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.position_differences import CubicBiasCurve, fit_curve
 from gyrobench.bench.bias.statistics import WeightedMean, chi2_p_value, indicator_columns, weighted_mean
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.foundations.csv_tables import (
-    CellReader,
-    CsvTable,
-    format_csv,
-    one_of,
-    read_text,
-    write_text,
-)
+from gyrobench.bench.foundations.csv_tables import CsvTable, RecordTable, one_of
 from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.bench.foundations.text import format_cell
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 #: Usual width of a bin, K.
@@ -97,20 +87,19 @@ class BiasBin:
         return self.count == 0
 
 
-#: Columns of ``bias_bins.csv``.
-BIN_COLUMNS = tuple(field.name for field in fields(BiasBin) if field.name != "by_power_cycle")
-_PAPER = {"paper_bias_dph", "paper_sigma_dph"}
-_MAY_BE_EMPTY = {"temperature_c", "bias_dph", "sigma_dph", "chi2_reduced", "spread_p_value", *_PAPER}
 _SIGMA = partial(CsvTable.uncertainty, may_be_empty=True)
-#: Readers of columns that are not plain numbers.
-_READERS: Mapping[str, CellReader] = {
-    "gyro": one_of(AXES),
-    "position": one_of(POSITIONS),
-    "temperature_c": partial(CsvTable.temperature, may_be_empty=True),
-    "sigma_dph": _SIGMA,
-    "count": CsvTable.integer,
-    "paper_sigma_dph": _SIGMA,
-}
+#: ``bias_bins.csv``; the columns of the paper may be missing.
+BIAS_BINS_TABLE = RecordTable(
+    BiasBin,
+    {
+        "gyro": one_of(AXES),
+        "position": one_of(POSITIONS),
+        **dict.fromkeys(("bin_low_c", "bin_high_c"), CsvTable.number),
+        "temperature_c": partial(CsvTable.temperature, may_be_empty=True),
+        **dict.fromkeys(("sigma_dph", "paper_sigma_dph"), _SIGMA),
+    },
+    left_out=["by_power_cycle"],
+)
 
 
 def bin_biases(rows: Iterable[DwellRow], width_c: float = DEFAULT_WIDTH_C) -> list[BiasBin]:
@@ -189,29 +178,6 @@ def with_power_cycles(bins: Sequence[BiasBin], rows: Iterable[DwellRow]) -> list
     ]
 
 
-def write_bins(path: Path, bins: Iterable[BiasBin]) -> None:
-    """Write ``bias_bins.csv``. Raises RunFolderError if the file can't be written."""
-    cells = ([format_cell(getattr(each, column)) for column in BIN_COLUMNS] for each in bins)
-    write_text(path, format_csv(BIN_COLUMNS, cells))
-
-
-def read_bins(path: Path) -> list[BiasBin]:
-    """Read ``bias_bins.csv``; the columns of the paper may be missing.
-
-    Raises DocumentError if the file can't be read or is wrong; the message lists all problems.
-    """
-    return parse_bins(read_text(path), str(path))
-
-
-def parse_bins(text: str, name: str) -> list[BiasBin]:
-    """Read CSV text called ``name`` in messages; see :func:`read_bins`.
-
-    Raises DocumentError, which lists all that is wrong with it.
-    """
-    table = CsvTable(text, name, required=[column for column in BIN_COLUMNS if column not in _PAPER])
-    return table.rows(partial(_parse_bin, table))
-
-
 def _by_position_and_number(
     axis: int, rows: Iterable[DwellRow], width_c: float
 ) -> dict[tuple[str, int], list[DwellRow]]:
@@ -280,16 +246,6 @@ def _paper_mean(axis: int, rows: Sequence[DwellRow]) -> tuple[float, float]:
     values, sigmas = zip(*valid, strict=True)
     mean = weighted_mean(values, sigmas)
     return mean.value, mean.sigma
-
-
-def _parse_bin(table: CsvTable, index: int) -> BiasBin:
-    cells: dict[str, Any] = {
-        column: _READERS[column](table, index, column)
-        if column in _READERS
-        else table.number(index, column, may_be_empty=column in _MAY_BE_EMPTY)
-        for column in BIN_COLUMNS
-    }
-    return BiasBin(**cells)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from gyrobench.bench.calibration.estimator import Calibration
 from gyrobench.bench.calibration.rotation_list import ExpectedUncertainties
 from gyrobench.bench.calibration.spins import SpinScaleFactor
 from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, RADPS_TO_DPH, UG_PER_SQRT_HZ_TO_SI
-from gyrobench.bench.foundations.csv_tables import format_rows, write_text
+from gyrobench.bench.foundations.csv_tables import RecordTable, write_text
 from gyrobench.bench.foundations.files import make_folder, remove
 from gyrobench.bench.navigation.earth import earth_rate_enu
 from gyrobench.bench.navigation.positions import AXES
@@ -182,7 +182,7 @@ def write_calibration(folder: Path, calibration: Calibration, record: Mapping[st
     The last one is written after the others. Raises RunFolderError if a file can't be written.
     """
     texts = {
-        "coefficients.csv": format_rows(list(CoefficientRow.__annotations__), coefficient_rows(calibration)),
+        "coefficients.csv": RecordTable(CoefficientRow).format(coefficient_rows(calibration)),
         "correlations.csv": _correlations_table(calibration),
         "calibration.json": json.dumps(record, indent=1, ensure_ascii=False) + "\n",
     }

@@ -16,7 +16,7 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
 
     Example: gyrobench bins runs/six_position_fig7-001
     """
-    from gyrobench.bench.bias.bins import read_bins, with_power_cycles
+    from gyrobench.bench.bias.bins import BIAS_BINS_TABLE, with_power_cycles
     from gyrobench.bench.bias.dwell_table import read_dwells
     from gyrobench.bench.bias.verdicts import read_acceptance
     from gyrobench.bench.dwells.run_results import recompute_run
@@ -24,8 +24,8 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
     from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.runs.folder import open_run_folder
     from gyrobench.bench.runs.locks import RunLock
-    from gyrobench.bench.runs.tables.budget_table import budget_records, read_budget
-    from gyrobench.bench.runs.tables.calibration_check_table import read_calibration_check
+    from gyrobench.bench.runs.tables.budget_table import BUDGET_TABLE, budget_records
+    from gyrobench.bench.runs.tables.calibration_check_table import CALIBRATION_CHECK_TABLE
 
     # A run in progress writes the same files.
     with RunLock(open_run_folder(run_folder).run.path, WallClock()):
@@ -37,9 +37,11 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
             {
                 "folder": folder.path,
                 "report": report,
-                "bins": with_power_cycles(read_bins(folder.bias_bins), read_dwells(folder.dwells)),
-                "budget": budget_records(read_budget(folder.budget) if folder.budget.exists() else []),
-                "verification": read_calibration_check(check) if check.exists() else [],
+                "bins": with_power_cycles(BIAS_BINS_TABLE.read(folder.bias_bins), read_dwells(folder.dwells)),
+                "budget": budget_records(
+                    BUDGET_TABLE.iterate(folder.budget) if folder.budget.exists() else []
+                ),
+                "verification": CALIBRATION_CHECK_TABLE.read(check) if check.exists() else [],
                 "acceptance": read_acceptance(folder.acceptance),
             }
         )

@@ -264,12 +264,14 @@ def _report(
     from gyrobench.bench.report.investigation_page import closing_sentences, write_investigation_page
     from gyrobench.bench.report.verification_page import write_verification_page
     from gyrobench.bench.report.verification_text import outcome_sentence
-    from gyrobench.bench.verification.compensation_verification import table_records, write_verification_table
+    from gyrobench.bench.verification.compensation_verification import COMPARISON_TABLE, table_rows
 
     write_search(investigation.closure, [folder / "dwells.csv"], folder / "closure")
     page = write_investigation_page(folder, investigation, ", ".join(sources), verification_result)
     if verification_result is not None:
-        write_verification_table(folder / "verification" / "comparison.csv", verification_result.results)
+        COMPARISON_TABLE.write(
+            folder / "verification" / "comparison.csv", table_rows(verification_result.results)
+        )
         write_verification_page(folder / "verification", verification_result, folder / "dwells.csv")
     if as_json:
         print_json(
@@ -283,7 +285,9 @@ def _report(
                 "verdict": investigation.closure.verdict,
                 "effects": investigation.closure.posterior.effect_probabilities,
                 "uncertainty_ratio": investigation.calibration.ratio if investigation.calibration else None,
-                "verification": table_records(verification_result.results) if verification_result else None,
+                "verification": COMPARISON_TABLE.records(table_rows(verification_result.results))
+                if verification_result
+                else None,
             }
         )
     else:

@@ -116,7 +116,7 @@ def plain(value: Any) -> Any:
 
 def print_tables(console: Console, folder: RunFolder) -> None:
     """Print a run's tables: biases or calibration check, the verdict, coefficients, characteristics."""
-    from gyrobench.bench.bias.bins import read_bins, with_power_cycles
+    from gyrobench.bench.bias.bins import BIAS_BINS_TABLE, with_power_cycles
     from gyrobench.bench.bias.dwell_table import read_dwells
     from gyrobench.bench.bias.verdicts import read_acceptance
     from gyrobench.bench.characteristics.results import read_characteristics
@@ -125,15 +125,15 @@ def print_tables(console: Console, folder: RunFolder) -> None:
     from gyrobench.bench.report.characteristic_sections import characteristics_sections
     from gyrobench.bench.report.coefficient_sections import coefficients_section
     from gyrobench.bench.report.terminal.tables import section_view
-    from gyrobench.bench.runs.tables.calibration_check_table import read_calibration_check
-    from gyrobench.bench.runs.tables.coefficient_table import read_coefficients
+    from gyrobench.bench.runs.tables.calibration_check_table import CALIBRATION_CHECK_TABLE
+    from gyrobench.bench.runs.tables.coefficient_table import COEFFICIENT_TABLE
 
     def read(path: Path, reader: Callable[[Path], list[_Row]]) -> list[_Row]:
         return reader(path) if path.exists() else []
 
-    bins = with_power_cycles(read(folder.bias_bins, read_bins), read(folder.dwells, read_dwells))
-    check = read(folder.calibration_check, read_calibration_check)
-    coefficients = read(folder.coefficients, read_coefficients)
+    bins = with_power_cycles(read(folder.bias_bins, BIAS_BINS_TABLE.read), read(folder.dwells, read_dwells))
+    check = read(folder.calibration_check, CALIBRATION_CHECK_TABLE.read)
+    coefficients = read(folder.coefficients, COEFFICIENT_TABLE.read)
     characteristics = read(folder.characteristics, read_characteristics)
     sections = [
         bins_summary(bins) if bins or not (check or coefficients or characteristics) else None,

@@ -164,17 +164,18 @@ def _report_result(
     from gyrobench.bench.report.terminal.tables import section_view
     from gyrobench.bench.report.verification_page import verification_findings, write_verification_page
     from gyrobench.bench.verification.coefficient_verification import write_coefficient_tables
-    from gyrobench.bench.verification.compensation_verification import table_records, write_verification_table
+    from gyrobench.bench.verification.compensation_verification import COMPARISON_TABLE, table_rows
 
     folder, result = verification.folder, verification.result()
     table = folder / "comparison.csv"
-    write_verification_table(table, result.results)
+    rows = table_rows(result.results)
+    COMPARISON_TABLE.write(table, rows)
     if result.coefficients:
         write_coefficient_tables(folder, result.coefficients)
     page = write_verification_page(folder, result, run.dwells)
     report = write_report(run).path if folder == run.verify else None
     if as_json:
-        print_json({"folder": folder, "report": page, "comparison": table_records(result.results)})
+        print_json({"folder": folder, "report": page, "comparison": COMPARISON_TABLE.records(rows)})
         return
     terminal.print(section_view(verification_findings(result).chapter))
     terminal.print(

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from gyrobench.bench.bias.acceptance import judge
-from gyrobench.bench.bias.bins import BiasBin, bin_biases, write_bins
+from gyrobench.bench.bias.bins import BIAS_BINS_TABLE, BiasBin, bin_biases
 from gyrobench.bench.bias.budget import BiasBudget, BudgetedDwell, bin_budgets, dwell_budgets, with_budgets
 from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells, write_dwells
@@ -44,19 +44,18 @@ from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.runs.seal import update_seal
 from gyrobench.bench.runs.tables.budget_table import (
+    BUDGET_TABLE,
     budget_rows,
     coefficient_budget_rows,
     note_estimated_latitude,
-    write_budget,
 )
-from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow, write_calibration_check
-from gyrobench.bench.runs.tables.coefficient_table import write_coefficients, write_correlations
+from gyrobench.bench.runs.tables.calibration_check_table import CALIBRATION_CHECK_TABLE, CalibrationCheckRow
+from gyrobench.bench.runs.tables.coefficient_table import COEFFICIENT_TABLE, write_correlations
 from gyrobench.bench.runs.tables.joint_table import (
-    JointBiasRow,
-    JointPlateauRow,
+    JOINT_BIASES_TABLE,
+    JOINT_PLATEAUS_TABLE,
     joint_bias_rows,
     joint_plateau_rows,
-    write_joint,
 )
 from gyrobench.bench.runs.tables.noise_file import write_noise
 from gyrobench.bench.station.station import Station
@@ -160,9 +159,9 @@ def write_results(folder: RunFolder, results: RunResults) -> None:
 
     Raises RunFolderError if a file can't be written.
     """
-    write_bins(folder.bias_bins, results.bins)
-    write_joint(folder.joint_biases, joint_bias_rows(results.joint, results.up_rate), JointBiasRow)
-    write_joint(folder.joint, joint_plateau_rows(results.joint, results.up_rate), JointPlateauRow)
+    BIAS_BINS_TABLE.write(folder.bias_bins, results.bins)
+    JOINT_BIASES_TABLE.write(folder.joint_biases, joint_bias_rows(results.joint, results.up_rate))
+    JOINT_PLATEAUS_TABLE.write(folder.joint, joint_plateau_rows(results.joint, results.up_rate))
     write_acceptance(folder.acceptance, results.acceptance)
     optional = (folder.noise, folder.calibration_check, folder.coefficients, folder.correlations)
     for stale in (*optional, folder.budget, folder.characteristics):
@@ -173,16 +172,18 @@ def write_results(folder: RunFolder, results: RunResults) -> None:
         chain.from_iterable(chain(biases, coefficients)), results.declared_latitude
     )
     for first in islice(rows, 1):
-        write_budget(folder.budget, chain([first], rows))
+        BUDGET_TABLE.write(folder.budget, chain([first], rows))
     if results.coefficients:
-        write_coefficients(folder.coefficients, [row for each in results.coefficients for row in each.rows()])
+        COEFFICIENT_TABLE.write(
+            folder.coefficients, [row for each in results.coefficients for row in each.rows()]
+        )
         write_correlations(
             folder.correlations, [(each.number, each.correlations) for each in results.coefficients]
         )
     if results.noise is not None:
         write_noise(folder.noise, results.noise)
     if results.calibration_check:
-        write_calibration_check(folder.calibration_check, results.calibration_check)
+        CALIBRATION_CHECK_TABLE.write(folder.calibration_check, results.calibration_check)
     if results.characteristics:
         write_characteristics(folder.characteristics, results.characteristics)
 

@@ -36,9 +36,9 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import facts_of, read_journal
 from gyrobench.bench.runs.provenance import ins_identity
 from gyrobench.bench.runs.tables.coefficient_table import (
+    COEFFICIENT_TABLE,
     PlateauCoefficientRow,
     plateau_findings,
-    read_coefficients,
     read_coefficients_for_fit,
     read_common_sigmas,
     read_correlations,
@@ -247,7 +247,9 @@ class VerificationRuns:
                 )
             flagged = sum(bool(row.flags) for row in measured)
             if self._has_coefficients:
-                findings = plateau_findings(read_coefficients(RunFolder(self.folder / name).coefficients))
+                findings = plateau_findings(
+                    COEFFICIENT_TABLE.read(RunFolder(self.folder / name).coefficients)
+                )
                 yield from (f"In the run {IN_WORDS[name]}: {each}" for each in findings)
             if flagged:
                 yield flags_note(name, flagged, len(measured))
@@ -279,7 +281,7 @@ def _coefficients_of(run: RunFolder) -> list[PlateauCoefficientRow]:
     Raises DocumentError if none of its rotations could be evaluated: dwells alone leave coefficients
     undetermined on which the others depend.
     """
-    rows = read_coefficients(run.coefficients) if run.coefficients.exists() else []
+    rows = COEFFICIENT_TABLE.read(run.coefficients) if run.coefficients.exists() else []
     if not any(np.isfinite(row.gyro_rate_c_per_h) for row in rows):
         [reason, *_] = [*plateau_findings(rows), "It has none."]
         raise DocumentError(

@@ -8,12 +8,11 @@ import math
 import re
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import MISSING, fields
-from functools import partial
+from dataclasses import MISSING, Field, dataclass, field, fields
+from functools import cached_property, partial
 from itertools import chain, islice
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.files import decode_text, read_limited, read_lines, write_whole
@@ -258,23 +257,6 @@ def _format_lines(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Iter
         line.truncate()
 
 
-def format_rows(columns: Sequence[str], rows: Iterable[Any]) -> str:
-    """Format instances of a data class as CSV text; the cells are its fields, in order."""
-    return format_csv(columns, _cells(rows))
-
-
-def write_rows(path: Path, columns: Sequence[str], rows: Iterable[Any]) -> None:
-    """Write instances of a data class to a CSV file, atomically; raises as :func:`write_text`."""
-    write_whole(path, (line.encode() for line in _format_lines(columns, _cells(rows))))
-
-
-def _cells(rows: Iterable[Any]) -> Iterator[list[str]]:
-    names: list[str] = []
-    for row in rows:
-        names = names or [each.name for each in fields(row)]
-        yield [format_cell(getattr(row, name)) for name in names]
-
-
 CellReader = Callable[[CsvTable, int, str], Any]
 #: Readers of cells by the type of the field.
 _READERS: Mapping[str, CellReader] = {
@@ -291,55 +273,82 @@ def one_of(allowed: Collection[str]) -> CellReader:
     return lambda table, index, name: table.choice(index, name, allowed)
 
 
-def read_rows(
-    path: Path,
-    kind: type[_RowT],
-    readers: Mapping[str, CellReader],
-    columns: Mapping[str, str] = MappingProxyType({}),
-) -> list[_RowT]:
-    """Read instances of the data class ``kind`` from a CSV file with a column for each of its fields.
+@dataclass(frozen=True)
+class RecordTable(Generic[_RowT]):
+    """A CSV table whose rows are instances of a data class.
 
     A cell is read by the type of its field: str, int, ``int | None``, float or flags; columns of fields with
-    a default may be missing, and count as empty. ``readers`` are used instead for the fields that they name;
-    ``columns`` gives the names of columns that differ from those of their fields. Raises DocumentError if the
-    file can't be read or is wrong; the message lists all problems.
+    a default may be missing, and count as empty.
     """
-    names = {each.name: columns.get(each.name, each.name) for each in fields(kind)}  # type: ignore[arg-type]
-    required = [names[each.name] for each in fields(kind) if each.default is MISSING]  # type: ignore[arg-type]
-    return _read(CsvTable(read_text(path), str(path), required), kind, readers, names)
 
+    kind: type[_RowT]
+    #: Used instead for the fields that they name.
+    readers: Mapping[str, CellReader] = field(default_factory=dict)
+    names: Mapping[str, str] = field(default_factory=dict)  #: Columns that differ in name from their fields.
+    left_out: Collection[str] = ()  #: Fields without a column.
 
-def iter_rows(
-    path: Path,
-    kind: type[_RowT],
-    readers: Mapping[str, CellReader],
-    columns: Mapping[str, str] = MappingProxyType({}),
-) -> Iterator[_RowT]:
-    """Read the rows one at a time, without holding the whole table in memory; see :func:`read_rows`.
+    @cached_property
+    def _fields(self) -> list[Field[Any]]:
+        return [each for each in fields(self.kind) if each.name not in self.left_out]  # type: ignore[arg-type]
 
-    Raises DocumentError at the first part of the file that is wrong.
-    """
-    names = {each.name: columns.get(each.name, each.name) for each in fields(kind)}  # type: ignore[arg-type]
-    lines = read_lines(path, _MAX_TABLE_BYTES, DocumentError)
-    header, skipped_lines = next(lines, b""), 0
-    while (part := list(islice(lines, _BATCH_LINES))) or not skipped_lines:
-        while sum(line.count(b'"') for line in part) % 2 and (line := next(lines, b"")):
-            part.append(line)  # belongs to a quoted cell with line ends
-        text = decode_text(path, b"".join([header, *part]), _ENCODING)
-        yield from _read(CsvTable(text, str(path), list(names.values()), skipped_lines), kind, readers, names)
-        skipped_lines += max(len(part), 1)
+    @cached_property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the columns, in order."""
+        return tuple(self.names.get(each.name, each.name) for each in self._fields)
 
+    def records(self, rows: Iterable[_RowT]) -> list[dict[str, Any]]:
+        """Values of rows by column."""
+        return [dict(zip(self.columns, self._values(row), strict=True)) for row in rows]
 
-def _read(
-    table: CsvTable, kind: type[_RowT], readers: Mapping[str, CellReader], names: Mapping[str, str]
-) -> list[_RowT]:
-    cells = [
-        (each.name, readers.get(each.name) or _READERS[str(each.type)], names[each.name])
-        for each in fields(kind)  # type: ignore[arg-type]
-    ]
-    return table.rows(
-        lambda index: kind(**{name: read(table, index, column) for name, read, column in cells})
-    )
+    def format(self, rows: Iterable[_RowT]) -> str:
+        """CSV text with a header; lines end with a line feed."""
+        return "".join(self._lines(rows))
+
+    def write(self, path: Path, rows: Iterable[_RowT]) -> None:
+        """Write a CSV file, atomically; raises as :func:`write_text`."""
+        write_whole(path, map(str.encode, self._lines(rows)))
+
+    def read(self, path: Path) -> list[_RowT]:
+        """Read a CSV file. Raises DocumentError if it can't be read or is wrong, with all problems."""
+        return self.parse(read_text(path), str(path))
+
+    def parse(self, text: str, name: str) -> list[_RowT]:
+        """Read CSV text called ``name`` in messages. Raises DocumentError, which lists all problems."""
+        required = [
+            column
+            for each, column in zip(self._fields, self.columns, strict=True)
+            if each.default is MISSING and each.default_factory is MISSING
+        ]
+        return self._rows(CsvTable(text, name, required))
+
+    def iterate(self, path: Path) -> Iterator[_RowT]:
+        """Read the rows one at a time, without holding the whole table in memory; no column may be missing.
+
+        Raises DocumentError at the first part of the file that is wrong.
+        """
+        lines = read_lines(path, _MAX_TABLE_BYTES, DocumentError)
+        header, skipped_lines = next(lines, b""), 0
+        while (part := list(islice(lines, _BATCH_LINES))) or not skipped_lines:
+            while sum(line.count(b'"') for line in part) % 2 and (line := next(lines, b"")):
+                part.append(line)  # belongs to a quoted cell with line ends
+            text = decode_text(path, b"".join([header, *part]), _ENCODING)
+            yield from self._rows(CsvTable(text, str(path), self.columns, skipped_lines))
+            skipped_lines += max(len(part), 1)
+
+    def _values(self, row: _RowT) -> list[Any]:
+        return [getattr(row, each.name) for each in self._fields]
+
+    def _lines(self, rows: Iterable[_RowT]) -> Iterator[str]:
+        return _format_lines(self.columns, (list(map(format_cell, self._values(row))) for row in rows))
+
+    def _rows(self, table: CsvTable) -> list[_RowT]:
+        cells = [
+            (each.name, self.readers.get(each.name) or _READERS[str(each.type)], column)
+            for each, column in zip(self._fields, self.columns, strict=True)
+        ]
+        return table.rows(
+            lambda index: self.kind(**{name: read(table, index, column) for name, read, column in cells})
+        )
 
 
 def read_text(path: Path) -> str:

@@ -11,7 +11,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from gyrobench.bench.bias.bins import DEFAULT_WIDTH_C, BiasBin, bin_biases, read_bins, with_power_cycles
+from gyrobench.bench.bias.bins import BIAS_BINS_TABLE, DEFAULT_WIDTH_C, BiasBin, bin_biases, with_power_cycles
 from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells, read_packed_dwells
 from gyrobench.bench.bias.noise_estimate import NoiseEstimate
@@ -31,14 +31,14 @@ from gyrobench.bench.runs.journal import RunFacts, facts_of, read_journal
 from gyrobench.bench.runs.marks import purpose_of
 from gyrobench.bench.runs.provenance import SIMULATED, is_emulated, read_provenance
 from gyrobench.bench.runs.seal import edited_tables
-from gyrobench.bench.runs.tables.budget_table import BudgetSummary, read_budget
-from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow, read_calibration_check
-from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, read_coefficients
+from gyrobench.bench.runs.tables.budget_table import BUDGET_TABLE, BudgetSummary
+from gyrobench.bench.runs.tables.calibration_check_table import CALIBRATION_CHECK_TABLE, CalibrationCheckRow
+from gyrobench.bench.runs.tables.coefficient_table import COEFFICIENT_TABLE, PlateauCoefficientRow
 from gyrobench.bench.runs.tables.joint_table import (
+    JOINT_BIASES_TABLE,
+    JOINT_PLATEAUS_TABLE,
     JointPlateauRow,
     JointSigmas,
-    read_joint_biases,
-    read_joint_plateaus,
 )
 from gyrobench.bench.runs.tables.noise_file import read_noise
 from gyrobench.bench.runs.telemetry import TELEMETRY_COLUMNS, read_telemetry
@@ -195,9 +195,12 @@ def with_joint_solution(content: RunContent, folder: RunFolder) -> RunContent:
     return replace(
         content,
         joint_sigmas=read(
-            folder.joint_biases, lambda path: JointSigmas.of(read_joint_biases(path)), {}, is_optional=True
+            folder.joint_biases,
+            lambda path: JointSigmas.of(JOINT_BIASES_TABLE.iterate(path)),
+            {},
+            is_optional=True,
         ),
-        joint_plateaus=read(folder.joint, read_joint_plateaus, [], is_optional=True),
+        joint_plateaus=read(folder.joint, JOINT_PLATEAUS_TABLE.read, [], is_optional=True),
     )
 
 
@@ -214,14 +217,14 @@ def read_run(
     read(folder.journal, journal.read, None)
     procedure: Entry = read(folder.procedure, _read_mapping, {})
     calibration_check: list[CalibrationCheckRow] = read(
-        folder.calibration_check, read_calibration_check, [], is_optional=True
+        folder.calibration_check, CALIBRATION_CHECK_TABLE.read, [], is_optional=True
     )
     # Dwells with rotations, for noise or for calibration checks have no rows in this table.
     purposes = Counter(journal.purposes.values())
     is_optional = bool(calibration_check or purposes) and not purposes[DwellPurpose.CALIBRATION]
     dwells: Sequence[DwellRow] = read(folder.dwells, read_packed_dwells, (), is_optional=is_optional)
     damage = _damage(folder, journal, files.errors, are_tables_new)
-    bins: list[BiasBin] = read(folder.bias_bins, read_bins, [])
+    bins: list[BiasBin] = read(folder.bias_bins, BIAS_BINS_TABLE.read, [])
     return RunContent(
         name=folder.path.resolve().name,
         run_name=folder.run_name,
@@ -237,11 +240,14 @@ def read_run(
         bins=_bins_with_power_cycles(bins, dwells, procedure, problems),
         telemetry=read(folder.telemetry, partial(read_telemetry, columns=telemetry_columns), {}),
         budget=read(
-            folder.budget, lambda path: BudgetSummary.of(read_budget(path)), BudgetSummary(), is_optional=True
+            folder.budget,
+            lambda path: BudgetSummary.of(BUDGET_TABLE.iterate(path)),
+            BudgetSummary(),
+            is_optional=True,
         ),
         noise=read(folder.noise, read_noise, None, is_optional=True),
         calibration_check=calibration_check,
-        coefficients=read(folder.coefficients, read_coefficients, [], is_optional=True),
+        coefficients=read(folder.coefficients, COEFFICIENT_TABLE.read, [], is_optional=True),
         characteristics=read(folder.characteristics, read_characteristics, [], is_optional=True),
         acceptance=None if damage else read(folder.acceptance, read_acceptance, None, is_optional=True),
         chapters=_chapters(folder, problems),

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
-from pathlib import Path
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -21,9 +20,8 @@ from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.uncertainty import Draws
 from gyrobench.bench.dwells.measure_dwell import CheckDwell
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms
-from gyrobench.bench.foundations.csv_tables import format_csv, write_text
+from gyrobench.bench.foundations.csv_tables import RecordTable
 from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.bench.foundations.text import format_cell
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.verification.coefficient_verification import CoefficientResult
 from gyrobench.bench.verification.measured_change import (
@@ -247,27 +245,13 @@ def has_worse_constant(after: CompensationResult, before: CompensationResult) ->
     return is_larger and after.growths[before.compensation].whole > _SIGNIFICANT_SIGMAS
 
 
-#: Columns of the table; the number of the plateau is in ``stop``.
-VERIFICATION_COLUMNS = tuple(
-    "stop" if each.name == "plateau" else each.name
-    for each in fields(VerificationRow)
-    if each.name not in ("members", "day")
-)
+#: ``comparison.csv``; the number of the plateau is in ``stop``.
+COMPARISON_TABLE = RecordTable(VerificationRow, names={"plateau": "stop"}, left_out=["members", "day"])
 
 
-def table_records(results: Iterable[CompensationResult]) -> list[dict[str, str | float | None]]:
-    """Rows of the table by column: the plateaus of each compensation, then all of them together."""
-    rows = [row for each in results for row in (*each.rows, each.total)]
-    return [
-        {column: getattr(row, "plateau" if column == "stop" else column) for column in VERIFICATION_COLUMNS}
-        for row in rows
-    ]
-
-
-def write_verification_table(path: Path, results: Iterable[CompensationResult]) -> None:
-    """Write the table. Raises RunFolderError if the file can't be written."""
-    rows = [map(format_cell, record.values()) for record in table_records(results)]
-    write_text(path, format_csv(VERIFICATION_COLUMNS, map(list, rows)))
+def table_rows(results: Iterable[CompensationResult]) -> list[VerificationRow]:
+    """Rows of the table: the plateaus of each compensation, then all of them together."""
+    return [row for each in results for row in (*each.rows, each.total)]
 
 
 def _varying_bias(rows: Sequence[DwellRow], bias_dph: FloatArray, counts: BoolArray) -> FloatArray:

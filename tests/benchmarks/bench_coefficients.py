@@ -21,7 +21,7 @@ from gyrobench.bench.calibration.rotation_list import (
 )
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.navigation.error_model import Site
-from gyrobench.bench.runs.tables.coefficient_table import read_coefficients
+from gyrobench.bench.runs.tables.coefficient_table import COEFFICIENT_TABLE
 from tests.bench.calibration.navigated_unit import (
     WALKS,
     any_unit,
@@ -165,7 +165,7 @@ def test_whole_runs_of_a_short_full_calibration_hold(tmp_path):
         out = tmp_path / str(seed)
         run = gyrobench("run", path, "--world", WORLD, "--seed", seed, "--out", out, cwd=tmp_path)
         assert run.returncode == 0, run.stderr
-        normalised.append(deviations(read_coefficients(out / "coefficients.csv")))
+        normalised.append(deviations(COEFFICIENT_TABLE.read(out / "coefficients.csv")))
     found = np.array(normalised)
     found = found[np.isfinite(found)]
     held = np.count_nonzero(np.abs(found) < 1.96)
@@ -196,7 +196,7 @@ def test_gyro_biases_that_lag_the_attitude_are_a_finding(tmp_path, lag_s, dph_pe
         out = tmp_path / str(seed)
         run = gyrobench("run", procedure, "--world", world_path, "--seed", seed, "--out", out, cwd=tmp_path)
         assert run.returncode == 0, run.stderr
-        rows = read_coefficients(out / "coefficients.csv")
+        rows = COEFFICIENT_TABLE.read(out / "coefficients.csv")
         worst.append(float(np.nanmax(np.abs(deviations(rows)))))
         is_flagged = any("follow the attitude" in row.finding for row in rows)
         flagged += is_flagged

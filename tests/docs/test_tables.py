@@ -8,7 +8,7 @@ import pytest
 
 from gyrobench.bench.bias import dwell_table
 from gyrobench.bench.bias.allan import AllanVariance, RateNoise
-from gyrobench.bench.bias.bins import BIN_COLUMNS
+from gyrobench.bench.bias.bins import BIAS_BINS_TABLE
 from gyrobench.bench.bias.error_sources import SOURCES
 from gyrobench.bench.bias.noise_estimate import ChannelNoise, NoiseEstimate
 from gyrobench.bench.bias.vertical_pairs import Finding
@@ -20,8 +20,8 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.tables import calibration_check_table
 from gyrobench.bench.runs.tables.budget_table import ANY_POWER_CYCLE, COMBINED, BudgetRow
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow
-from gyrobench.bench.runs.tables.joint_table import JointBiasRow, JointPlateauRow, columns
-from gyrobench.bench.verification.compensation_verification import VERIFICATION_COLUMNS
+from gyrobench.bench.runs.tables.joint_table import JOINT_BIASES_TABLE, JOINT_PLATEAUS_TABLE
+from gyrobench.bench.verification.compensation_verification import COMPARISON_TABLE
 from tests.bench.report.made_up_closure import explained
 
 TEXT = (Path(__file__).parents[2] / "docs" / "tables.md").read_text(encoding="utf-8")
@@ -50,15 +50,15 @@ def values_of_findings():
     ("title", "expected"),
     [
         ("dwells.csv", set(dwell_table.COLUMNS)),
-        ("bias_bins.csv", set(BIN_COLUMNS)),
+        ("bias_bins.csv", set(BIAS_BINS_TABLE.columns)),
         ("budget.csv", names(BudgetRow) | set(SOURCES) | {COMBINED, ANY_POWER_CYCLE}),
-        ("joint.csv", set(columns(JointPlateauRow)) | {"finding"} | values_of_findings()),
-        ("joint_biases.csv", set(columns(JointBiasRow))),
-        ("verification.csv", set(calibration_check_table.CHECK_COLUMNS)),
+        ("joint.csv", set(JOINT_PLATEAUS_TABLE.columns) | {"finding"} | values_of_findings()),
+        ("joint_biases.csv", set(JOINT_BIASES_TABLE.columns)),
+        ("verification.csv", set(calibration_check_table.CALIBRATION_CHECK_TABLE.columns)),
         ("coefficients.csv", names(PlateauCoefficientRow)),
         ("noise.json", names(NoiseEstimate) | names(ChannelNoise)),
         ("predictions.csv", set(prediction_columns(GYRO_BIAS))),
-        ("comparison.csv", set(VERIFICATION_COLUMNS)),
+        ("comparison.csv", set(COMPARISON_TABLE.columns)),
     ],
 )
 def test_the_page_names_the_columns_that_a_table_has_and_no_others(title, expected):

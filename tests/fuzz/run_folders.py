@@ -12,7 +12,7 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from gyrobench.bench.bias.bins import read_bins
+from gyrobench.bench.bias.bins import BIAS_BINS_TABLE
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.closure.files import read_held_out_cycles
 from gyrobench.bench.closure.inputs import read_campaign
@@ -32,8 +32,8 @@ from gyrobench.bench.report.run_content import read_run
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.runs.marks import DwellMarks
-from gyrobench.bench.runs.tables.calibration_check_table import CHECK_COLUMNS, read_calibration_check
-from gyrobench.bench.runs.tables.joint_table import read_joint_biases, read_joint_plateaus
+from gyrobench.bench.runs.tables.calibration_check_table import CALIBRATION_CHECK_TABLE
+from gyrobench.bench.runs.tables.joint_table import JOINT_BIASES_TABLE, JOINT_PLATEAUS_TABLE
 from gyrobench.bench.runs.tables.noise_file import read_noise
 from gyrobench.bench.runs.telemetry import TELEMETRY_COLUMNS, read_telemetry
 from gyrobench.bench.station.instruments import Emulation
@@ -215,13 +215,13 @@ def use_verification_table(run: Path) -> Callable[[Path, bytes], None]:
         copy = RunFolder(_copied(run, folder))
         copy.calibration_check.write_bytes(data)
         read_run(copy)
-        rows = read_calibration_check(copy.calibration_check)
+        rows = CALIBRATION_CHECK_TABLE.read(copy.calibration_check)
         cells = cells_of(data)
         if len(rows) != len(cells):
             raise WrongResultError(f"{len(rows)} rows instead of {len(cells)}")
         for row, line in zip(rows, cells, strict=True):
             for name, cell in line.items():
-                if name in CHECK_COLUMNS:
+                if name in CALIBRATION_CHECK_TABLE.columns:
                     check_cell(getattr(row, name), cell)
         calibration_check_section(rows)
 
@@ -235,7 +235,7 @@ def use_calibration_table(run: Path) -> Callable[[Path, bytes], None]:
         copy = RunFolder(_copied(run, folder))
         copy.calibration.write_bytes(data)
         recompute_run(copy.path)
-        for row in read_calibration_check(copy.calibration_check):
+        for row in CALIBRATION_CHECK_TABLE.read(copy.calibration_check):
             difference_dph = row.bias_dph - row.calibrated_dph
             if row.is_compared and not math.isclose(
                 row.difference_dph, difference_dph, rel_tol=1e-6, abs_tol=1e-8
@@ -259,9 +259,9 @@ def use_noise(run: Path) -> Callable[[Path, bytes], None]:
     def use(folder: Path, data: bytes) -> None:
         copy = RunFolder(_copied(run, folder))
         copy.noise.write_bytes(data)
-        for path, read in ((copy.bias_bins, read_bins), (copy.joint, read_joint_plateaus)):
+        for path, read in ((copy.bias_bins, BIAS_BINS_TABLE.read), (copy.joint, JOINT_PLATEAUS_TABLE.read)):
             read(path)
-        list(read_joint_biases(copy.joint_biases))
+        list(JOINT_BIASES_TABLE.iterate(copy.joint_biases))
         noise = read_noise(copy.noise)
         noise_section(noise, {})
 

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import pyarrow as pa
 from pydantic import BaseModel, ValidationError
 
-from gyrobench.bench.bias.bins import BiasBin, parse_bins
+from gyrobench.bench.bias.bins import BIAS_BINS_TABLE, BiasBin
 from gyrobench.bench.bias.dwell_table import SCALARS, DwellRow, columns_of, parse_dwells
 from gyrobench.bench.foundations.csv_tables import CsvTable
 from gyrobench.bench.foundations.errors import RunFolderError
@@ -173,7 +173,7 @@ def read_run_record(files: RunFiles, read: Callable[[str], bytes]) -> RunRecord:
     provenance = folder.document(PROVENANCE, _Provenance)
     closure = _current_closure(folder)
     dwells = parse_dwells(*folder.text(DWELLS)) if DWELLS in files.files else []
-    bins = parse_bins(*folder.text(BIAS_BINS)) if BIAS_BINS in files.files else []
+    bins = BIAS_BINS_TABLE.parse(*folder.text(BIAS_BINS)) if BIAS_BINS in files.files else []
     journal = folder.path(JOURNAL)
     facts = facts_of(parse_journal(io.BytesIO(read(journal)), journal))
     units = sorted({each.unit for each in dwells} - {""})

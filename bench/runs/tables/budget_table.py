@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 from operator import attrgetter
-from pathlib import Path
 from typing import Any
 
 from gyrobench.bench.bias.budget import BiasBudget, Budget, CombinedUncertainty
 from gyrobench.bench.bias.error_sources import SOURCES
 from gyrobench.bench.calibration.coefficients import SensorCoefficient
 from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN
-from gyrobench.bench.foundations.csv_tables import CsvTable, iter_rows, write_rows
+from gyrobench.bench.foundations.csv_tables import CsvTable, RecordTable
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 #: Names of the sums in the column ``contribution``: the stated uncertainty, and that for any power cycle.
@@ -54,9 +53,6 @@ class BudgetRow:
     def is_sum(self) -> bool:
         """Whether this is a sum of contributions."""
         return self.contribution in (COMBINED, ANY_POWER_CYCLE)
-
-
-_COLUMNS = tuple(field.name for field in fields(BudgetRow))
 
 
 def budget_rows(budgets: Iterable[BiasBudget]) -> list[BudgetRow]:
@@ -150,14 +146,13 @@ def note_estimated_latitude(rows: Iterable[BudgetRow], declared_rad: float) -> I
         yield replace(row, note=_ESTIMATED_LATITUDE) if is_estimated else row
 
 
-def write_budget(path: Path, rows: Iterable[BudgetRow]) -> None:
-    """Write ``budget.csv``. Raises RunFolderError if the file can't be written."""
-    write_rows(path, _COLUMNS, rows)
+def _dof(table: CsvTable, index: int, name: str) -> float:
+    is_infinite = table.text(index, name) == "inf"
+    return math.inf if is_infinite else table.number(index, name, may_be_empty=True)
 
 
-def read_budget(path: Path) -> Iterator[BudgetRow]:
-    """Read ``budget.csv``; errors as for :func:`gyrobench.bench.foundations.csv_tables.iter_rows`."""
-    return iter_rows(path, BudgetRow, {"dof": _dof})
+#: ``budget.csv``.
+BUDGET_TABLE = RecordTable(BudgetRow, {"dof": _dof})
 
 
 @dataclass
@@ -267,11 +262,6 @@ def coverage(budget: BudgetSummary) -> Coverage:
     }
 
 
-def _dof(table: CsvTable, index: int, name: str) -> float:
-    is_infinite = table.text(index, name) == "inf"
-    return math.inf if is_infinite else table.number(index, name, may_be_empty=True)
-
-
 def budget_records(rows: Iterable[BudgetRow]) -> list[dict[str, Any]]:
     """One object for each result, with its sums and its contributions; unknown values are omitted."""
     identity = (
@@ -282,7 +272,7 @@ def budget_records(rows: Iterable[BudgetRow]) -> list[dict[str, Any]]:
         members = list(group)
         first = members[0]
         record = _without_unknown({name: getattr(first, name) for name in identity})
-        details = [name for name in _COLUMNS if name not in (*identity, "contribution")]
+        details = [name for name in BUDGET_TABLE.columns if name not in (*identity, "contribution")]
         contributions = {
             row.contribution: _without_unknown({name: getattr(row, name) for name in details})
             for row in members

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, fields
-from pathlib import Path
 
-from gyrobench.bench.foundations.csv_tables import CsvTable, format_rows, one_of, read_rows, write_text
+from gyrobench.bench.foundations.csv_tables import CsvTable, RecordTable, one_of
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 #: Methods of measuring a bias: by the heading after alignment, or by the velocity of a navigation after it.
@@ -63,25 +61,7 @@ class CalibrationCheckRow:
         return not math.isnan(self.p_value)
 
 
-#: Columns of the table, in order.
-CHECK_COLUMNS = tuple(field.name for field in fields(CalibrationCheckRow))
-
 _MEASURED = ("bias_dph", "sigma_dph", "accelerometer_ug", "accelerometer_sigma_ug")
-
-
-def write_calibration_check(path: Path, rows: Iterable[CalibrationCheckRow]) -> None:
-    """Write the table of a calibration check. Raises RunFolderError if the file can't be written."""
-    write_text(path, format_rows(CHECK_COLUMNS, rows))
-
-
-def read_calibration_check(path: Path) -> list[CalibrationCheckRow]:
-    """Read the table of a calibration check.
-
-    Errors as for :func:`gyrobench.bench.foundations.csv_tables.read_rows`.
-    """
-    word_readers = {"position": one_of(POSITIONS), "gyro": one_of(AXES), "method": one_of(METHODS)}
-    number_readers = {field.name: _number for field in fields(CalibrationCheckRow) if field.type == "float"}
-    return read_rows(path, CalibrationCheckRow, word_readers | number_readers)
 
 
 def _number(table: CsvTable, index: int, name: str) -> float:
@@ -92,3 +72,10 @@ def _number(table: CsvTable, index: int, name: str) -> float:
     if "sigma" in name:
         return table.uncertainty(index, name, may_be_empty)
     return table.number(index, name, may_be_empty)
+
+
+CALIBRATION_CHECK_TABLE = RecordTable(
+    CalibrationCheckRow,
+    {"position": one_of(POSITIONS), "gyro": one_of(AXES), "method": one_of(METHODS)}
+    | {each.name: _number for each in fields(CalibrationCheckRow) if each.type == "float"},
+)

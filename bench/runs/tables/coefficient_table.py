@@ -4,22 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, NOT_OBSERVABLE, correlation_cells
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.foundations.csv_tables import (
-    CsvTable,
-    format_rows,
-    one_of,
-    read_rows,
-    read_text,
-    write_text,
-)
-from gyrobench.bench.runs.tables.budget_table import read_budget
+from gyrobench.bench.foundations.csv_tables import CsvTable, RecordTable, one_of, read_text, write_text
+from gyrobench.bench.runs.tables.budget_table import BUDGET_TABLE
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +41,14 @@ class PlateauCoefficientRow:
         return f"{self.coefficient}_{self.axis}"
 
 
-_COLUMNS = [each.name for each in fields(PlateauCoefficientRow)]
+#: ``coefficients.csv``.
+COEFFICIENT_TABLE = RecordTable(
+    PlateauCoefficientRow,
+    {
+        field: one_of({getattr(each, name) for each in COEFFICIENTS})
+        for field, name in (("coefficient", "name"), ("axis", "axis"))
+    },
+)
 #: Contributions to uncertainty that are one error at all plateaus.
 COMMON_SOURCES = ("gravity", "latitude")
 
@@ -93,11 +93,6 @@ def _plateau_texts(texts: Iterable[tuple[int, str]]) -> list[str]:
     return [f"Plateau {plateau}: {text}." for plateau, text in dict.fromkeys(texts) if text]
 
 
-def write_coefficients(path: Path, rows: Sequence[PlateauCoefficientRow]) -> None:
-    """Write the coefficients. Raises RunFolderError if the file can't be written."""
-    write_text(path, format_rows(_COLUMNS, rows))
-
-
 def write_correlations(path: Path, plateaus: Sequence[tuple[int, FloatArray]]) -> None:
     """Write correlation coefficients (21, 21), by number of plateau; NaN if not observable."""
     names = [f"{each.name}_{each.axis}" for each in COEFFICIENTS]
@@ -124,17 +119,11 @@ def read_correlations(path: Path) -> dict[int, FloatArray]:
     return plateaus
 
 
-def read_coefficients(path: Path) -> list[PlateauCoefficientRow]:
-    """Read ``coefficients.csv``; errors as for :func:`gyrobench.bench.foundations.csv_tables.read_rows`."""
-    names, axes = ({getattr(each, field) for each in COEFFICIENTS} for field in ("name", "axis"))
-    return read_rows(path, PlateauCoefficientRow, {"coefficient": one_of(names), "axis": one_of(axes)})
-
-
 def read_coefficients_for_fit(coefficients: Path, budget: Path) -> list[PlateauCoefficientRow]:
     """Read coefficients without the uncertainties that plateaus share, for fits over plateaus.
 
     An error of gravity or latitude is the same at all plateaus. It is excluded if ``budget.csv`` states it;
-    errors as for :func:`gyrobench.bench.foundations.csv_tables.read_rows`.
+    errors as of :class:`gyrobench.bench.foundations.csv_tables.RecordTable`.
     """
     variances: dict[tuple[int, str], float] = {}
     for key, source, sigma in _contributions(budget):
@@ -142,14 +131,14 @@ def read_coefficients_for_fit(coefficients: Path, budget: Path) -> list[PlateauC
             variances[key] = variances.get(key, 0.0) + sigma**2
     return [
         replace(row, sigma=math.sqrt(variances.get((row.plateau, row.name), row.sigma**2)))
-        for row in read_coefficients(coefficients)
+        for row in COEFFICIENT_TABLE.read(coefficients)
     ]
 
 
 def read_common_sigmas(budget: Path) -> dict[tuple[int, str], tuple[float, ...]]:
     """Read the uncertainties that plateaus share, by plateau and name, due to each of the COMMON_SOURCES.
 
-    Empty without ``budget.csv``; errors as for :func:`gyrobench.bench.foundations.csv_tables.read_rows`.
+    Empty without ``budget.csv``; errors as of :class:`gyrobench.bench.foundations.csv_tables.RecordTable`.
     """
     sigmas: dict[tuple[int, str], dict[str, float]] = {}
     for key, source, sigma in _contributions(budget):
@@ -159,7 +148,7 @@ def read_common_sigmas(budget: Path) -> dict[tuple[int, str], tuple[float, ...]]
 
 def _contributions(budget: Path) -> Iterator[tuple[tuple[int, str], str, float]]:
     """Plateau and name of each coefficient in a budget, source, and standard uncertainty due to it."""
-    for each in read_budget(budget) if budget.exists() else ():
+    for each in BUDGET_TABLE.iterate(budget) if budget.exists() else ():
         if each.result == "coefficient" and each.plateau is not None and not each.is_sum:
             key = each.plateau, f"{each.quantity}_{each.axis}"
             yield key, each.contribution, float(np.nan_to_num(each.sigma))

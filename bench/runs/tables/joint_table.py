@@ -6,14 +6,13 @@ import math
 from array import array
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, fields
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gyrobench.bench.bias.vertical_pairs import Finding, UpRate
 from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN, RADPS_TO_DPH, UG_TO_MPS2
-from gyrobench.bench.foundations.csv_tables import format_rows, iter_rows, one_of, read_rows, write_text
+from gyrobench.bench.foundations.csv_tables import RecordTable, one_of
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 if TYPE_CHECKING:
@@ -104,9 +103,6 @@ class JointPlateauRow:
     scale_factor_ratio: float = math.nan
 
 
-_Row = TypeVar("_Row", JointBiasRow, JointPlateauRow)
-
-
 def joint_bias_rows(solutions: Sequence[JointSolution], up_rate: UpRate | None) -> list[JointBiasRow]:
     """Biases of all dwells, three rows each; corrected by the rate Up of all plateaus if that applies."""
     return [row for plateau, each in enumerate(solutions, 1) for row in _bias_rows(plateau, each, up_rate)]
@@ -120,25 +116,15 @@ def joint_plateau_rows(solutions: Sequence[JointSolution], up_rate: UpRate | Non
     return rows
 
 
-def columns(kind: type[_Row]) -> list[str]:
-    """Columns of the file with rows of this kind."""
-    return [_COLUMN_NAMES.get(field.name, field.name) for field in fields(kind)]
-
-
-def write_joint(path: Path, rows: Iterable[_Row], kind: type[_Row]) -> None:
-    """Write rows of one kind as CSV. Raises RunFolderError if the file can't be written."""
-    write_text(path, format_rows(columns(kind), rows))
-
-
-def read_joint_biases(path: Path) -> Iterator[JointBiasRow]:
-    """Rows of ``joint_biases.csv``; errors as of :func:`gyrobench.bench.foundations.csv_tables.iter_rows`."""
-    return iter_rows(path, JointBiasRow, {"position": one_of(POSITIONS), "gyro": one_of(AXES)}, _COLUMN_NAMES)
-
-
-def read_joint_plateaus(path: Path) -> list[JointPlateauRow]:
-    """Read ``joint.csv``; errors as for :func:`gyrobench.bench.foundations.csv_tables.read_rows`."""
-    findings = [finding.name.lower() for finding in Finding]
-    return read_rows(path, JointPlateauRow, {"finding": one_of(findings)}, _COLUMN_NAMES)
+_COLUMN_NAMES = {"plateau": "stop"}
+#: ``joint_biases.csv``.
+JOINT_BIASES_TABLE = RecordTable(
+    JointBiasRow, {"position": one_of(POSITIONS), "gyro": one_of(AXES)}, _COLUMN_NAMES
+)
+#: ``joint.csv``.
+JOINT_PLATEAUS_TABLE = RecordTable(
+    JointPlateauRow, {"finding": one_of([finding.name.lower() for finding in Finding])}, _COLUMN_NAMES
+)
 
 
 def _bias_rows(plateau: int, solution: JointSolution, up_rate: UpRate | None) -> Iterator[JointBiasRow]:
@@ -201,7 +187,3 @@ def _up_rate_values(rate: UpRate) -> dict[str, Any]:
         "up_rate_p_value": rate.p_value,
         "finding": rate.finding.name.lower(),
     }
-
-
-#: Names of columns that differ from those of the fields.
-_COLUMN_NAMES = {"plateau": "stop"}

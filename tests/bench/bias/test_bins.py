@@ -11,14 +11,13 @@ import pytest
 from scipy.stats import chi2
 
 from gyrobench.bench.bias.bins import (
+    BIAS_BINS_TABLE,
     BiasBin,
     bin_biases,
     compare_positions,
     disconnected_bins,
     paper_bins,
-    read_bins,
     with_power_cycles,
-    write_bins,
 )
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.position_differences import SLOPE_SIGMA_DPH_PER_C
@@ -182,11 +181,11 @@ def test_bins_that_the_papers_method_does_not_apply_to_are_empty_for_it():
 
 def test_a_table_without_the_papers_columns_is_read(tmp_path):
     path = tmp_path / "bias_bins.csv"
-    write_bins(path, bin_biases([row()]))
+    BIAS_BINS_TABLE.write(path, bin_biases([row()]))
     lines = [line.rsplit(",", 2)[0] for line in path.read_text(encoding="utf-8").splitlines()]
     path.write_text("\n".join(lines), encoding="utf-8")
     assert "paper" not in lines[0]
-    assert math.isnan(read_bins(path)[0].paper_sigma_dph)
+    assert math.isnan(BIAS_BINS_TABLE.read(path)[0].paper_sigma_dph)
 
 
 def test_no_dwells_give_no_bins():
@@ -202,10 +201,10 @@ def test_reading_and_writing_again_gives_the_same_file(tmp_path):
     ]
     bins = bin_biases(rows, width_c=0.7)
     first, second = tmp_path / "first.csv", tmp_path / "second.csv"
-    write_bins(first, bins)
-    write_bins(second, read_bins(first))
+    BIAS_BINS_TABLE.write(first, bins)
+    BIAS_BINS_TABLE.write(second, BIAS_BINS_TABLE.read(first))
     assert first.read_bytes() == second.read_bytes()
-    read = read_bins(first)
+    read = BIAS_BINS_TABLE.read(first)
     assert [each.count for each in read] == [each.count for each in bins]
     np.testing.assert_allclose([e.bias_dph for e in read], [e.bias_dph for e in bins], rtol=1e-8)
 
@@ -220,19 +219,19 @@ def test_reading_and_writing_again_gives_the_same_file(tmp_path):
 )
 def test_numbers_that_no_bin_can_have_are_refused(tmp_path, change, message):
     path = tmp_path / "bias_bins.csv"
-    write_bins(path, [replace(bin_biases([row()])[0], **change)])
+    BIAS_BINS_TABLE.write(path, [replace(bin_biases([row()])[0], **change)])
     with pytest.raises(DocumentError, match=rf"bias_bins\.csv:2: {message}"):
-        read_bins(path)
+        BIAS_BINS_TABLE.read(path)
 
 
 def test_says_which_cell_is_wrong(tmp_path):
     path = tmp_path / "bias_bins.csv"
-    write_bins(path, bin_biases([row()]))
+    BIAS_BINS_TABLE.write(path, bin_biases([row()]))
     path.write_text(path.read_text().replace("\ny,", "\nw,"))
     with pytest.raises(
         DocumentError, match=r"bias_bins\.csv:3: column gyro: expected one of x, y, z; found 'w'"
     ):
-        read_bins(path)
+        BIAS_BINS_TABLE.read(path)
 
 
 def position_bin(position, bias_dph, sigma_dph=0.001, low_c=20.0, temperature_c=22.0, gyro="x", count=3):
@@ -430,10 +429,10 @@ def test_bins_from_a_file_have_the_means_of_power_cycles_of_the_dwells_without_f
     path = tmp_path / "bias_bins.csv"
     rows = rows_of_power_cycles({"1": ["z_up", "y_up"], "2": ["y_up"]})
     bins = bin_biases(rows, 0.1)
-    write_bins(path, bins)
+    BIAS_BINS_TABLE.write(path, bins)
     flagged = replace(rows[0], run="3", flags=("moved",))
     assert any(each.by_power_cycle for each in bins)
-    means = [each.by_power_cycle for each in with_power_cycles(read_bins(path), [*rows, flagged])]
+    means = [each.by_power_cycle for each in with_power_cycles(BIAS_BINS_TABLE.read(path), [*rows, flagged])]
     assert repr(means) == repr([each.by_power_cycle for each in bins])  # NaN does not equal itself
     assert with_power_cycles([], []) == []
 
@@ -441,7 +440,7 @@ def test_bins_from_a_file_have_the_means_of_power_cycles_of_the_dwells_without_f
 def test_a_file_with_means_of_power_cycles_as_text_is_readable(tmp_path):
     path = tmp_path / "bias_bins.csv"
     bins = bin_biases(rows_of_power_cycles({"1": ["z_up"]}))
-    write_bins(path, bins)
+    BIAS_BINS_TABLE.write(path, bins)
     header, *lines = path.read_text().splitlines()
     path.write_text("\n".join([f"{header},by_power_cycle", *(f"{each},1 0.2 0.1 nan nan" for each in lines)]))
-    assert repr(read_bins(path)) == repr(bins)  # NaN does not equal itself
+    assert repr(BIAS_BINS_TABLE.read(path)) == repr(bins)  # NaN does not equal itself

@@ -27,13 +27,8 @@ from gyrobench.bench.foundations.operator_name import OPERATOR_VARIABLE
 from gyrobench.bench.foundations.text import with_expanded
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.seal import seal_run, verify_seals
-from gyrobench.bench.runs.tables.budget_table import (
-    COMBINED,
-    coefficient_budget_rows,
-    read_budget,
-    write_budget,
-)
-from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, write_coefficients
+from gyrobench.bench.runs.tables.budget_table import BUDGET_TABLE, COMBINED, coefficient_budget_rows
+from gyrobench.bench.runs.tables.coefficient_table import COEFFICIENT_TABLE, PlateauCoefficientRow
 from tests.bench.certificate.conftest import LABEL, PIN, new_signing_key
 from tests.bench.command_line import gyrobench, output_of, refusal_of
 from tests.bench.report.made_up_closure import explained
@@ -83,7 +78,7 @@ def test_k_and_u_are_those_of_the_budget(measured_run):
     made = certificate_of(measured_run, SIGNED_BY)
     sums = {
         (row.axis, row.position): (row.k, row.expanded)
-        for row in read_budget(measured_run.budget)
+        for row in BUDGET_TABLE.iterate(measured_run.budget)
         if (row.result, row.contribution) == ("bin", COMBINED)
     }
     assert len(made.results) == 3
@@ -106,9 +101,9 @@ def test_a_coefficient_has_k_and_u_of_its_budget(measured_run):
     budget = Budget((Contribution("misfit", math.nan, row.sigma, 5.0),))
     [coefficient] = [each for each in COEFFICIENTS if (each.name, each.axis) == (row.coefficient, row.axis)]
     shutil.rmtree(measured_run.path / "seals")
-    write_coefficients(measured_run.coefficients, [row, replace(row, plateau=2)])
-    rows = [*read_budget(measured_run.budget), *coefficient_budget_rows(1, [(coefficient, budget)])]
-    write_budget(measured_run.budget, rows)
+    COEFFICIENT_TABLE.write(measured_run.coefficients, [row, replace(row, plateau=2)])
+    rows = [*BUDGET_TABLE.iterate(measured_run.budget), *coefficient_budget_rows(1, [(coefficient, budget)])]
+    BUDGET_TABLE.write(measured_run.budget, rows)
     seal_run(measured_run)
     made = certificate_of(measured_run, SIGNED_BY)
     known, unknown = made.coefficients

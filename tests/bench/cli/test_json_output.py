@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrobench.bench.bias.bins import read_bins
+from gyrobench.bench.bias.bins import BIAS_BINS_TABLE
 from gyrobench.bench.cli.output import plain, print_json
 from gyrobench.bench.runs.folder import RunFolder
 from tests.bench.command_line import gyrobench
@@ -89,7 +89,7 @@ def test_bins_of_a_run(short_run, tmp_path):
     shutil.copytree(short_run[0].path, tmp_path / "run")
     answer = gyrobench("bins", "run", "--json", cwd=tmp_path)
     found = json.loads(answer.stdout)
-    expected = read_bins(RunFolder(tmp_path / "run").bias_bins)
+    expected = BIAS_BINS_TABLE.read(RunFolder(tmp_path / "run").bias_bins)
     assert [each["bias_dph"] for each in found["bins"]] == [each.bias_dph for each in expected]
     assert (tmp_path / found["report"]).is_file()
     assert {each["result"] for each in found["budget"]} == {"dwell", "bin", "coefficient"}

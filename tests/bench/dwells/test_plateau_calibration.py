@@ -34,7 +34,7 @@ from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.report.coefficient_sections import coefficients_section
 from gyrobench.bench.report.journal_sections import durations_by_kind
 from gyrobench.bench.report.run_content import read_run
-from gyrobench.bench.runs.tables.coefficient_table import read_coefficients
+from gyrobench.bench.runs.tables.coefficient_table import COEFFICIENT_TABLE
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.emulators.world.sensor_errors import accelerometer_errors, gyro_errors
 from gyrobench.drivers.emulators.world.world_file import load_world
@@ -117,7 +117,7 @@ def setup(folder):
 
 
 def test_rotations_give_every_coefficient_within_its_uncertainty(folder):
-    rows = read_coefficients(folder.coefficients)
+    rows = COEFFICIENT_TABLE.read(folder.coefficients)
     assert_consistent(rows, len(COEFFICIENTS))
     sigma = {(row.coefficient, row.axis): row.sigma for row in rows}
     assert max(sigma["gyro_scale_factor", axis] for axis in "xyz") < 0.2
@@ -143,14 +143,16 @@ def test_biases_that_follow_attitude_are_found_by_the_rotations_and_leave_the_ot
     procedure = short_procedure(tmp_path, one_position)
     folder, outcome, _ = run_procedure(procedure, tmp_path / "run", path)
     assert (outcome.ended, len(outcome.dwells)) == ("finished", 1)
-    rows = read_coefficients(folder.coefficients)
+    rows = COEFFICIENT_TABLE.read(folder.coefficients)
     assert all("follow the specific force" in row.note and row.finding == "" for row in rows)
     assert_consistent(rows, len(COEFFICIENTS))
 
 
 def test_the_log_gives_the_coefficients_that_were_measured_during_the_run(folder, tmp_path):
     again = recompute_run(shutil.copytree(folder.path, tmp_path / "copy"))
-    for one, other in zip(*(read_coefficients(each.coefficients) for each in (folder, again)), strict=True):
+    for one, other in zip(
+        *(COEFFICIENT_TABLE.read(each.coefficients) for each in (folder, again)), strict=True
+    ):
         assert other.value == pytest.approx(one.value, abs=1e-6 * one.sigma)
         assert other.sigma == pytest.approx(one.sigma, rel=1e-6)
 
@@ -165,7 +167,7 @@ def test_the_can_log_of_a_run_gives_the_coefficients_by_an_import_map(folder):
     assert sum(log.left_out for log in logs) == 0
     site, options = calibration_settings(log_map)
     found = calibrate([recording for log in logs for recording in log.recordings], site, options)
-    rows = {row.coefficient: row.temperature_c for row in read_coefficients(folder.coefficients)}
+    rows = {row.coefficient: row.temperature_c for row in COEFFICIENT_TABLE.read(folder.coefficients)}
     at_c = [np.full(3, rows[name]) for name in ("gyro_bias", "accelerometer_bias")]
     assert found.is_observed.all()  # and the asymmetry of the gyro with whole turns both ways, which is zero
     away = (found.values - [*truth(*at_c), 0.0, 0.0, 0.0]) / found.sigmas
@@ -334,7 +336,7 @@ def test_rotations_on_the_ramp_and_after_the_soak_of_one_set_point_are_two_plate
     path = tmp_path / "ramp.yaml"
     path.write_text(yaml.safe_dump({"procedure": "ramp", "bin_width_c": 5, "steps": steps}))
     folder, _, _ = run_procedure(path, tmp_path / "run", WORLD)
-    rows = [row for row in read_coefficients(folder.coefficients) if row.coefficient == "gyro_bias"]
+    rows = [row for row in COEFFICIENT_TABLE.read(folder.coefficients) if row.coefficient == "gyro_bias"]
     rates = {row.plateau: row.gyro_rate_c_per_h for row in rows if row.axis == "x"}
     assert list(rates) == [1, 2]
     assert rates[1] > 5.0
@@ -425,7 +427,7 @@ def test_an_ins_without_specific_force_leaves_the_accelerometers_scale_factors_o
     folder, _, _ = run_procedure(
         short_procedure(tmp_path), tmp_path / "run", WORLD, 3, without_increments(tmp_path)
     )
-    rows = read_coefficients(folder.coefficients)
+    rows = COEFFICIENT_TABLE.read(folder.coefficients)
     open_ones = [(row.coefficient, row.axis) for row in rows if row.finding == "not observable"]
     assert open_ones == [("accelerometer_scale_factor", axis) for axis in "xyz"]
     assert "Not observable (–): accel. scale factor x, y, z." in coefficients_section(rows).paragraphs
@@ -450,7 +452,7 @@ def test_a_plateau_of_the_full_calibration_takes_less_than_five_hours():
 @pytest.mark.long
 def test_full_calibration_agrees_with_the_truth_at_each_temperature(run_procedure, tmp_path):
     folder, _, _ = run_procedure("full_calibration", tmp_path / "run", WORLD, 5)
-    rows = read_coefficients(folder.coefficients)
+    rows = COEFFICIENT_TABLE.read(folder.coefficients)
     assert len({row.plateau for row in rows}) == 4
     assert_consistent(rows, 4 * len(COEFFICIENTS))
     *_, whole = durations_by_kind(read_run(folder).step_durations)

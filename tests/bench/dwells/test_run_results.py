@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.bias.bins import read_bins
+from gyrobench.bench.bias.bins import BIAS_BINS_TABLE
 from gyrobench.bench.bias.joint_solution import solve_jointly
 from gyrobench.bench.dwells.dwell_output import ALIGNED_AGAIN
 from gyrobench.bench.dwells.measure_dwell import lack_of_fit_text
@@ -19,12 +19,12 @@ from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.plan import expand
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.runs.tables.budget_table import read_budget
+from gyrobench.bench.runs.tables.budget_table import BUDGET_TABLE
 from gyrobench.bench.runs.tables.joint_table import (
+    JOINT_BIASES_TABLE,
+    JOINT_PLATEAUS_TABLE,
     joint_bias_rows,
     joint_plateau_rows,
-    read_joint_biases,
-    read_joint_plateaus,
 )
 from gyrobench.bench.runs.tables.noise_file import read_noise
 from gyrobench.bench.station.station import Station
@@ -193,16 +193,18 @@ def test_bins_are_as_wide_as_asked(measured):
 def test_tables_that_were_written_hold_the_results(results, tmp_path):
     folder = RunFolder(tmp_path)
     write_results(folder, results)
-    assert counted(read_bins(folder.bias_bins)) == counted(results.bins)
+    assert counted(BIAS_BINS_TABLE.read(folder.bias_bins)) == counted(results.bins)
     assert read_noise(folder.noise).angle_random_walk == results.noise.angle_random_walk
     written = joint_bias_rows(results.joint, results.up_rate)
-    for row, read in zip(written, read_joint_biases(folder.joint_biases), strict=True):
+    for row, read in zip(written, JOINT_BIASES_TABLE.iterate(folder.joint_biases), strict=True):
         assert (read.plateau, read.dwell, read.position, read.gyro) == (
             row.plateau, row.dwell, row.position, row.gyro,
         )  # fmt: skip
         assert read.joint_dph == pytest.approx(row.joint_dph, rel=1e-8)
     plateaus = joint_plateau_rows(results.joint, results.up_rate)
-    assert [row.finding for row in read_joint_plateaus(folder.joint)] == [row.finding for row in plateaus]
+    assert [row.finding for row in JOINT_PLATEAUS_TABLE.read(folder.joint)] == [
+        row.finding for row in plateaus
+    ]
     assert not folder.calibration_check.exists()
 
 
@@ -210,7 +212,7 @@ def test_the_budget_of_each_dwell_and_bin_adds_up_to_its_stated_uncertainty(resu
     folder = RunFolder(tmp_path)
     write_results(folder, results)
     squares = defaultdict(float)
-    for row in read_budget(folder.budget):
+    for row in BUDGET_TABLE.iterate(folder.budget):
         if not (row.is_sum or math.isnan(row.share)):
             squares[row.axis, row.position, row.dwell, row.bin_low_c] += row.sigma**2
     stated = {
@@ -227,9 +229,9 @@ def test_the_budget_of_each_dwell_and_bin_adds_up_to_its_stated_uncertainty(resu
 def test_a_run_without_results_leaves_tables_without_rows(tmp_path):
     folder = RunFolder(tmp_path)
     write_results(folder, RunResults())
-    assert read_bins(folder.bias_bins) == []
-    assert list(read_joint_biases(folder.joint_biases)) == []
-    assert read_joint_plateaus(folder.joint) == []
+    assert BIAS_BINS_TABLE.read(folder.bias_bins) == []
+    assert list(JOINT_BIASES_TABLE.iterate(folder.joint_biases)) == []
+    assert JOINT_PLATEAUS_TABLE.read(folder.joint) == []
     assert not folder.noise.exists()
     assert not folder.budget.exists()
 

@@ -20,7 +20,7 @@ from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.report.run_report import write_report
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
-from gyrobench.bench.runs.tables.calibration_check_table import read_calibration_check
+from gyrobench.bench.runs.tables.calibration_check_table import CALIBRATION_CHECK_TABLE
 from gyrobench.bench.station.instruments import Emulation
 
 #: Of the world "ideal".
@@ -118,7 +118,7 @@ def test_the_temperatures_are_those_of_each_part(one_run):
 
 def test_the_table_holds_what_was_found(one_run):
     folder, outcome = one_run
-    rows = read_calibration_check(folder.calibration_check)
+    rows = CALIBRATION_CHECK_TABLE.read(folder.calibration_check)
     assert [row.dwell for row in rows] == [row.dwell for row in outcome.results.calibration_check]
     for read, found in zip(rows, outcome.results.calibration_check, strict=True):
         assert read.bias_dph == pytest.approx(found.bias_dph)
@@ -143,7 +143,7 @@ def test_gyro_errors_larger_than_declared_count_in_the_comparison(one_run, tmp_p
     shutil.copytree(one_run[0].path, folder.path)
     monkeypatch.setattr("gyrobench.bench.dwells.run_results.solve_jointly", solve)
     recompute_run(folder.path)
-    rows = read_calibration_check(folder.calibration_check)
+    rows = CALIBRATION_CHECK_TABLE.read(folder.calibration_check)
     for wide, declared in zip(rows, one_run[1].results.calibration_check, strict=True):
         assert wide.bias_dph == pytest.approx(declared.bias_dph)
         assert wide.sigma_dph > 1.4 * declared.sigma_dph

@@ -25,7 +25,7 @@ from gyrobench.bench.navigation.attitude import angle_between
 from gyrobench.bench.report.run_content import read_run
 from gyrobench.bench.runs.folder import open_run_folder
 from gyrobench.bench.runs.journal import read_journal
-from gyrobench.bench.runs.tables.coefficient_table import read_coefficients
+from gyrobench.bench.runs.tables.coefficient_table import COEFFICIENT_TABLE
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.ins.readout import InsMode
 from tests.bench.command_line import gyrobench
@@ -187,12 +187,12 @@ def undisturbed(with_increments, tmp_path_factory):
         for each in read_journal(folder.journal)
         if each["event"] == "step_finished"
     }
-    return read_coefficients(folder.coefficients), middles
+    return COEFFICIENT_TABLE.read(folder.coefficients), middles
 
 
 def assert_same_coefficients(folder, undisturbed):
     # Dwells of two power cycles are two plateaus: the first is that of the 18 rotations.
-    rows = read_coefficients(folder.coefficients)
+    rows = COEFFICIENT_TABLE.read(folder.coefficients)
     for row, other in zip(rows[:21], undisturbed[0], strict=True):
         assert (row.coefficient, row.axis, row.finding) == (other.coefficient, other.axis, "")
         # Each power-on has gyro biases a little different, beside the noise of both.
@@ -256,7 +256,7 @@ def test_plan_observability_promises_what_the_run_states(bench, tmp_path):
     made = prepare_job(str(path), bench, Emulation("ideal"))
     folder, outcome = run_job(made, tmp_path / "run", Watcher(), ConsentingOperator())
     assert outcome.ended == "finished", outcome.reason
-    stated = {(row.coefficient, row.axis): row.sigma for row in read_coefficients(folder.coefficients)}
+    stated = {(row.coefficient, row.axis): row.sigma for row in COEFFICIENT_TABLE.read(folder.coefficients)}
     command = ("plan", "eighteen_rotations", "--observability", "--station", bench, "--json")
     planned = json.loads(gyrobench(*command, cwd=tmp_path).stdout)["coefficients"]
     ratios = [

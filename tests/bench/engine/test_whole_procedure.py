@@ -7,7 +7,7 @@ import cantools
 import numpy as np
 import pytest
 
-from gyrobench.bench.bias.bins import compare_positions, read_bins, with_power_cycles
+from gyrobench.bench.bias.bins import BIAS_BINS_TABLE, compare_positions, with_power_cycles
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.dwells.measurement_setup import measurement_setup
 from gyrobench.bench.runs.can_log import read_can_log
@@ -57,7 +57,7 @@ def test_the_papers_method_reads_constant_biases_within_its_leaks(shift_runs):
 
 
 def largest_difference(folder, cold):
-    bins = with_power_cycles(read_bins(folder.bias_bins), read_dwells(folder.dwells))
+    bins = with_power_cycles(BIAS_BINS_TABLE.read(folder.bias_bins), read_dwells(folder.dwells))
     comparisons = compare_positions(bins)
     chosen = [each for each in comparisons if (each.bin_high_c <= 50) == cold]
     assert chosen

@@ -11,7 +11,7 @@ from gyrobench.bench.bias.noise_estimate import compare_noise
 from gyrobench.bench.bias.statistics import uniformity_p_value
 from gyrobench.bench.dwells.measurement_setup import measurement_setup
 from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, RADPS_TO_DPH
-from gyrobench.bench.runs.tables.joint_table import read_joint_biases, read_joint_plateaus
+from gyrobench.bench.runs.tables.joint_table import JOINT_BIASES_TABLE, JOINT_PLATEAUS_TABLE
 from gyrobench.bench.runs.tables.noise_file import read_noise
 from gyrobench.bench.station.station import Station
 
@@ -61,17 +61,17 @@ def test_noise_that_is_not_there_is_below_the_limit_that_the_resolution_allows(s
 
 def test_vertical_gyros_that_part_are_not_taken_for_a_rate(shift_runs):
     folder, _ = shift_runs["gyro_a"]
-    *stops, together = read_joint_plateaus(folder.joint)
+    *stops, together = JOINT_PLATEAUS_TABLE.read(folder.joint)
     assert [row.chamber_set_c for row in stops] == [57.0, 22.0, -13.0]
     assert (together.plateau, together.finding) == (0, "different")
     assert stops[0].finding == "not_contradicted"  # above 50 degC there is nothing to part them
-    assert all(math.isnan(row.corrected_dph) for row in read_joint_biases(folder.joint_biases))
+    assert all(math.isnan(row.corrected_dph) for row in JOINT_BIASES_TABLE.iterate(folder.joint_biases))
 
 
 @pytest.mark.parametrize("world", ["ideal", "gyro_b"])
 def test_no_rate_is_found_where_there_is_none(shift_runs, world):
     folder, _ = shift_runs[world]
-    *stops, together = read_joint_plateaus(folder.joint)
+    *stops, together = JOINT_PLATEAUS_TABLE.read(folder.joint)
     assert {row.finding for row in (*stops, together)} == {"not_contradicted"}
     assert abs(together.up_rate_dph) < 3.5 * together.up_rate_sigma_dph
     assert abs(together.latitude_error_arcmin) < 3.5 * together.latitude_error_sigma_arcmin
@@ -81,7 +81,7 @@ def test_no_rate_is_found_where_there_is_none(shift_runs, world):
 @pytest.mark.parametrize("world", WORLDS)
 def test_solving_together_finds_the_accelerometer_biases_of_the_world(shift_runs, world):
     folder, _ = shift_runs[world]
-    for stop in read_joint_plateaus(folder.joint)[:-1]:
+    for stop in JOINT_PLATEAUS_TABLE.read(folder.joint)[:-1]:
         for axis, true_ug in ACCELEROMETER_UG.items():
             found, sigma = (getattr(stop, f"accelerometer_{axis}_{what}ug") for what in ("", "sigma_"))
             assert found == pytest.approx(true_ug, abs=3.5 * sigma)
@@ -89,7 +89,7 @@ def test_solving_together_finds_the_accelerometer_biases_of_the_world(shift_runs
 
 
 def test_solving_together_makes_no_bias_worse(shift_runs):
-    rows = list(read_joint_biases(shift_runs["gyro_a"][0].joint_biases))
+    rows = list(JOINT_BIASES_TABLE.iterate(shift_runs["gyro_a"][0].joint_biases))
     assert len(rows) == 3 * 12
     assert all(row.joint_sigma_dph < 1.0001 * row.single_sigma_dph for row in rows)
 

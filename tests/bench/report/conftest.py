@@ -11,14 +11,19 @@ import numpy as np
 import pytest
 from scipy.special import chdtrc
 
-from gyrobench.bench.bias.bins import bin_biases, write_bins
+from gyrobench.bench.bias.bins import BIAS_BINS_TABLE, bin_biases
 from gyrobench.bench.bias.dwell_table import DwellRow, write_dwells
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.report.run_report import write_report
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
-from gyrobench.bench.runs.tables.joint_table import JointBiasRow, JointPlateauRow, write_joint
+from gyrobench.bench.runs.tables.joint_table import (
+    JOINT_BIASES_TABLE,
+    JOINT_PLATEAUS_TABLE,
+    JointBiasRow,
+    JointPlateauRow,
+)
 from gyrobench.bench.runs.tables.noise_file import write_noise
 from gyrobench.bench.runs.telemetry import TELEMETRY_COLUMNS, Telemetry
 from tests.bench.report.made_up_noise import made_up_noise
@@ -176,10 +181,10 @@ def write_run(folder, rows):
     write_journal(folder)
     write_dwells(folder.dwells, rows)
     good = [row for row in rows if not row.flags]
-    write_bins(folder.bias_bins, bin_biases(good))
+    BIAS_BINS_TABLE.write(folder.bias_bins, bin_biases(good))
     biases, stops = made_up_joint(good)
-    write_joint(folder.joint_biases, biases, JointBiasRow)
-    write_joint(folder.joint, stops, JointPlateauRow)
+    JOINT_BIASES_TABLE.write(folder.joint_biases, biases)
+    JOINT_PLATEAUS_TABLE.write(folder.joint, stops)
     write_noise(folder.noise, made_up_noise())
     telemetry = Telemetry(folder.telemetry)
     columns = made_up_telemetry(max((row.end_s for row in rows), default=3600.0))

@@ -9,12 +9,12 @@ from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN
 from gyrobench.bench.report.budget_section import budget_box, budget_figure, budget_section, variance_shares
 from gyrobench.bench.report.run_report import write_report
 from gyrobench.bench.runs.tables.budget_table import (
+    BUDGET_TABLE,
     BudgetSummary,
     budget_rows,
     note_estimated_latitude,
-    write_budget,
 )
-from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, write_coefficients
+from gyrobench.bench.runs.tables.coefficient_table import COEFFICIENT_TABLE, PlateauCoefficientRow
 
 
 def budget(noise_dph, latitude_dph, dof=math.inf):
@@ -123,7 +123,7 @@ def test_u_of_a_bin_has_the_decimals_that_its_bias_has():
 
 
 def test_the_first_page_of_the_report_shows_the_figure_before_the_contents(empty_folder):
-    write_budget(empty_folder.budget, budget_rows(BUDGETS))
+    BUDGET_TABLE.write(empty_folder.budget, budget_rows(BUDGETS))
     page = write_report(empty_folder).path.read_text()
     assert page.index("Standard uncertainty of a bias in a dwell") < page.index("Shares of the variance")
     assert page.index("Shares of the variance") < page.index("<h2>Contents</h2>")
@@ -131,11 +131,11 @@ def test_the_first_page_of_the_report_shows_the_figure_before_the_contents(empty
 
 
 def test_a_report_of_coefficients_has_them_on_its_first_page_and_the_figure_in_the_section(empty_folder):
-    write_budget(empty_folder.budget, budget_rows(BUDGETS))
+    BUDGET_TABLE.write(empty_folder.budget, budget_rows(BUDGETS))
     scale_factor = PlateauCoefficientRow(
         *(1, 1, 25.0, 30.0, "accelerometer_scale_factor", "x", 12.3, 0.4, "ppm", "", math.nan, 0.0)
     )
-    write_coefficients(empty_folder.coefficients, [scale_factor])
+    COEFFICIENT_TABLE.write(empty_folder.coefficients, [scale_factor])
     first, sections = write_report(empty_folder).path.read_text().split("<h2>Contents</h2>")
     assert ">12.3<" in first
     assert "Shares of the variance" not in first

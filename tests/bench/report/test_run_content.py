@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from gyrobench.bench.bias.bins import bin_biases, compare_positions, write_bins
+from gyrobench.bench.bias.bins import BIAS_BINS_TABLE, bin_biases, compare_positions
 from gyrobench.bench.bias.dwell_table import write_dwells
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.report.run_content import read_run
@@ -53,7 +53,7 @@ def test_bins_are_worked_out_where_their_file_is_missing(empty_folder, dwells):
 def test_bins_of_the_file_are_compared_with_a_constant_for_each_power_cycle(empty_folder, dwells):
     rows = [replace(row, run=row.position[:1]) for row in dwells if not row.flags]
     write_dwells(empty_folder.dwells, rows)
-    write_bins(empty_folder.bias_bins, bin_biases(rows))
+    BIAS_BINS_TABLE.write(empty_folder.bias_bins, bin_biases(rows))
     found = compare_positions(read_run(empty_folder).bins)
     expected = compare_positions(bin_biases(rows))
     assert [each.p_value for each in found] == pytest.approx([each.p_value for each in expected], rel=1e-3)

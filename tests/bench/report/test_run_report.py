@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from gyrobench.bench.bias.acceptance import judge
-from gyrobench.bench.bias.bins import bin_biases, write_bins
+from gyrobench.bench.bias.bins import BIAS_BINS_TABLE, bin_biases
 from gyrobench.bench.bias.dwell_table import write_dwells
 from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, write_acceptance
 from gyrobench.bench.foundations.clock import VirtualClock
@@ -30,7 +30,7 @@ from gyrobench.bench.report.run_report import render, write_report
 from gyrobench.bench.report.verification_page import write_verification_page
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
-from gyrobench.bench.runs.tables.calibration_check_table import write_calibration_check
+from gyrobench.bench.runs.tables.calibration_check_table import CALIBRATION_CHECK_TABLE
 from tests.bench.report.made_up_closure import clean
 from tests.bench.report.made_up_verification import confirmed
 from tests.bench.report.test_calibration_check_section import ALIGNMENT, ROW
@@ -419,7 +419,7 @@ def test_figures_are_drawn_again_for_another_watermark(empty_folder, dwells):
 
 def test_run_whose_positions_agree_says_so(empty_folder, equal_dwells):
     write_dwells(empty_folder.dwells, equal_dwells)
-    write_bins(empty_folder.bias_bins, bin_biases(equal_dwells))
+    BIAS_BINS_TABLE.write(empty_folder.bias_bins, bin_biases(equal_dwells))
     assert text_of(empty_folder).count("No significant difference between positions") == 3
 
 
@@ -440,7 +440,7 @@ def test_failed_run_states_reason_step_and_unsafe_outputs(empty_folder, journal_
 def test_run_of_calibration_checks_is_no_failure(empty_folder, run_folder, journal_writer):
     journal_writer(empty_folder)
     shutil.copytree(run_folder.telemetry, empty_folder.telemetry)
-    write_calibration_check(empty_folder.calibration_check, [ROW, ALIGNMENT])
+    CALIBRATION_CHECK_TABLE.write(empty_folder.calibration_check, [ROW, ALIGNMENT])
     page = page_of(empty_folder)
     assert "Gyro bias of unit U7" in page.text
     assert "dwells 2 dwells for the calibration check" in page.text
@@ -503,7 +503,7 @@ def test_data_that_can_not_be_hashed_are_reported(copy):
 @pytest.mark.draws
 def test_figures_are_drawn_again_only_if_what_they_show_has_changed(empty_folder, dwells):
     write_dwells(empty_folder.dwells, dwells[:8])
-    write_bins(empty_folder.bias_bins, bin_biases(dwells[:8]))
+    BIAS_BINS_TABLE.write(empty_folder.bias_bins, bin_biases(dwells[:8]))
     write_report(empty_folder)
     drawn = {path: path.stat().st_mtime_ns for path in empty_folder.figures.glob("*.png")}
     write_report(empty_folder)

@@ -9,7 +9,7 @@ from gyrobench.bench.bias.verdicts import Acceptance, write_acceptance
 from gyrobench.bench.report.run_content import read_run
 from gyrobench.bench.report.run_report import head_facts, serial_number_of, verdict_boxes
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, write_coefficients
+from gyrobench.bench.runs.tables.coefficient_table import COEFFICIENT_TABLE, PlateauCoefficientRow
 
 
 @pytest.fixture
@@ -137,6 +137,8 @@ def test_plateaus_whose_rotations_are_contradicted_are_named_first(accepted):
             *(plateau, 1, 60.0, 65.0, "gyro_bias", "x", 0.01, 0.001, "deg/h", finding, math.nan, 0.0)
         )
 
-    write_coefficients(accepted.coefficients, [row(1, ""), row(2, "noise does not explain"), row(3, "p = 0")])
+    COEFFICIENT_TABLE.write(
+        accepted.coefficients, [row(1, ""), row(2, "noise does not explain"), row(3, "p = 0")]
+    )
     expected = "Coefficients in doubt. Plateau 2 and Plateau 3: see the section on coefficients."
     assert expected in statements(accepted)

@@ -14,11 +14,12 @@ from gyrobench.bench.closure.problem import predict
 from gyrobench.bench.closure.uncertainty import Draws
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.verification.compensation_verification import (
+    COMPARISON_TABLE,
     MeasuredRun,
     compare_runs,
     is_better,
     is_worse,
-    write_verification_table,
+    table_rows,
 )
 from gyrobench.drivers.ins.compensation import Compensation
 from tests.bench.closure.thermal_bench import measure
@@ -159,9 +160,9 @@ def test_without_measurements_there_is_no_result():
 
 
 def test_the_table_has_a_row_for_each_plateau_and_one_for_all(tmp_path):
-    write_verification_table(
+    COMPARISON_TABLE.write(
         tmp_path / "comparison.csv",
-        [residual(), compensation_result("effect", rows_of(0.0), [], SITE, FITTED_C)],
+        table_rows([residual(), compensation_result("effect", rows_of(0.0), [], SITE, FITTED_C)]),
     )
     rows = list(csv.DictReader((tmp_path / "comparison.csv").read_text().splitlines()))
     assert [(row["compensation"], row["stop"]) for row in rows] == [

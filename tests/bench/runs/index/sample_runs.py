@@ -4,7 +4,7 @@ import json
 import shutil
 from dataclasses import replace
 
-from gyrobench.bench.bias.bins import bin_biases, write_bins
+from gyrobench.bench.bias.bins import BIAS_BINS_TABLE, bin_biases
 from gyrobench.bench.bias.dwell_table import read_dwells, write_dwells
 from gyrobench.bench.runs.folder import RunFolder
 from tests.benchmarks.fleet_runs import make_runs
@@ -24,7 +24,7 @@ def copy_run(source, path, unit="1001", started="2026-01-05T08:00:00+00:00", x_d
         for row in read_dwells(folder.dwells)
     ]
     write_dwells(folder.dwells, rows)
-    write_bins(folder.bias_bins, bin_biases(rows, 20.0))
+    BIAS_BINS_TABLE.write(folder.bias_bins, bin_biases(rows, 20.0))
     provenance = json.loads(folder.provenance.read_text())
     folder.provenance.write_text(json.dumps(provenance | {"started_utc": started}))
     return folder

@@ -5,7 +5,7 @@ import pytest
 
 from gyrobench.bench.bias.budget import BiasBudget, Budget, Contribution
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.runs.tables.budget_table import budget_records, budget_rows, read_budget, write_budget
+from gyrobench.bench.runs.tables.budget_table import BUDGET_TABLE, budget_records, budget_rows
 
 BUDGET = Budget(
     (
@@ -30,10 +30,10 @@ def test_each_budget_has_a_row_for_each_contribution_and_one_for_the_sum():
 
 def test_a_table_that_is_written_is_read_as_it_was(tmp_path):
     path = tmp_path / "budget.csv"
-    write_budget(path, ROWS)
-    write_budget(tmp_path / "again.csv", read_budget(path))
+    BUDGET_TABLE.write(path, ROWS)
+    BUDGET_TABLE.write(tmp_path / "again.csv", BUDGET_TABLE.iterate(path))
     assert (tmp_path / "again.csv").read_bytes() == path.read_bytes()
-    found = list(read_budget(path))
+    found = list(BUDGET_TABLE.iterate(path))
     assert [row.dwell for row in found] == [row.dwell for row in ROWS]
     assert math.isinf(found[1].dof)
     assert math.isnan(found[2].sigma)
@@ -41,10 +41,10 @@ def test_a_table_that_is_written_is_read_as_it_was(tmp_path):
 
 def test_a_wrong_number_is_named(tmp_path):
     path = tmp_path / "budget.csv"
-    write_budget(path, ROWS)
+    BUDGET_TABLE.write(path, ROWS)
     path.write_text(path.read_text().replace(",0.36,", ",much,"))
     with pytest.raises(DocumentError, match=r"budget\.csv:2: column share: expected a number; found 'much'"):
-        list(read_budget(path))
+        list(BUDGET_TABLE.iterate(path))
 
 
 def test_records_hold_only_what_json_can_say():

@@ -9,11 +9,9 @@ from hypothesis import strategies as st
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 from gyrobench.bench.runs.tables.calibration_check_table import (
-    CHECK_COLUMNS,
+    CALIBRATION_CHECK_TABLE,
     METHODS,
     CalibrationCheckRow,
-    read_calibration_check,
-    write_calibration_check,
 )
 
 ROW = CalibrationCheckRow(
@@ -75,36 +73,40 @@ rows = st.builds(
 
 
 def text_of(path, table):
-    write_calibration_check(path, table)
+    CALIBRATION_CHECK_TABLE.write(path, table)
     return path.read_text(encoding="utf-8")
 
 
 @given(st.lists(rows, max_size=4))
 def test_reading_and_writing_again_gives_the_same_text(tmp_path, table):
     text = text_of(tmp_path / "verification.csv", table)
-    assert text_of(tmp_path / "again.csv", read_calibration_check(tmp_path / "verification.csv")) == text
+    assert (
+        text_of(tmp_path / "again.csv", CALIBRATION_CHECK_TABLE.read(tmp_path / "verification.csv")) == text
+    )
 
 
 def test_rows_survive_the_file(tmp_path):
     path = tmp_path / "verification.csv"
-    write_calibration_check(path, [ROW, FLAGGED])
-    first, second = read_calibration_check(path)
+    CALIBRATION_CHECK_TABLE.write(path, [ROW, FLAGGED])
+    first, second = CALIBRATION_CHECK_TABLE.read(path)
     assert first == ROW
     assert (second.dwell, second.turned_dwell, second.flags) == (5, None, ("gap, of 6 s",))
     assert math.isnan(second.bias_dph)
     assert not second.is_compared
 
 
-@given(st.sampled_from(CHECK_COLUMNS), st.text(max_size=10))
+@given(st.sampled_from(CALIBRATION_CHECK_TABLE.columns), st.text(max_size=10))
 def test_any_cell_is_read_or_refused(tmp_path, column, text):
     path = tmp_path / "verification.csv"
     cells = text_of(path, [ROW]).splitlines()[1].split(",")
-    cells[CHECK_COLUMNS.index(column)] = '"' + text.replace('"', '""') + '"'
+    cells[CALIBRATION_CHECK_TABLE.columns.index(column)] = '"' + text.replace('"', '""') + '"'
     path.write_text(
-        ",".join(CHECK_COLUMNS) + "\n" + ",".join(cells) + "\n", encoding="utf-8", errors="replace"
+        ",".join(CALIBRATION_CHECK_TABLE.columns) + "\n" + ",".join(cells) + "\n",
+        encoding="utf-8",
+        errors="replace",
     )
     with suppress(DocumentError):
-        (row,) = read_calibration_check(path)
+        (row,) = CALIBRATION_CHECK_TABLE.read(path)
         assert row.gyro in AXES
         assert row.method in METHODS
         assert not row.sigma_dph <= 0.0
@@ -125,6 +127,6 @@ def test_any_cell_is_read_or_refused(tmp_path, column, text):
     ],
 )
 def test_says_which_cell_is_wrong(tmp_path, change, message):
-    write_calibration_check(tmp_path / "x.csv", [replace(ROW, **change)])
+    CALIBRATION_CHECK_TABLE.write(tmp_path / "x.csv", [replace(ROW, **change)])
     with pytest.raises(DocumentError, match=message):
-        read_calibration_check(tmp_path / "x.csv")
+        CALIBRATION_CHECK_TABLE.read(tmp_path / "x.csv")

@@ -6,16 +6,15 @@ import pytest
 
 from gyrobench.bench.bias.budget import Budget, Contribution
 from gyrobench.bench.calibration.coefficients import SensorCoefficient
-from gyrobench.bench.runs.tables.budget_table import coefficient_budget_rows, write_budget
+from gyrobench.bench.runs.tables.budget_table import BUDGET_TABLE, coefficient_budget_rows
 from gyrobench.bench.runs.tables.coefficient_table import (
+    COEFFICIENT_TABLE,
     PlateauCoefficientRow,
     plateau_findings,
     plateau_heads,
     plateau_notes,
-    read_coefficients,
     read_coefficients_for_fit,
     read_common_sigmas,
-    write_coefficients,
 )
 
 
@@ -54,13 +53,13 @@ def test_a_note_is_no_finding_and_is_named_once_for_each_plateau():
 def test_what_all_plateaus_share_is_left_out_of_the_uncertainties_by_which_they_differ(tmp_path):
     rows = [row(1, 20.0, "accelerometer_scale_factor"), row(2, 50.0, "accelerometer_scale_factor")]
     coefficients, budget = tmp_path / "coefficients.csv", tmp_path / "budget.csv"
-    write_coefficients(coefficients, rows)
+    COEFFICIENT_TABLE.write(coefficients, rows)
     unchanged = read_coefficients_for_fit(coefficients, budget)
-    assert repr(unchanged) == repr(read_coefficients(coefficients))  # NaN does not equal itself
+    assert repr(unchanged) == repr(COEFFICIENT_TABLE.read(coefficients))  # NaN does not equal itself
     parts = {"gravity": 30.0, "latitude": 2.0, "velocity_random_walk": 0.3, "temperature_change": 0.4}
     contributions = [Contribution(name, math.nan, sigma) for name, sigma in parts.items()]
     known = SensorCoefficient("accelerometer", "scale_factor", "x", "ppm", 1e6, 0.01)
-    write_budget(budget, coefficient_budget_rows(1, [(known, Budget(tuple(contributions)))]))
+    BUDGET_TABLE.write(budget, coefficient_budget_rows(1, [(known, Budget(tuple(contributions)))]))
     first, second = read_coefficients_for_fit(coefficients, budget)
     assert first.sigma == pytest.approx(0.5)
     assert read_common_sigmas(budget) == {(1, first.name): pytest.approx((30.0, 2.0))}

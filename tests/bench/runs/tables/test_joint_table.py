@@ -11,14 +11,11 @@ from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
 from gyrobench.bench.runs.tables.joint_table import (
-    JointBiasRow,
-    JointPlateauRow,
+    JOINT_BIASES_TABLE,
+    JOINT_PLATEAUS_TABLE,
     JointSigmas,
     joint_bias_rows,
     joint_plateau_rows,
-    read_joint_biases,
-    read_joint_plateaus,
-    write_joint,
 )
 from tests.bench.bias.emulated_groups import any_unit, follow_gravity, is_vertical, joint_solution_of, measure
 
@@ -165,14 +162,14 @@ def assert_same(read, written):
 
 def test_tables_survive_writing_and_reading(biases, plateaus, parting, tmp_path):
     for rows in (biases, joint_bias_rows(*parting)):
-        write_joint(tmp_path / "joint_biases.csv", rows, JointBiasRow)
-        assert_same(read_joint_biases(tmp_path / "joint_biases.csv"), rows)
-    write_joint(tmp_path / "joint.csv", plateaus, JointPlateauRow)
-    assert_same(read_joint_plateaus(tmp_path / "joint.csv"), plateaus)
+        JOINT_BIASES_TABLE.write(tmp_path / "joint_biases.csv", rows)
+        assert_same(JOINT_BIASES_TABLE.iterate(tmp_path / "joint_biases.csv"), rows)
+    JOINT_PLATEAUS_TABLE.write(tmp_path / "joint.csv", plateaus)
+    assert_same(JOINT_PLATEAUS_TABLE.read(tmp_path / "joint.csv"), plateaus)
 
 
 def test_what_is_not_known_is_an_empty_cell(plateaus, tmp_path):
-    write_joint(tmp_path / "joint.csv", plateaus, JointPlateauRow)
+    JOINT_PLATEAUS_TABLE.write(tmp_path / "joint.csv", plateaus)
     header, *lines = (tmp_path / "joint.csv").read_text().splitlines()
     cells = dict(zip(header.split(","), lines[-1].split(","), strict=True))
     assert cells["accelerometer_x_ug"] == cells["fit_p_value"] == ""
@@ -181,14 +178,14 @@ def test_what_is_not_known_is_an_empty_cell(plateaus, tmp_path):
 
 def test_every_mistake_is_reported_with_line_and_column(biases, tmp_path):
     path = tmp_path / "joint_biases.csv"
-    write_joint(path, biases[:3], JointBiasRow)
+    JOINT_BIASES_TABLE.write(path, biases[:3])
     lines = path.read_text().splitlines()
     lines[1] = lines[1].replace("z_up", "upside_down")
     lines[2] = lines[2].replace("1,1,", "1,one,", 1)
     lines[3] = lines[3].replace(",z,", ",w,").replace(f"{biases[2].joint_dph:.9g}", "much")
     path.write_text("\n".join(lines))
     with pytest.raises(DocumentError) as caught:
-        list(read_joint_biases(path))
+        list(JOINT_BIASES_TABLE.iterate(path))
     message = str(caught.value)
     assert "joint_biases.csv:2: column position: expected one of z_up" in message
     assert "joint_biases.csv:3: column dwell: expected a whole number; found 'one'" in message
@@ -198,18 +195,18 @@ def test_every_mistake_is_reported_with_line_and_column(biases, tmp_path):
 
 def test_a_finding_that_is_none_is_reported(plateaus, tmp_path):
     path = tmp_path / "joint.csv"
-    write_joint(path, plateaus, JointPlateauRow)
+    JOINT_PLATEAUS_TABLE.write(path, plateaus)
     path.write_text(path.read_text().replace(",latitude_off,", ",longitude,"))
     with pytest.raises(DocumentError, match=r"joint\.csv:2: column finding: expected one of no_pair, "):
-        read_joint_plateaus(path)
+        JOINT_PLATEAUS_TABLE.read(path)
 
 
 def test_a_table_of_a_version_without_the_gyro_errors_is_read(plateaus, tmp_path):
     path = tmp_path / "joint.csv"
-    write_joint(path, plateaus, JointPlateauRow)
+    JOINT_PLATEAUS_TABLE.write(path, plateaus)
     lines = [line.rsplit(",", 2)[0] for line in path.read_text().splitlines()]
     path.write_text("\n".join(lines))
-    rows = read_joint_plateaus(path)
+    rows = JOINT_PLATEAUS_TABLE.read(path)
     assert [row.fit_p_value for row in rows] == pytest.approx(
         [row.fit_p_value for row in plateaus], nan_ok=True
     )
@@ -218,17 +215,17 @@ def test_a_table_of_a_version_without_the_gyro_errors_is_read(plateaus, tmp_path
 
 def test_files_that_can_not_be_read_or_written_are_named(tmp_path):
     with pytest.raises(DocumentError, match=r"absent\.csv: can't be read"):
-        read_joint_plateaus(tmp_path / "absent.csv")
+        JOINT_PLATEAUS_TABLE.read(tmp_path / "absent.csv")
     with pytest.raises(RunFolderError, match="can't be written"):
-        write_joint(tmp_path / "absent" / "joint.csv", [], JointPlateauRow)
+        JOINT_PLATEAUS_TABLE.write(tmp_path / "absent" / "joint.csv", [])
 
 
 def test_a_chamber_without_set_point_has_an_empty_cell(tmp_path):
     unit = any_unit(np.random.default_rng(5))
     dwells = measure(unit, None, ("z_up", "z_down"), chamber_set_c=math.nan)
     solution = joint_solution_of(dwells, PRIOR)
-    write_joint(tmp_path / "joint.csv", joint_plateau_rows([solution], solution.up_rate), JointPlateauRow)
-    (row,) = read_joint_plateaus(tmp_path / "joint.csv")
+    JOINT_PLATEAUS_TABLE.write(tmp_path / "joint.csv", joint_plateau_rows([solution], solution.up_rate))
+    (row,) = JOINT_PLATEAUS_TABLE.read(tmp_path / "joint.csv")
     assert math.isnan(row.chamber_set_c)
     assert row.finding == "one_gyro"
     assert math.isnan(row.up_rate_p_value)
