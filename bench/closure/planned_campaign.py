@@ -12,9 +12,9 @@ import numpy as np
 
 from gyrobench.bench.bias.acceptance import judge
 from gyrobench.bench.bias.dwell import DwellPurpose
-from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow
 from gyrobench.bench.bias.verdicts import JudgedQuantity, Judgement
-from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.campaign import Campaign, campaign_of
 from gyrobench.bench.closure.temperature_record import TemperatureRecord, lag
 from gyrobench.bench.closure.unit_thermal import Course, UnitThermal
 from gyrobench.bench.foundations.arrays import S_PER_H, FloatArray, triple
@@ -52,105 +52,72 @@ class UnitProperties:
     thermal: UnitThermal | None = None  #: Its thermal model; None for that of a typical unit.
 
 
-@dataclass(frozen=True)
-class _Navigation:
-    """The navigation of one dwell, from the start of its first window to the end of its last one."""
-
-    position: str
-    azimuth_deg: float
-    cycle: int
-    run: int
-    start_s: float
-    end_s: float
-    navigation_s: float
-    since_power_on_s: float
-    set_c: float
-
-
 def planned_campaign(plan: Plan, unit: UnitProperties) -> Campaign:
-    """Predict the dwells of a plan.
+    """Predict the dwells of a plan; see :func:`_planned_rows`.
 
-    The biases are zero. Their uncertainty is the angle random walk over the navigation time of a dwell.
-    Accelerometer noise is neglected: it adds about 6 % for the level gyros in windows of 10 min, more in
-    shorter ones. Dwells of a calibration check are omitted. Raises MeasurementError if no dwell of the plan
-    measures a bias.
+    Dwells of a calibration check are omitted. Raises MeasurementError if no dwell measures a bias.
     """
-    navigations = list(_navigations(plan.steps))
-    if not navigations:
+    forecast = forecast_temperatures(plan, unit.thermal)
+    rows = _planned_rows(plan, unit, forecast)
+    if not rows:
         raise MeasurementError(
             f"{plan.procedure.procedure} has no dwell that measures a bias (align, navigate, turn, "
             "navigate). Separability can't be evaluated"
         )
-    forecast = forecast_temperatures(plan, unit.thermal)
+    record = TemperatureRecord(forecast.time_s, forecast.optics_c, air_c=forecast.air_c)
+    return campaign_of(rows, record, is_forecast=True)
 
-    def gather(name: str) -> FloatArray:
-        return np.array([getattr(each, name) for each in navigations], dtype=np.float64)
 
-    start_s, end_s = gather("start_s"), gather("end_s")
+def _planned_rows(plan: Plan, unit: UnitProperties, forecast: Course) -> list[DwellRow]:
+    """Rows of the dwells of a plan that measure biases, with the ``forecast`` temperatures.
 
-    def mean_of(values: FloatArray, *, measured: bool = True) -> FloatArray:
-        return (
-            forecast.means(values, start_s, end_s)
-            if measured
-            else np.full((len(start_s), *values.shape[1:]), math.nan)
-        )
-
+    The biases are zero. Their uncertainty is the angle random walk over the navigation time of a dwell.
+    Accelerometer noise is neglected: it adds about 6 % for the level gyros in windows of 10 min, more in
+    shorter ones.
+    """
     walk = np.broadcast_to(unit.angle_random_walk_deg_per_sqrt_h, 3)
-    sigma_dph = walk / np.sqrt(gather("navigation_s") / S_PER_H)[:, np.newaxis]
-    return Campaign(
-        run_names=tuple(f"power-on {number + 1}" for number in range(navigations[-1].run + 1)),
-        position=tuple(each.position for each in navigations),
-        dwell=np.arange(1, len(navigations) + 1),
-        cycle=np.array([each.cycle for each in navigations]),
-        run=np.array([each.run for each in navigations]),
-        up_body=np.array([POSITIONS[each.position].C_nb()[2] for each in navigations]),
-        start_s=start_s,
-        end_s=end_s,
-        since_power_on_s=gather("since_power_on_s"),
-        set_c=gather("set_c"),
-        air_c=mean_of(forecast.air_c),
-        case_c=mean_of(forecast.case_c, measured=unit.has_case),
-        gyro_c=mean_of(forecast.optics_c),
-        rate_c_per_h=S_PER_H * forecast.changes_c(start_s, end_s) / (end_s - start_s)[:, np.newaxis],
-        board_c=mean_of(forecast.electronics_c, measured=unit.has_boards),
-        bias_dph=np.zeros((len(navigations), 3)),
-        sigma_dph=sigma_dph,
-        common_sigma_dph=np.zeros_like(sigma_dph),
-        record=TemperatureRecord(forecast.time_s, forecast.optics_c, air_c=forecast.air_c),
-        unit="planned",
-        held_out=np.zeros(len(navigations), dtype=bool),
-        azimuth_deg=gather("azimuth_deg"),
-    )
+    rows = list[DwellRow]()
+    for windows, power_ons, power_on_s in _navigations(plan.steps):
+        first, start_s, end_s = windows[0], windows[0].start_s, windows[-1].end_s
+        ends_s = np.array([start_s]), np.array([end_s])
+        bench, navigation_s = first.before, sum(window.duration_s for window in windows)
+        air_c, case_c, optics_c, electronics_c = (
+            forecast.means(each, *ends_s)[0]
+            for each in (forecast.air_c, forecast.case_c, forecast.optics_c, forecast.electronics_c)
+        )
+        rows.append(
+            DwellRow(
+                unit="planned",
+                run=f"power-on {power_ons}",
+                dwell=len(rows) + 1,
+                cycle=first.cycle,
+                position=bench.position or "",
+                start_s=start_s,
+                end_s=end_s,
+                since_power_on_s=start_s - power_on_s,
+                gyro_c=triple(optics_c),
+                gyro_rate_c_per_h=triple(S_PER_H * forecast.changes_c(*ends_s)[0] / (end_s - start_s)),
+                bias_dph=(0.0, 0.0, 0.0),
+                sigma_dph=triple(walk / np.sqrt(navigation_s / S_PER_H)),
+                azimuth_deg=bench.azimuth_deg,
+                chamber_set_c=math.nan if bench.set_point_c is None else bench.set_point_c,
+                chamber_c=float(air_c),
+                case_c=float(case_c) if unit.has_case else math.nan,
+                board_c=triple(electronics_c) if unit.has_boards else NOT_MEASURED,
+            )
+        )
+    return rows
 
 
 def unreachable_limits(plan: Plan, unit: UnitProperties) -> list[str]:
     """Sentences on acceptance limits that no unit can be shown to meet, even one without any bias.
 
-    From the angle random walk only, see :func:`planned_campaign`; other contributions increase the
-    uncertainty.
+    From the angle random walk only, see :func:`_planned_rows`; other contributions increase the uncertainty.
     """
     limits = plan.procedure.acceptance
     if limits is None or not any(_navigations(plan.steps)):
         return []
-    campaign = planned_campaign(plan, unit)
-    rows = [
-        DwellRow(
-            unit=campaign.unit,
-            run=str(campaign.run[index]),
-            dwell=index,
-            cycle=int(campaign.cycle[index]),
-            position=position,
-            start_s=float(campaign.start_s[index]),
-            end_s=float(campaign.end_s[index]),
-            since_power_on_s=float(campaign.since_power_on_s[index]),
-            gyro_c=triple(campaign.gyro_c[index]),
-            gyro_rate_c_per_h=triple(campaign.rate_c_per_h[index]),
-            bias_dph=triple(campaign.bias_dph[index]),
-            sigma_dph=triple(campaign.sigma_dph[index]),
-            chamber_set_c=float(campaign.set_c[index]),
-        )
-        for index, position in enumerate(campaign.position)
-    ]
+    rows = _planned_rows(plan, unit, forecast_temperatures(plan, unit.thermal))
     worst: dict[JudgedQuantity, Judgement] = {}
     for each in judge(rows, limits, width_c=plan.procedure.bin_width_c).judgements:
         worst_so_far = worst.get(each.quantity, each)
@@ -162,37 +129,29 @@ def unreachable_limits(plan: Plan, unit: UnitProperties) -> list[str]:
         if each.verdict != "pass"
     ]
     max_sigma_dph = math.inf if limits.bias_sigma_dph is None else limits.bias_sigma_dph
-    if count_above := int((campaign.sigma_dph > max_sigma_dph).any(axis=1).sum()):
+    sigmas_dph = [max(row.sigma_dph) for row in rows]
+    if count_above := sum(sigma_dph > max_sigma_dph for sigma_dph in sigmas_dph):
         texts.append(
-            f"bias_sigma_dph: up to {campaign.sigma_dph.max():.2g} deg/h, above the limit of "
+            f"bias_sigma_dph: up to {max(sigmas_dph):.2g} deg/h, above the limit of "
             f"{max_sigma_dph:g} deg/h in {count_above} of {counted(len(rows), 'dwell')}"
         )
     return texts
 
 
-def _navigations(steps: Sequence[PlannedStep]) -> Iterator[_Navigation]:
-    run, power_on_s = -1, 0.0
+def _navigations(steps: Sequence[PlannedStep]) -> Iterator[tuple[list[PlannedStep], int, float]]:
+    """Windows of each dwell that measures a bias, number of power-ons before it, and time of the last one."""
+    power_ons, power_on_s = 0, 0.0
     for dwell, group in itertools.groupby(steps, key=lambda planned: planned.dwell):
         members = list(group)
         if dwell is None or not members[0].purpose.gives_bias:
             for planned in members:
                 if isinstance(planned.step, PowerOn):
-                    run, power_on_s = run + 1, planned.start_s
+                    power_ons, power_on_s = power_ons + 1, planned.start_s
             continue
         windows = [planned for planned in members if isinstance(planned.step, Navigate)]
-        bench = windows[0].before
-        if bench.position is not None and windows[0].purpose is not DwellPurpose.CALIBRATION_CHECK:
-            yield _Navigation(
-                position=bench.position,
-                azimuth_deg=bench.azimuth_deg,
-                cycle=windows[0].cycle,
-                run=run,
-                start_s=windows[0].start_s,
-                end_s=windows[-1].end_s,
-                navigation_s=sum(window.duration_s for window in windows),
-                since_power_on_s=windows[0].start_s - power_on_s,
-                set_c=math.nan if bench.set_point_c is None else bench.set_point_c,
-            )
+        is_check = windows[0].purpose is DwellPurpose.CALIBRATION_CHECK
+        if windows[0].before.position is not None and not is_check:
+            yield windows, power_ons, power_on_s
 
 
 def forecast_temperatures(plan: Plan, thermal: UnitThermal | None = None) -> Course:
