@@ -45,7 +45,6 @@ def close(
     hold_out_each: Annotated[
         bool, typer.Option(help="Also hold out each cycle in turn and compare the outcomes.")
     ] = False,
-    rotate: Annotated[bool, typer.Option(hidden=True, help="Old name of --hold-out-each.")] = False,
     coefficient: Annotated[
         str,
         typer.Option(
@@ -93,7 +92,7 @@ def close(
     except (MeasurementError, RunFolderError) as error:
         print_unfinished(tables, on_stderr=True)
         raise DocumentError(str(error)) from error
-    if hold_out_each or rotate:
+    if hold_out_each:
         closure = held_out_in_turn(closure)
     if compose:
         closure = composed(closure)

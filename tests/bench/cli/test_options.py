@@ -82,10 +82,8 @@ def test_an_infinite_budget_is_refused_before_anything_is_measured(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(
-    ("options", "expected"), [((), False), (("--hold-out-each",), True), (("--rotate",), True)]
-)
-def test_each_cycle_is_held_out_by_the_option_and_by_its_old_name(options, expected, monkeypatch):
+@pytest.mark.parametrize(("options", "expected"), [((), False), (("--hold-out-each",), True)])
+def test_each_cycle_is_held_out_by_the_option(options, expected, monkeypatch):
     held_out = []
 
     def write(*_):
@@ -99,7 +97,6 @@ def test_each_cycle_is_held_out_by_the_option_and_by_its_old_name(options, expec
     with pytest.raises(DocumentError, match="not written"):
         command(["dwells.csv", *options], standalone_mode=False)
     assert bool(held_out) is expected
-    assert [each.hidden for each in command.params if "--rotate" in each.opts] == [True]
 
 
 def test_choices_that_the_command_line_repeats_are_those_of_their_modules():
