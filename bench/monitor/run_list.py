@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import threading
-from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 from gyrobench.bench.bias.dwell import DwellPurpose
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
@@ -351,27 +350,12 @@ def _changed_ns(path: Path) -> int:
 _Value = TypeVar("_Value")
 
 
-class FolderCache(Generic[_Value]):
-    """Values computed from folders, recomputed when the signature of a folder changes; thread-safe.
+def cached_by_files(
+    make: Callable[[Path], _Value], max_values: int, signature: Callable[[Path], Hashable] = signature_of
+) -> Callable[[Path], _Value]:
+    """``make`` for run folders, called again only when the signature of a folder changed; thread-safe.
 
-    At most ``max_values`` are kept; the least recently used is dropped first.
+    The values used last are kept, at most ``max_values``, and no error.
     """
-
-    def __init__(
-        self, make: Callable[[Path], _Value], signature: Callable[[Path], Hashable], max_values: int
-    ) -> None:
-        self._make, self._signature, self._max_values = make, signature, max_values
-        self._values: OrderedDict[Path, tuple[Hashable, _Value]] = OrderedDict()
-        self._lock = threading.Lock()
-
-    def of(self, folder: Path) -> _Value:
-        """Value of a folder; errors of ``make`` are raised."""
-        with self._lock:
-            signature = self._signature(folder)
-            cached = self._values.pop(folder, None)
-            if cached is None or cached[0] != signature:
-                cached = (signature, self._make(folder))
-            self._values[folder] = cached
-            if len(self._values) > self._max_values:
-                self._values.popitem(last=False)
-            return cached[1]
+    cached = lru_cache(max_values)(lambda folder, _: make(folder))
+    return lambda folder: cached(folder, signature(folder))

@@ -34,11 +34,10 @@ from gyrobench.bench.monitor.page_content import (
     unreadable_row,
 )
 from gyrobench.bench.monitor.run_list import (
-    FolderCache,
+    cached_by_files,
     is_run,
     pages_of,
     runs_in,
-    signature_of,
     snapshot_of,
     snapshot_of_unit,
     summarise,
@@ -145,8 +144,8 @@ class Website:
     def __init__(self, root: Path, utc: Callable[[], datetime]) -> None:
         self._root = root
         self._utc = utc
-        self._snapshots = FolderCache(snapshot_of, signature_of, _MAX_SNAPSHOTS)
-        self._summaries = FolderCache(summarise, signature_of, _MAX_LISTED)
+        self._snapshot_of = cached_by_files(snapshot_of, _MAX_SNAPSHOTS)
+        self._summarise = cached_by_files(summarise, _MAX_LISTED)
 
     def answer(self, target: str) -> Response:
         """Answer a request for an address such as ``/``, ``/runs/mine/``, ``/runs/mine/report.html``."""
@@ -192,7 +191,7 @@ class Website:
 
     def _run_page(self, run: Path, home: str, unit: Path | None = None) -> str:
         try:
-            snapshot = self._snapshots.of(run)
+            snapshot = self._snapshot_of(run)
             if unit is not None:
                 snapshot = snapshot_of_unit(snapshot, RunFolder(unit))
         except GyrobenchError as error:
@@ -209,7 +208,7 @@ class Website:
         metrics_input = []
         for run in runs:
             with contextlib.suppress(GyrobenchError):
-                snapshot = self._snapshots.of(run)
+                snapshot = self._snapshot_of(run)
                 age_s = freshness_of(snapshot.state, snapshot.updated_utc, self._utc()).age_s
                 metrics_input.append((run, snapshot, age_s))
         try:
@@ -228,7 +227,7 @@ class Website:
 
     def _list_row(self, run: Path) -> ListRow:
         try:
-            summary = self._summaries.of(run)
+            summary = self._summarise(run)
         except GyrobenchError as error:
             return unreadable_row(run.name, str(error))
         row = list_row(summary, freshness_of(summary.state, summary.updated_utc, self._utc()))

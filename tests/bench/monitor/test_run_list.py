@@ -10,7 +10,7 @@ from gyrobench.bench.engine.resume import NO_END_RECORDED
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.monitor.run_list import (
-    FolderCache,
+    cached_by_files,
     is_run,
     runs_in,
     signature_of,
@@ -245,13 +245,13 @@ def test_the_signature_changes_with_the_snapshot_and_with_who_holds_the_run(tmp_
 
 def test_a_value_is_made_again_only_when_its_folder_has_changed(tmp_path):
     made, signs = [], {}
-    memory = FolderCache(lambda folder: made.append(folder) or len(made), signs.get, max_values=2)
+    memory = cached_by_files(lambda folder: made.append(folder) or len(made), 2, signs.get)
     one, two, three = (tmp_path / name for name in "123")
-    assert [memory.of(one), memory.of(one)] == [1, 1]
+    assert [memory(one), memory(one)] == [1, 1]
     signs[one] = "changed"
-    assert [memory.of(one), memory.of(two), memory.of(one)] == [2, 3, 2]
-    assert memory.of(three) == 4
-    assert [memory.of(one), memory.of(two)] == [2, 5], "the one that was asked for longest ago is dropped"
+    assert [memory(one), memory(two), memory(one)] == [2, 3, 2]
+    assert memory(three) == 4
+    assert [memory(one), memory(two)] == [2, 5], "the one that was asked for longest ago is dropped"
 
 
 def test_an_error_is_passed_on_and_tried_again(tmp_path):
@@ -263,7 +263,7 @@ def test_an_error_is_passed_on_and_tried_again(tmp_path):
             raise answer
         return answer
 
-    memory = FolderCache(make, lambda _: 0, max_values=1)
+    memory = cached_by_files(make, 1, lambda _: 0)
     with pytest.raises(ValueError, match="damaged"):
-        memory.of(tmp_path)
-    assert memory.of(tmp_path) == "whole"
+        memory(tmp_path)
+    assert memory(tmp_path) == "whole"
