@@ -4,7 +4,8 @@ What remains of it in the biases follows the attitude like the Earth's rotation,
 gyros. The vector shows a wrong azimuth, latitude or scale. Exchanged or reversed axes leave no common vector;
 each possible assignment of axes is tried. Biases that follow gravity differ from gyro to gyro and fit none.
 Each gyro is also compared by itself along Up, which takes fewer positions: of a rate without the Earth's
-rotation all of it remains, of one with the wrong sign twice as much.
+rotation all of it remains, of one with the wrong sign twice as much. Three that were vertical in one way each
+share a mistake if the same large rate remains in all.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ def earth_warnings(rows: Sequence[DwellRow], rule: EarthRate, is_by_force: bool)
         np.ptp(each[chosen, 2]) > 1.0 for each, chosen in zip(axes_enu, used, strict=True) if chosen.any()
     ]
     if sum(turned) < _MIN_GYROS or used.sum(axis=1)[used.any(axis=1)].min() < _MIN_ROWS // 2:
-        return vertical
+        return vertical or [*_common_warning(bias, axes_enu[:, :, 2], rule.latitude_deg)]
     data = freed(bias)
     scatter = size(data)
     design = freed(axes_enu)[:, 0 if has_azimuth else 2 :]
@@ -117,12 +118,31 @@ def _vertical_warnings(rows: Sequence[DwellRow], latitude_deg: float) -> Iterato
                 f"it leaves {along_up_dph:.1f} deg/h along Up. Check 'unit' and 'scale' of the gyro; "
                 "leave 'earth_rate' out if it was removed from the log"
             )
-        elif len(means) == 2 and abs(excess - 2.0) < 2.0 * _TOLERANCE:
-            yield (
-                f"the bias of the {axis} gyro differs by {2.0 * abs(along_up_dph):.1f} deg/h with its axis up"
-                " and down: four times the vertical part of the Earth's rotation, as with wrong signs of "
-                "the accelerometers ('position'), of the gyro or of the latitude. Check them"
+        elif abs(excess - 2.0) < 2.0 * _TOLERANCE:
+            found = (
+                f"differs by {2.0 * abs(along_up_dph):.1f} deg/h with its axis up and down: four times"
+                if len(means) == 2
+                else f"is {along_up_dph:.1f} deg/h along Up: twice"
             )
+            yield (
+                f"the bias of the {axis} gyro {found} the vertical part of the Earth's rotation, as with "
+                "wrong signs of the accelerometers ('position'), of the gyro or of the latitude. Check them"
+            )
+
+
+def _common_warning(bias_dph: FloatArray, up: FloatArray, latitude_deg: float) -> Iterator[str]:
+    """Warning if the vertical gyros have the same large bias along Up, of which each was up or down alone.
+
+    ``bias_dph``, ``up``: Shapes (3, n), bias and Up component of each gyro's axis in n rows.
+    """
+    is_vertical = np.abs(up) > 0.5
+    if not is_vertical.any(axis=1).all():
+        return
+    along_up_dph = np.average(bias_dph * np.sign(up), axis=1, weights=is_vertical)
+    mean_dph = float(along_up_dph.mean())
+    if abs(mean_dph) > max(_MIN_VERTICAL_DPH, float(np.ptp(along_up_dph)) / _MAX_LEFT_VERTICAL):
+        vertical_dph = _EARTH_DPH * math.sin(math.radians(latitude_deg))
+        yield _vertical_text(vertical_dph + mean_dph, latitude_deg)
 
 
 def _temperature_basis(rows: Sequence[DwellRow], gyro: int, used: BoolArray) -> FloatArray:
@@ -137,12 +157,7 @@ def _temperature_basis(rows: Sequence[DwellRow], gyro: int, used: BoolArray) -> 
 def _rate_text(sensed: FloatArray, rule: EarthRate) -> str:
     """Warning about the rate (3,), ENU, deg/h, that the gyros sense in place of the Earth's."""
     if rule.azimuth_deg is None:
-        vertical = _EARTH_DPH * math.sin(math.radians(rule.latitude_deg))
-        text = f"the gyros sense {sensed[2] / vertical:.3g} times the vertical part of the Earth's rotation"
-        advice = "Check unit and scale of the gyros, and 'latitude_deg'"
-        if abs(sensed[2]) < _EARTH_DPH:
-            advice += f": at {math.degrees(math.asin(sensed[2] / _EARTH_DPH)):.1f} deg that is right"
-        return f"{text}. {advice}"
+        return _vertical_text(float(sensed[2]), rule.latitude_deg)
     scale = float(np.linalg.norm(sensed)) / _EARTH_DPH
     if abs(scale - 1.0) > _MIN_SCALE_ERROR:
         return (
@@ -158,6 +173,16 @@ def _rate_text(sensed: FloatArray, rule: EarthRate) -> str:
     if abs(turned_deg) > _MIN_SHARE * abs(away_deg):
         found.append(f"an azimuth_deg of {round(rule.azimuth_deg + turned_deg, 1) % 360.0:.1f}")
     return f"the Earth's rotation in the rates fits {' and '.join(found)}. Correct 'earth_rate' in the map"
+
+
+def _vertical_text(sensed_dph: float, latitude_deg: float) -> str:
+    """Warning about the rate along Up, deg/h, that the gyros sense in place of the Earth's."""
+    share = sensed_dph / (_EARTH_DPH * math.sin(math.radians(latitude_deg)))
+    text = f"the gyros sense {share:.3g} times the vertical part of the Earth's rotation"
+    advice = "Check unit and scale of the gyros, and 'latitude_deg'"
+    if abs(sensed_dph) < _EARTH_DPH:
+        advice += f": at {math.degrees(math.asin(sensed_dph / _EARTH_DPH)):.1f} deg that is right"
+    return f"{text}. {advice}"
 
 
 def _other_axes(

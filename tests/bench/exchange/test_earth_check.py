@@ -76,6 +76,24 @@ def test_axes_that_are_left_handed_are_named_though_they_agree_with_the_accelero
     assert f"columns x, y, z of the gyros hold {held}." in gyros
 
 
+@pytest.mark.parametrize(
+    ("declared", "scale", "texts"),
+    [
+        ({}, 1.0, []),
+        ({}, 57.3, ["the gyros sense 58.4 times the vertical part of the Earth's rotation"]),
+        ({"latitude_deg": 10.0}, 1.0, ["4.15 times the vertical part of the Earth's rotation"]),
+        ({}, (1.0, 1.0, -1.0), ["bias of the z gyro is -21.4 deg/h along Up: twice the vertical part"]),
+    ],
+)
+def test_three_positions_suffice_to_see_a_wrong_scale_latitude_or_sign(declared, scale, texts):
+    rule = EarthRate(**({"latitude_deg": 45.0} | declared))
+    measured = rows(rule, scale=np.ones(3) * scale)
+    three = [row for row in measured if row.position in ("z_up", "x_up", "y_down")]
+    found = earth_warnings(three, rule, is_by_force=True)
+    assert len(found) == len(texts)
+    assert all(text in each for text, each in zip(texts, found, strict=True))
+
+
 def test_biases_that_follow_gravity_and_few_rows_are_no_mistake_of_the_map():
     for g_dph in (0.0, 0.3, 30.0):
         for seed in range(20):
