@@ -22,8 +22,8 @@ def control(
 
     pause discards the dwell in progress and waits; hold finishes it and waits at its temperature. finish ends
     the run after the last dwell of the plateau in progress: the bench goes to its safe state, and results and
-    report are written, as with abort. continue ends a wait, and cancels hold and finish. A run that was ended
-    so can be resumed.
+    report are written, as with abort. continue ends a wait, gives the first answer to a question of the
+    procedure, and cancels hold and finish. A run that was ended so can be resumed.
 
     The same commands can be typed in the terminal of the run. The journal records who gave each
     command.

@@ -408,7 +408,13 @@ def _ask_operator(step: AskOperator, context: StepContext) -> Ticks:
 
 
 def _ask(context: StepContext, question: str, answers: list[str]) -> Ticks:
-    answer = yield from ask_operator(context.run.operator, question, answers)
+    context.continuing_answer, context.answer_by_command = answers[0], None
+    try:
+        answer = yield from ask_operator(
+            context.run.operator, question, answers, lambda: context.answer_by_command
+        )
+    finally:
+        context.continuing_answer = ""
     if answer != answers[0]:
         raise RunStoppedError(f"the operator answered '{answer}' to: {question}")
 

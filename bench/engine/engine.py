@@ -279,6 +279,9 @@ class Engine:
             case RunCommand.FINISH:
                 self._finish = (self._plateau, describe_source(received.source))
                 self._run.note(f"ends after the plateau {self._plateau}".rstrip())
+            case RunCommand.CONTINUE if answer := self._step_context.continuing_answer:
+                self._step_context.answer_by_command = answer
+                self._run.note(f"answered '{answer}' by {describe_source(received.source)}")
             case RunCommand.CONTINUE:
                 self._hold_commanded_by, self._finish = "", None
                 self._run.note("the commanded hold or end is cancelled")
@@ -289,7 +292,8 @@ class Engine:
         """Why a step does not accept a command; empty if it does."""
         if command is RunCommand.SKIP and not self._dwell:
             return "no dwell is in progress: nothing is skipped"
-        if command is RunCommand.CONTINUE and not (self._hold_commanded_by or self._finish):
+        waits = self._hold_commanded_by or self._finish or self._step_context.continuing_answer
+        if command is RunCommand.CONTINUE and not waits:
             return "the run does not hold: there is nothing to continue"
         return ""
 

@@ -39,7 +39,7 @@ class RunCommand(StrEnum):
 #: What each command does, for help texts.
 COMMAND_MEANINGS: Mapping[RunCommand, str] = {
     RunCommand.PAUSE: "discard the dwell in progress and wait; the dwell is repeated on continue",
-    RunCommand.CONTINUE: "continue after a pause or a hold",
+    RunCommand.CONTINUE: "continue after a pause, a hold or a question of the procedure",
     RunCommand.HOLD: "finish the dwell in progress, then wait at this temperature",
     RunCommand.SKIP: "discard the dwell in progress and continue with the next one",
     RunCommand.FINISH: "finish the plateau in progress, then end as with abort",
@@ -228,7 +228,7 @@ class ConsentingOperator:
     def __init__(self, patience: int = 30) -> None:
         self._patience = patience
         self._last_question: tuple[str, int] = ("", 0)
-        self._answer = ""
+        self._answer: str | None = None
 
     def ask(self, question: str, answers: Sequence[str]) -> None:
         """Choose an answer."""
@@ -237,8 +237,9 @@ class ConsentingOperator:
         self._answer = answers[0] if self._last_question[1] <= self._patience else answers[-1]
 
     def answer(self) -> str | None:
-        """Return the chosen answer."""
-        return self._answer
+        """Return the chosen answer, once."""
+        answer, self._answer = self._answer, None
+        return answer
 
     def withdraw(self) -> None:
         """Do nothing: no question stays open."""
@@ -248,11 +249,16 @@ class ConsentingOperator:
         return None
 
 
-def ask_operator(operator: Operator, question: str, answers: Sequence[str]) -> Generator[None, None, str]:
+def ask_operator(
+    operator: Operator,
+    question: str,
+    answers: Sequence[str],
+    answer_by_command: Callable[[], str | None] = lambda: None,
+) -> Generator[None, None, str]:
     """Ask a question and yield once a tick until it is answered; returns the answer."""
     operator.ask(question, answers)
     try:
-        while (answer := operator.answer()) is None:
+        while (answer := operator.answer() or answer_by_command()) is None:
             yield
     finally:
         operator.withdraw()  # also if an exception ends the wait

@@ -29,6 +29,8 @@ class StepContext:
         self.bench = run.bench
         self.units = units
         self.retries = 0  #: How often a failed exchange of the step in progress is repeated.
+        self.continuing_answer = ""  #: Answer to the open question with which the run continues.
+        self.answer_by_command: str | None = None  #: Given by the command `continue`.
         #: Turns until the next position: the table goes to angles from which they stay within its limits.
         self.next_turns_deg: Sequence[TurnOrMove] = ()
 

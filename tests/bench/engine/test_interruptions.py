@@ -13,9 +13,11 @@ from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.engine.bench_state import RunPosition
 from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.measured_unit import DwellRecorder
+from gyrobench.bench.engine.observers import RunObserver
 from gyrobench.bench.engine.operator import ConsentingOperator, RunCommand
 from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.emulators.acl_axis import SoftwareFault
@@ -335,6 +337,33 @@ def test_a_run_states_which_commands_it_does_not_accept(tmp_path):
         ("hold", f"{hold} hold"),
         ("pause", f"{hold} pause"),
     ]
+
+
+def test_continue_gives_the_first_answer_to_a_question_of_the_procedure(tmp_path):
+    class Away(ConsentingOperator):
+        def answer(self):
+            return None
+
+    procedure = tmp_path / "ask.yaml"
+    step = "{ask_operator: {question: 'Shut?', answers: ['yes', 'no']}}"
+    procedure.write_text(f"procedure: ask\nsteps: [{step}]\n")
+    folder, outcome, _ = run_with(
+        tmp_path, "ask_operator", lambda *_: os.kill(os.getpid(), signal.SIGRTMAX), procedure, operator=Away()
+    )
+    assert outcome.ended == "finished", outcome.reason
+    assert [entry.get("refused", "") for entry in events(folder, "ordered")] == [""]
+    assert events(folder, "note")[-1]["text"] == "answered 'yes' by another program (SIGRTMAX)"
+
+
+def test_an_operator_of_an_emulated_bench_gives_up_on_a_hold_that_never_clears(tmp_path):
+    text = find_document("stations", "quick").read_text()
+    station = tmp_path / "cold.yaml"
+    station.write_text(text + "\ninterlocks:\n  gyro_temperature: {low_c: -55, high_c: 10}\n")
+    job = prepare_job("ten_minute_check", str(station), Emulation("quick", 0))
+    folder, outcome = run_job(job, tmp_path / "run", RunObserver(), ConsentingOperator())
+    assert outcome.ended == "stopped"
+    assert "the operator answered 'abort'" in outcome.reason
+    assert list(read_journal(folder.journal))[-1]["time_s"] < 7200.0
 
 
 def test_commands_can_be_typed(tmp_path, two):
