@@ -45,6 +45,7 @@ class StationLimits:
     gyro_high_c: float = math.inf
     #: Commands that the INS of the station has.
     ins_commands: frozenset[str] = frozenset({"align", "navigate"})
+    has_gyro_temperatures: bool = True  #: Whether the INS sends those of the gyros' optics.
     is_always_on: bool = False  #: Whether the INS stays on in spite of power_off.
 
 
@@ -99,6 +100,17 @@ def _command_problems(planned: PlannedStep, limits: StationLimits) -> Iterator[D
             planned.location,
             f"{planned.step.name} sends the INS the command '{command}', which the station lacks. "
             f"Add ins.commands.{command} to the station file",
+        )
+    needs_temperatures = (
+        planned.step.purpose == "calibration"
+        if isinstance(planned.step, Navigate)
+        else isinstance(planned.step, Soak) and planned.step.for_s is None
+    )
+    if needs_temperatures and not limits.has_gyro_temperatures:
+        yield DocumentProblem(
+            planned.location,
+            f"{planned.step.name} needs the temperatures of the gyros, which the station lacks. Map "
+            "ins.signals.gyro_optics_temperature in the station file; one sensor may serve all gyros",
         )
 
 

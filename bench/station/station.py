@@ -256,6 +256,7 @@ class Station:
             gyro_low_c=gyro.low_c,
             gyro_high_c=gyro.high_c,
             ins_commands=frozenset(name for name, command in self.file.ins.commands if command is not None),
+            has_gyro_temperatures=self.file.ins.signals.gyro_optics_temperature is not None,
             is_always_on=self.file.unit.power == "always_on",
         )
 

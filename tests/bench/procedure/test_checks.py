@@ -57,6 +57,22 @@ ORDER = {
     ),
 }
 
+
+@pytest.mark.parametrize(
+    ("step", "needs"),
+    [
+        ("navigate: {duration_s: 600}", True),
+        ("navigate: {duration_s: 600, purpose: noise}", False),
+        ("soak: {until_gyro_rate_below_c_per_h: 2}", True),
+        ("soak: {for_s: 60}", False),
+    ],
+)
+def test_what_needs_the_gyros_temperatures_is_refused_on_a_station_without_them(planned, limits, step, needs):
+    _, plan = planned(START + ALIGN + f"- {step}")
+    found = [str(each) for each in find_problems(plan, replace(limits, has_gyro_temperatures=False))]
+    assert any("Map ins.signals.gyro_optics_temperature" in each for each in found) == needs
+
+
 LIMIT = {
     "too cold": (
         "- chamber: {temperature_c: -41, ramp_c_per_min: 1}",
