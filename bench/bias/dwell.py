@@ -100,8 +100,9 @@ class NavigationWindow(RestOutput):
             bad = ~np.isfinite(values).reshape(count, -1).all(axis=1)
             if bad.any():
                 raise MeasurementError(
-                    f"{name} is not a number in {bad.sum()} epochs, first at {self.time_s[bad][0]:.3f} s. "
-                    f"{_CHECK_INS}"
+                    f"{name} is not a number in {bad.sum()} epochs, first at {self.time_s[bad][0]:.3f} s: "
+                    "not sent, marked invalid, or not within the range of its signal in the DBC. Check "
+                    "range, byte order and sign there, and the messages of the INS in the raw CAN log"
                 )
 
     @property

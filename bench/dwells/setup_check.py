@@ -277,9 +277,10 @@ def _velocity_fault(dwells: Sequence[SetupEvidence]) -> str:
         )
     names = [name for name, is_wrong in zip(_VELOCITIES, is_scaled, strict=True) if is_wrong]
     has = "have" if len(names) > 1 else "has"
+    found = f"{value:.3g} ± {float(f'{sigma:.1g}'):g}"  # no exponent from 10 on
     return (
-        f"{' and '.join(names)} {has} a wrong scale: {value:.3g} ± {sigma:.1g} times the velocity that "
-        f"follows from the tilt of the INS{_unit_text(value, sigma)}. The biases of the level gyros are "
+        f"{' and '.join(names)} {has} a wrong scale: {found} times the velocity "
+        f"that follows from the tilt of the INS{_unit_text(value, sigma)}. The biases of the level gyros are "
         "wrong by the same factor. Correct the scale or unit in the DBC or the station file"
     )
 

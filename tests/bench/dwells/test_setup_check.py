@@ -36,6 +36,7 @@ SCALES = (
     ((3.6,) * 3, "have a wrong scale.*km/h taken for m/s"),
     ((1.0, 0.5, 1.0), "^ins.signals.velocity_north has a wrong scale"),
     ((2.0, 1.0, 1.0), "^ins.signals.velocity_east has a wrong scale"),
+    ((1000.0,) * 3, r"± \d+ times the velocity.*mm/s taken for m/s"),
 )
 UNITS = (
     {},
