@@ -355,7 +355,8 @@ class EarthRate(StrictModel):
         default=None,
         ge=-360.0,
         le=360.0,
-        description="turn about Up from the position's azimuth 0; without it only the vertical axis is freed",
+        description="turn about Up from the position's azimuth 0, see docs/howto/write_a_procedure.md; "
+        "without it only the vertical axis is freed",
     )
 
 

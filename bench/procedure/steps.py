@@ -403,7 +403,9 @@ class GoTo(Step):
     name = "go_to"
     at_position = True
     position: KnownPosition = Field(description="one of the six positions")
-    azimuth_deg: float = Field(default=0.0, ge=-360.0, le=360.0, description="turn about the vertical, deg")
+    azimuth_deg: float = Field(
+        default=0.0, ge=-360.0, le=360.0, description="turn about Up from the position's azimuth 0, deg"
+    )
     rate_dps: TableRate = Field(default=10.0, description="rate of the table's axes, deg/s")
     settle_s: DurationOrZero = Field(default=5.0, description="wait in the position, s")
 
