@@ -106,12 +106,13 @@ class _FastLoader(_Composer, _FastestLoader):  # type: ignore[misc]
 _SCALARS = {
     "bool": re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$"),
     "null": re.compile(r"^(?:~|null|Null|NULL|)$"),
-    "int": re.compile(r"^[-+]?[0-9]+$"),
+    "int": re.compile(r"^(?:[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+)$"),
     "float": re.compile(
         r"^(?:[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?"
         r"|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))$"
     ),
 }
+_BASES = {"0o": 8, "0x": 16}
 for _tag, _first in (
     ("bool", "tTfF"),
     ("null", ["~", "n", "N", ""]),
@@ -242,7 +243,7 @@ class _NodeReader:
                 case "bool":
                     return text.lower() == "true"
                 case "int" if len(text) <= _MAX_NUMBER_CHARACTERS:
-                    return int(text)
+                    return int(text, _BASES.get(text[:2], 10))
                 case "float" if re.fullmatch(r"[-+.0-9Ee]+", text):
                     return float(text)
                 case "float":  # .inf or .nan
