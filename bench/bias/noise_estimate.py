@@ -99,6 +99,10 @@ class NoiseParameter:
             else None
         )
 
+    def exceeds(self, value: float) -> bool:
+        """Whether the parameter is significantly larger than this value."""
+        return self.square is not None and self.square - value**2 > _EXCEEDING_SIGMAS * self.square_sigma
+
     def dof(self, value: float | None) -> float:
         """Degrees of freedom of a value from this estimate (JCGM 100, G.4.2); infinite if not measured."""
         return 2.0 * (value**2 / self.square_sigma) ** 2 if value and self.square_sigma > 0.0 else math.inf
@@ -204,9 +208,7 @@ class NoiseEstimate:
             exceeding = [
                 (each.value, each.dof(each.value))
                 for each in measured
-                if each.square is not None
-                and each.value is not None
-                and each.square - value**2 > _EXCEEDING_SIGMAS * each.square_sigma
+                if each.value is not None and each.exceeds(value)
             ]
             return max([(value, math.inf), *exceeding])
 
@@ -223,8 +225,9 @@ class NoiseEstimate:
     def noise_model(self) -> NoiseModel:
         """Make the noise model from these estimates.
 
-        The velocity random walk is a conservative value: a single dwell determines it only coarsely, and with
-        too small a value good dwells would fail the goodness-of-fit test. Hidden white noise is zero: add the
+        The angle random walk is that of all gyros, or of the noisiest if it significantly exceeds that. The
+        velocity random walk is a conservative value: a single dwell determines it only coarsely, and with too
+        small a value good dwells would fail the goodness-of-fit test. Hidden white noise is zero: add the
         resolution. Raises MeasurementError if the angle random walk is not significant.
         """
         arw = self.angle_random_walk
@@ -233,8 +236,15 @@ class NoiseEstimate:
                 "the angle random walk is not observable in these windows: the INS's output is too coarse "
                 "or too noisy, or they are too short. Declare the noise of the data sheet"
             )
+        noisier = [each for each in self.angle_random_walks if each.exceeds(arw.value)]
+        arw = max([arw, *noisier], key=lambda each: each.square or 0.0)
         measured = (arw, self.velocity_random_walk, self.velocity_white, self.heading_white)
-        values = arw.value, measured[1].conservative_value, measured[2].value or 0.0, measured[3].value or 0.0
+        values = (
+            arw.value or 0.0,
+            measured[1].conservative_value,
+            measured[2].value or 0.0,
+            measured[3].value or 0.0,
+        )
         w, x, y, z = (each.dof(value) for each, value in zip(measured, values, strict=True))
         return NoiseModel(*values, (w, x, y, z))
 

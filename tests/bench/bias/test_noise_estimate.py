@@ -273,6 +273,14 @@ def test_noise_model_holds_what_was_found():
     assert model.heading_white < np.radians(2e-6)
 
 
+def test_noise_model_allows_for_the_noisiest_gyro():
+    estimate = estimated(arw_deg_per_sqrt_h=(0.0006, 0.003, 0.001))
+    noisiest = estimate.angle_random_walks[1]
+    model = estimate.noise_model()
+    assert model.angle_random_walk == noisiest.value > 1.5 * estimate.angle_random_walk.value
+    assert model.dof[0] == noisiest.dof(noisiest.value)
+
+
 def test_noise_that_is_as_declared_is_called_consistent():
     declared = NoiseModel.from_datasheet(0.0006, 5.0, 1e-4, np.radians(1e-6))
     comparisons = compare_noise(estimated(seed=3), declared)
