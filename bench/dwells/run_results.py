@@ -21,6 +21,7 @@ from gyrobench.bench.bias.held_heading import held_heading_s
 from gyrobench.bench.bias.joint_solution import JointDwell, JointSolution, pooled_up_rate, solve_jointly
 from gyrobench.bench.bias.noise_estimate import NoiseEstimate, estimate_noise
 from gyrobench.bench.bias.plateaus import PlannedDwell, group_plateaus
+from gyrobench.bench.bias.removed_bias import removed_directions
 from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, write_acceptance
 from gyrobench.bench.bias.vertical_pairs import UpRate
 from gyrobench.bench.characteristics.results import TestResult, write_characteristics
@@ -102,7 +103,7 @@ def evaluate(
     :func:`planned_dwells`.
     """
     noise = _pooled_noise([dwell for dwell in dwells if not dwell.is_disturbed], setup)
-    dwells = flag_rest_of_wrong_setup(_flag_held_heading(dwells, setup))
+    dwells = flag_rest_of_wrong_setup(_flag_removed_bias(_flag_held_heading(dwells, setup)))
     good = [dwell for dwell in dwells if dwell.estimate and not dwell.row.flags]
     joint = [solve_jointly(plateau, setup.prior) for plateau in group_plateaus(_joint_dwells(good))]
     rate = pooled_up_rate(joint, setup.prior)
@@ -246,6 +247,19 @@ def _flag_held_heading(dwells: Sequence[MeasuredDwell], setup: MeasurementSetup)
     flag = (
         f"the INS holds its heading with a time constant of about {held_s:.3g} s, by the headings of all "
         "dwells, so that the biases of the vertical gyros are wrong. Switch that aid off, and measure again"
+    )
+    return [dwell.with_flag(flag) for dwell in dwells]
+
+
+def _flag_removed_bias(dwells: Sequence[MeasuredDwell]) -> Sequence[MeasuredDwell]:
+    """Flag all dwells if the INS removes in its alignments the biases that it finds there."""
+    directions = removed_directions([dwell.row for dwell in dwells if not dwell.flags])
+    if not directions:
+        return dwells
+    flag = (
+        f"the INS seems to remove in its alignment the gyro biases along {directions}: there they are zero "
+        "in all positions, and those of the same gyros in other directions are not. Switch its bias "
+        "estimation off; to exclude biases that follow the position, align at other azimuths as well"
     )
     return [dwell.with_flag(flag) for dwell in dwells]
 

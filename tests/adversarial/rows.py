@@ -166,6 +166,16 @@ ROWS = (
         _unit(aligns_again=True, velocity_output_mps=0.003),
         "aligned again",
     ),
+    Row(
+        "gyro bias North removed in the alignment, biases near 0.05 deg/h",
+        _unit(removed_bias=(0.0, 0.9, 0.0), gyro_bias_dph=(0.05, -0.04, 0.06)),
+        "removes? in its alignment .* along North",
+    ),
+    Row(
+        "gyro biases North and Up removed in the alignment, biases near 0.05 deg/h",
+        _unit(removed_bias=(0.0, 1.0, 1.0), gyro_bias_dph=(0.05, -0.04, 0.06)),
+        "removes? in its alignment .* along North and Up",
+    ),
     Row("heading held by an aid with 3 s", _unit(heading_aid_s=3.0), "holds its heading"),
     Row("heading held by an aid with 60 s", _unit(heading_aid_s=60.0), "holds its heading"),
     Row("heading held by an aid with 200 s", _unit(heading_aid_s=200.0), "holds its heading"),

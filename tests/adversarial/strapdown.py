@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +60,8 @@ class Unit:
     lever_arm_m: Triple = (0.0, 0.0, 0.0)  #: From the intersection of the table's axes.
     heading_aid_s: float = math.inf  #: Time constant with which an aid holds the heading.
     aligns_again: bool = False  #: After each turn, although it states that it navigates.
+    #: Share of the gyro biases East, North and Up that the first alignment finds and removes.
+    removed_bias: Triple = (0.0, 0.0, 0.0)
     velocity_output_mps: float = 0.0
     attitude_output_arcsec: float = 0.0
 
@@ -133,6 +135,8 @@ def simulate(
         windows.append((first, first + epochs))
         first += epochs
     windows[-1] = (windows[-1][0], first + 1)
+    if any(unit.removed_bias):
+        unit = _without_removed_bias(unit, place, schedule, angles_deg[0], random)
     errors = _SensorErrors(unit, random)
     state = _aligned(unit, place, schedule, angles_deg[0], random)
     parts = [state[np.newaxis].copy()]
@@ -173,6 +177,17 @@ def _with_heading_held(C_nb: Floats, windows: Sequence[tuple[int, int]], keep: f
         correction[begin:end, 2] = held - free
         correction[end:, 2] = correction[end - 1, 2]
     return np.asarray(Rotation.from_rotvec(correction).as_matrix() @ C_nb)
+
+
+def _without_removed_bias(
+    unit: Unit, place: Place, schedule: Schedule, angles_deg: Angles, random: np.random.Generator
+) -> Unit:
+    """The unit after an alignment that removes what it finds of the biases, with its noise."""
+    C_nb = Table(place.table_turned_deg).attitude(*np.radians(angles_deg)[:, np.newaxis])[0]
+    noise_dph = unit.angle_random_walk / math.sqrt(schedule.align_s / 3600.0)
+    found_dph = C_nb @ unit.gyro_bias_dph + noise_dph * random.standard_normal(3)
+    left_dph = np.array(unit.gyro_bias_dph) - C_nb.T @ (unit.removed_bias * found_dph)
+    return replace(unit, gyro_bias_dph=tuple(left_dph))
 
 
 _Increments = tuple[float, Floats, Floats]

@@ -16,6 +16,7 @@ from gyrobench.bench.dwells.run_results import RunResults, evaluate, planned_dwe
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.plan import expand
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.runs.folder import RunFolder
@@ -127,6 +128,18 @@ def test_a_heading_that_the_ins_holds_flags_all_dwells(measured, results, time_c
     flags = [dwell.flags for dwell in evaluate(held, setup, 5.0).dwells]
     assert all("the INS holds its heading" in str(each) for each in flags)
     assert not any(dwell.flags for dwell in results.dwells)
+
+
+def test_biases_that_alignments_remove_flag_all_dwells(measured):
+    dwells, setup = measured
+    bias_dph = np.array([0.2, -0.3, 0.4])
+    removing = []
+    for dwell in dwells:
+        C_nb = POSITIONS[dwell.row.position].C_nb(math.radians(dwell.row.azimuth_deg))
+        left_dph = C_nb.T @ ([1.0, 0.0, 1.0] * (C_nb @ bias_dph))
+        removing.append(replace(dwell, row=replace(dwell.row, bias_dph=tuple(left_dph))))
+    flags = [dwell.flags for dwell in evaluate(removing, setup, 5.0).dwells]
+    assert all("the INS seems to remove in its alignment" in str(each) for each in flags)
 
 
 @pytest.mark.parametrize(("contradicting", "are_flagged"), [(0.5, False), (0.75, True)])
