@@ -12,7 +12,7 @@ from gyrobench.bench.closure.effects.effect import FittedForm, InsTerms
 from gyrobench.bench.closure.outcome import Closure, FoundEffect
 from gyrobench.bench.closure.problem import DEGREE, SCALE_C
 from gyrobench.bench.closure.uncertainty import DRAWS, Draws
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.arrays import FloatArray, rms
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import listed, plain_name
 from gyrobench.drivers.ins.compensation import CORRECTION_DEGREE, PARAMETER_NAMES, Compensation, Correction
@@ -51,14 +51,17 @@ def declared_model(closure: Closure) -> LoadableModel:
 def model_with_effects(closure: Closure) -> LoadableModel:
     """Loadable form of the model with the effects found, as far as an INS can subtract them.
 
+    Of an effect without a term the constant gets the mean over the dwells searched. The rest of the joint fit
+    can be worse without that effect than the declared model, which is then loaded.
+
     Raises MeasurementError if an effect of another package names a coefficient that an INS does not have.
     """
-    loaded, notes = [], [_constant_note(closure)]
-    for found in closure.effects:
+    of_effects = [_ins_terms(closure, each) for each in closure.effects]
+    loaded, left_out, notes = [], [], []
+    for found, terms in zip(closure.effects, of_effects, strict=True):
         name = found.effect.display_name
-        terms = _ins_terms(closure, found)
         if terms.left_out:
-            notes.append(f"{name} is left out: {terms.left_out}")
+            left_out.append(f"{name} is left out: {terms.left_out}")
             continue
         unknown = sorted(terms.coefficients.keys() - set(PARAMETER_NAMES))
         if unknown:
@@ -76,16 +79,24 @@ def model_with_effects(closure: Closure) -> LoadableModel:
             notes.append(note)
     if note := _set_note(closure):
         notes.append(note)
-    coefficients = _coefficients(
-        closure, closure.model.declared, [_ins_terms(closure, each) for each in loaded]
-    )
+    if left_out:
+        declared_dph, loaded_dph = _residuals_dph(closure, of_effects)
+        if not loaded_dph < declared_dph:
+            left_out.append(
+                f"no effect is loaded: the terms of the INS would leave {loaded_dph:.2g} deg/h rms of the "
+                f"fitted model, the declared model leaves {declared_dph:.2g} deg/h"
+            )
+            declared = declared_model(closure)
+            return replace(declared, notes=(*declared.notes, *left_out))
+    coefficients = _coefficients(closure, closure.model.declared, of_effects)
     draws = closure.model_draws
 
     def coefficients_of_draw(index: int) -> dict[str, FloatArray]:
-        terms = [_ins_terms(closure, each, draws, index) for each in loaded]
+        terms = [_ins_terms(closure, each, draws, index) for each in closure.effects]
         return _coefficients(closure, draws.declared[index], terms)
 
     compensation = _compensation(coefficients, _sigma(coefficients, coefficients_of_draw))
+    notes = [_constant_note(closure), *left_out, *notes]
     return LoadableModel(compensation, tuple(each.effect.name for each in loaded), tuple(notes))
 
 
@@ -154,13 +165,38 @@ def _compensation(coefficients: Mapping[str, FloatArray], sigma: Mapping[str, Fl
 
 
 def _ins_terms(closure: Closure, effect: FoundEffect, draws: Draws | None = None, index: int = 0) -> InsTerms:
-    """Terms with which an INS subtracts an effect: as fitted, or for one draw."""
+    """Terms with which an INS subtracts an effect: as fitted, or for one draw.
+
+    Of an effect that is left out they subtract its mean over the dwells searched.
+    """
     candidate, name = effect.candidate, effect.effect.name
     values, sizes = candidate.values, effect.sizes_dph
     if draws is not None:
         values, sizes = tuple(draws.values[name][index].tolist()), draws.sizes_dph[name][index]
     fitted = FittedForm(closure.campaign, closure.searched, candidate.form, values, sizes)
-    return effect.effect.compensation(fitted)
+    terms = effect.effect.compensation(fitted)
+    if not terms.left_out:
+        return terms
+    bias_dph = fitted.bias_dph
+    mean_dph = bias_dph[fitted.searched].mean(axis=0)
+    return replace(terms, coefficients={"polynomial_dph": mean_dph[:, np.newaxis]}, residual_dph=bias_dph)
+
+
+def _residuals_dph(closure: Closure, terms: Iterable[InsTerms]) -> tuple[float, float]:
+    """Rms of what the declared model and the terms of all effects leave of the joint model, deg/h.
+
+    In the dwells searched, without the mean of each power cycle, which has a constant of its own.
+    """
+    searched = closure.searched
+    in_run = closure.campaign.run[searched, np.newaxis] == np.unique(closure.campaign.run[searched])
+    means = (in_run / in_run.sum(axis=0)).T
+
+    def varying_rms(bias_dph: FloatArray) -> float:
+        return rms(bias_dph[searched] - in_run @ (means @ bias_dph[searched]))
+
+    model_dph = closure.model.bias_dph
+    left_dph = sum((each.residual_dph for each in terms), np.zeros_like(model_dph))
+    return varying_rms(model_dph - closure.declared.bias_dph), varying_rms(left_dph)
 
 
 def _coefficients(closure: Closure, solution: FloatArray, terms: Sequence[InsTerms]) -> dict[str, FloatArray]:

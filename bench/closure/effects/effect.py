@@ -68,6 +68,12 @@ class FittedForm:
     values: tuple[float, ...]  #: Its parameters.
     sizes_dph: FloatArray  #: Shape (3, k). Size of each term for each gyro.
 
+    @property
+    def bias_dph(self) -> FloatArray:
+        """Bias of the effect in all dwells (n, 3)."""
+        columns = self.form.columns(self.campaign, self.values)
+        return np.asarray(np.einsum("ngk,gk->ng", columns, self.sizes_dph))
+
 
 @dataclass(frozen=True)
 class InsTerms:
@@ -77,6 +83,8 @@ class InsTerms:
     coefficients: Mapping[str, FloatArray] = field(default_factory=dict)
     left_out: str = ""  #: Reason why the INS can't subtract the effect; empty if it can.
     note: str = ""  #: Note on a part that is not subtracted; empty if all is.
+    #: Shape (n, 3). That part in all dwells of the campaign; all zero if everything is subtracted.
+    residual_dph: FloatArray = field(default_factory=lambda: np.zeros((1, 3)))
 
 
 def no_ins_term(reason: str) -> Callable[[FittedForm], InsTerms]:
@@ -247,12 +255,12 @@ def heat_flow_terms(fitted: FittedForm) -> InsTerms:
 
 def constant_at_end(fitted: FittedForm) -> InsTerms:
     """Constant with the value of the effect at the end of the campaign."""
-    columns = fitted.form.columns(fitted.campaign, fitted.values)[-1]
-    constant = np.sum(columns * fitted.sizes_dph, axis=1, keepdims=True)
+    bias_dph = fitted.bias_dph
     return InsTerms(
-        {"polynomial_dph": constant},
+        {"polynomial_dph": bias_dph[-1][:, np.newaxis]},
         note=(
             "compensated by its value at the end of the campaign, as a constant: the INS can't predict its "
             "course"
         ),
+        residual_dph=bias_dph - bias_dph[-1],
     )

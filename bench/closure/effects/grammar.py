@@ -30,7 +30,7 @@ from gyrobench.bench.closure.effects.effect import (
     same_for_all_gyros,
 )
 from gyrobench.bench.closure.temperature_record import followed_with_play, lag
-from gyrobench.bench.foundations.arrays import S_PER_DAY, S_PER_H, FloatArray
+from gyrobench.bench.foundations.arrays import S_PER_DAY, S_PER_H, FloatArray, rms
 from gyrobench.bench.navigation.positions import AXES
 
 #: Degree of the polynomial in temperature with which an INS approximates a shape.
@@ -363,17 +363,14 @@ def ins_terms(laws: Mapping[str, Law], fitted: FittedForm) -> InsTerms:
 
 def _as_polynomial(fitted: FittedForm) -> InsTerms:
     """Polynomial in temperature that fits a function of temperature best in the dwells searched."""
-    effect_dph = np.einsum(
-        "ngk,gk->ng", fitted.form.columns(fitted.campaign, fitted.values), fitted.sizes_dph
-    )
-    gyro_c, effect_dph = fitted.campaign.gyro_c[fitted.searched], effect_dph[fitted.searched]
-    degree = min(_INS_DEGREE, len(gyro_c) // 4)
+    gyro_c, searched, effect_dph = fitted.campaign.gyro_c, fitted.searched, fitted.bias_dph
+    degree = min(_INS_DEGREE, int(searched.sum()) // 4)
     fits = [
-        np.polynomial.Polynomial.fit(gyro_c[:, gyro], effect_dph[:, gyro], degree).convert()
+        np.polynomial.Polynomial.fit(gyro_c[searched, gyro], effect_dph[searched, gyro], degree).convert()
         for gyro in range(3)
     ]
     coefficients = np.array([np.pad(each.coef, (0, degree + 1 - len(each.coef))) for each in fits])
     error_dph = effect_dph - np.stack([fit(each) for fit, each in zip(fits, gyro_c.T, strict=True)], axis=1)
-    rms_dph = np.sqrt(np.mean(error_dph**2))
-    note = f"compensated by a polynomial of degree {degree}, which leaves {rms_dph:.2g} deg/h"
-    return InsTerms({"polynomial_dph": coefficients}, note=f"{note} rms of it")
+    rms_dph = rms(error_dph[searched])
+    note = f"compensated by a polynomial of degree {degree}, which leaves {rms_dph:.2g} deg/h rms of it"
+    return InsTerms({"polynomial_dph": coefficients}, note=note, residual_dph=error_dph)

@@ -69,19 +69,20 @@ def _terms_of_nearest(fitted: FittedForm, law: Law, values: tuple[float, ...], n
 
     ``values``: parameters of the law. ``name``: what it is, for the note on what it leaves.
     """
-    form = form_of(law)
+    form, searched = form_of(law), fitted.searched
     course, nearest = (
-        columns - columns.mean(axis=0)
+        columns - columns[searched].mean(axis=0)
         for columns in (
-            each.columns(fitted.campaign, own_values)[fitted.searched, :, 0]
+            each.columns(fitted.campaign, own_values)[:, :, 0]
             for each, own_values in ((fitted.form, fitted.values), (form, values))
         )
     )
-    shares = np.sum(nearest * course, axis=0) / np.maximum(np.sum(nearest**2, axis=0), 1e-300)
-    sizes_dph = fitted.sizes_dph * shares[:, np.newaxis]
-    residual_dph = rms(course * fitted.sizes_dph[:, 0] - nearest * sizes_dph[:, 0])
+    products, squares = (np.sum((nearest * each)[searched], axis=0) for each in (course, nearest))
+    sizes_dph = fitted.sizes_dph * (products / np.maximum(squares, 1e-300))[:, np.newaxis]
+    residual_dph = course * fitted.sizes_dph[:, 0] - nearest * sizes_dph[:, 0]
     terms = ins_terms({form.name: law}, replace(fitted, form=form, values=values, sizes_dph=sizes_dph))
-    return replace(terms, note=f"compensated {name}, which leaves {residual_dph:.2g} deg/h rms of it")
+    note = f"compensated {name}, which leaves {rms(residual_dph[searched]):.2g} deg/h rms of it"
+    return replace(terms, note=note, residual_dph=residual_dph)
 
 
 def _lag_terms(fitted: FittedForm) -> InsTerms:

@@ -8,6 +8,7 @@ import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.effects import all_effects, attitude_thermal
+from gyrobench.bench.closure.effects.effect import FittedForm
 from gyrobench.bench.closure.effects.laws import WARM_UP
 from gyrobench.bench.closure.loadable_model import declared_model, model_with_effects
 from gyrobench.bench.closure.loop import close_loop
@@ -128,6 +129,54 @@ def test_an_effect_without_a_term_of_the_ins_is_left_out_with_a_note(effect):
     assert any(note.startswith(f"{closure.label(effect)} is left out") for note in loadable.notes)
 
 
+def search_two(effects, **options):
+    """A campaign with two effects, and a search that knows these alone and finds them."""
+    measured = measure(effects, **options)
+    known = [each for each in all_effects() if each.name in effects]
+    closure = close_loop(campaign_of(measured.rows), effects=known)
+    assert set(closure.names) == set(effects)
+    return measured, closure
+
+
+def test_an_effect_that_is_left_out_beside_another_one_leaves_its_mean_in_the_constant():
+    sensors = ("set", "air", "board", "room")
+    measured, closure = search_two({"g_sensitivity": 6.0, "daily_course": 6.0}, sensors=sensors)
+    [left_out] = [each for each in closure.effects if each.effect.name == "daily_course"]
+    loadable, declared = model_with_effects(closure).compensation, declared_model(closure).compensation
+    assert loadable.terms() == ("g_sensitivity",)
+    of_ins = subtracted_dph(loadable, measured.course, measured.rows)
+    left_dph = (closure.model.bias_dph - of_ins)[closure.searched]
+    assert np.abs(left_dph.mean(axis=0)).max() < 0.05 * left_out.rms_dph
+    assert rms(left_dph) == pytest.approx(left_out.rms_dph, rel=0.05)
+    # The mean of the course is known to the noise, though that of the room is far from zero.
+    assert np.all(loadable.sigma["polynomial_dph"][:, 0] < 2.0 * declared.sigma["polynomial_dph"][:, 0])
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        # They nearly cancel while the temperature falls.
+        {"temperature_rate": 6.0, "chamber_state": 6.0},
+        # The declared model follows part of a drift within each cycle, the value at its end none.
+        {"time_drift": 6.0, "thermal_g_sensitivity": 3.0},
+    ],
+)
+def test_the_declared_model_is_loaded_if_the_other_effects_alone_leave_more(effects):
+    measured, closure = search_two(effects)
+    loadable, declared = model_with_effects(closure), declared_model(closure)
+    assert loadable.effects == loadable.compensation.terms() == ()
+    np.testing.assert_array_equal(loadable.compensation.polynomial_dph, declared.compensation.polynomial_dph)
+    [with_terms, stated] = re.findall(
+        r"no effect is loaded: the terms of the INS would leave (\S+) deg/h rms of the fitted model, "
+        r"the declared model leaves (\S+) deg/h",
+        loadable.notes[-1],
+    )[0]
+    assert float(with_terms) > float(stated)
+    of_ins = subtracted_dph(loadable.compensation, measured.course, measured.rows)
+    left_dph = (closure.model.bias_dph - of_ins)[closure.searched]
+    assert rms(left_dph - left_dph.mean(axis=0)) == pytest.approx(float(stated), rel=0.1)
+
+
 def test_a_lag_is_compensated_as_the_temperature_rate_that_is_nearest_to_it():
     measured, closure = search("thermal_lag")
     [found], loadable = closure.effects, model_with_effects(closure)
@@ -141,6 +190,17 @@ def test_a_lag_is_compensated_as_the_temperature_rate_that_is_nearest_to_it():
         "; ".join(loadable.notes),
     )
     assert rms(left_dph) == pytest.approx(float(stated), rel=0.1)
+
+
+@pytest.mark.parametrize("effect", ["thermal_lag", "time_drift"])
+def test_terms_that_subtract_an_effect_in_part_state_what_they_leave_in_each_dwell(effect):
+    measured, closure = search(effect)
+    [found] = closure.effects
+    form, values = found.candidate.form, found.candidate.values
+    fitted = FittedForm(closure.campaign, closure.searched, form, values, found.sizes_dph)
+    of_ins = subtracted_dph(model_with_effects(closure).compensation, measured.course, measured.rows)
+    off_dph = closure.model.bias_dph - of_ins - found.effect.compensation(fitted).residual_dph
+    assert rms(off_dph - off_dph.mean(axis=0)) < 0.1 * found.rms_dph
 
 
 def test_a_temperature_rate_and_a_lag_add_up():

@@ -8,6 +8,7 @@ import pytest
 from gyrobench.bench.bias.dwell_table import write_dwells
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.effects import all_effects
+from gyrobench.bench.closure.effects.effect import FittedForm
 from gyrobench.bench.closure.effects.effect_file import EffectFile
 from gyrobench.bench.closure.loadable_model import model_with_effects
 from gyrobench.bench.closure.loop import close_loop
@@ -64,7 +65,8 @@ def test_without_its_file_the_effect_is_not_known(tmp_path):
 def test_a_function_of_temperature_is_compensated_by_a_polynomial():
     mine = effect(driver="gyro_c", shape="onset", bounds={"onset": [0.0, 70.0], "width": [1.0, 10.0]}).build()
     campaign = campaign_of(measure({hot_side: 40.0}, cycles=2).rows)
-    loadable = model_with_effects(close_loop(campaign, effects=[mine]))
+    closure = close_loop(campaign, effects=[mine])
+    loadable = model_with_effects(closure)
     assert loadable.effects == ("mine",)
     assert any(
         "mine is compensated by a polynomial of degree 5, which leaves" in each for each in loadable.notes
@@ -76,6 +78,10 @@ def test_a_function_of_temperature_is_compensated_by_a_polynomial():
     )
     rest = campaign.bias_dph - polynomial
     assert np.std(rest - rest.mean(axis=0)) < 2.5 * campaign.sigma_dph.mean()
+    [found] = closure.effects
+    form, values = found.candidate.form, found.candidate.values
+    terms = mine.compensation(FittedForm(campaign, closure.searched, form, values, found.sizes_dph))
+    np.testing.assert_allclose(closure.model.bias_dph - polynomial, terms.residual_dph, atol=1e-7)
 
 
 @pytest.mark.parametrize(
