@@ -79,15 +79,9 @@ def model_with_effects(closure: Closure) -> LoadableModel:
             notes.append(note)
     if note := _set_note(closure):
         notes.append(note)
-    if left_out:
-        declared_dph, loaded_dph = _residuals_dph(closure, of_effects)
-        if not loaded_dph < declared_dph:
-            left_out.append(
-                f"no effect is loaded: the terms of the INS would leave {loaded_dph:.2g} deg/h rms of the "
-                f"fitted model, the declared model leaves {declared_dph:.2g} deg/h"
-            )
-            declared = declared_model(closure)
-            return replace(declared, notes=(*declared.notes, *left_out))
+    if refusal := _refusal(closure, of_effects):
+        declared = declared_model(closure)
+        return replace(declared, notes=(*declared.notes, *left_out, refusal))
     coefficients = _coefficients(closure, closure.model.declared, of_effects)
     draws = closure.model_draws
 
@@ -114,7 +108,7 @@ def with_coefficients(model: LoadableModel, closures: Iterable[Closure], *, effe
         list(model.notes),
     )
     for closure in closures:
-        quantity, loaded = closure.quantity, []
+        quantity, of_effects, loaded = closure.quantity, [], []
         for effect in closure.effects if effects else ():
             terms = _ins_terms(closure, effect)
             label = f"{effect.effect.display_name} in the {plain_name(quantity.name)}"
@@ -129,18 +123,19 @@ def with_coefficients(model: LoadableModel, closures: Iterable[Closure], *, effe
                 )
                 continue
             degree = terms.coefficients.get("polynomial_dph", np.zeros((3, 1))).shape[1] - 1
-            if (
-                terms.left_out
-                or terms.coefficients.keys() - _TERMS_OF_COEFFICIENTS
-                or degree > CORRECTION_DEGREE
-            ):
-                reason = terms.left_out or "the INS has no term for it there"
-                notes.append(f"the effect {label} is left out: {reason}")
-                continue
-            loaded.append(terms)
-            names.append(f"{effect.effect.name} in {quantity.name}")
+            if terms.coefficients.keys() - _TERMS_OF_COEFFICIENTS or degree > CORRECTION_DEGREE:
+                terms = _left_out(_fitted(closure, effect), "the INS has no term for it there")
+            if terms.left_out:
+                notes.append(f"the effect {label} is left out: {terms.left_out}")
+            else:
+                loaded.append(f"{effect.effect.name} in {quantity.name}")
+            of_effects.append(terms)
         solution = (closure.model if effects else closure.declared).declared
-        coefficients = _coefficients(closure, solution, loaded)
+        if refusal := _refusal(closure, of_effects):
+            notes.append(f"{plain_name(quantity.name)}: {refusal}")
+            solution, of_effects, loaded = closure.declared.declared, [], []
+        names.extend(loaded)
+        coefficients = _coefficients(closure, solution, of_effects)
         np.maximum.at(rate_limit, list(quantity.sensors), coefficients.get("rate_limit_c_per_h", np.zeros(3)))
         rates = coefficients.get("rate_dph_per_c_per_h", np.zeros(3))
         gravity = coefficients.get("gravity_dph_per_g", np.zeros((3, 3)))
@@ -164,22 +159,41 @@ def _compensation(coefficients: Mapping[str, FloatArray], sigma: Mapping[str, Fl
     return Compensation(**arguments)
 
 
-def _ins_terms(closure: Closure, effect: FoundEffect, draws: Draws | None = None, index: int = 0) -> InsTerms:
-    """Terms with which an INS subtracts an effect: as fitted, or for one draw.
-
-    Of an effect that is left out they subtract its mean over the dwells searched.
-    """
+def _fitted(closure: Closure, effect: FoundEffect, draws: Draws | None = None, index: int = 0) -> FittedForm:
+    """An effect as fitted, or in one draw."""
     candidate, name = effect.candidate, effect.effect.name
     values, sizes = candidate.values, effect.sizes_dph
     if draws is not None:
         values, sizes = tuple(draws.values[name][index].tolist()), draws.sizes_dph[name][index]
-    fitted = FittedForm(closure.campaign, closure.searched, candidate.form, values, sizes)
+    return FittedForm(closure.campaign, closure.searched, candidate.form, values, sizes)
+
+
+def _ins_terms(closure: Closure, effect: FoundEffect, draws: Draws | None = None, index: int = 0) -> InsTerms:
+    """Terms with which an INS subtracts an effect: as fitted, or for one draw."""
+    fitted = _fitted(closure, effect, draws, index)
     terms = effect.effect.compensation(fitted)
-    if not terms.left_out:
-        return terms
+    return _left_out(fitted, terms.left_out) if terms.left_out else terms
+
+
+def _left_out(fitted: FittedForm, reason: str) -> InsTerms:
+    """Terms of an effect that is left out: its mean over the dwells searched, as a constant."""
     bias_dph = fitted.bias_dph
     mean_dph = bias_dph[fitted.searched].mean(axis=0)
-    return replace(terms, coefficients={"polynomial_dph": mean_dph[:, np.newaxis]}, residual_dph=bias_dph)
+    return InsTerms({"polynomial_dph": mean_dph[:, np.newaxis]}, left_out=reason, residual_dph=bias_dph)
+
+
+def _refusal(closure: Closure, terms: Sequence[InsTerms]) -> str:
+    """Note why no effect is loaded: effects are left out, and the declared model leaves less; or empty."""
+    if not any(each.left_out for each in terms):
+        return ""
+    declared_dph, loaded_dph = _residuals_dph(closure, terms)
+    if loaded_dph < declared_dph:
+        return ""
+    unit = closure.quantity.unit
+    return (
+        f"no effect is loaded: the terms of the INS would leave {loaded_dph:.2g} {unit} rms of the fitted "
+        f"model, the declared model leaves {declared_dph:.2g} {unit}"
+    )
 
 
 def _residuals_dph(closure: Closure, terms: Iterable[InsTerms]) -> tuple[float, float]:

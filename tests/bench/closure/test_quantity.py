@@ -7,6 +7,7 @@ import pytest
 from gyrobench.bench.bias.dwell_table import read_dwells, write_dwells
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS
 from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.laws import G_SENSITIVITY, TEMPERATURE_RATE, TIME_DRIFT
 from gyrobench.bench.closure.files import closure_document, format_predictions, model_document
 from gyrobench.bench.closure.inputs import coefficient_columns, read_campaign
@@ -201,6 +202,32 @@ def test_a_bias_that_follows_attitude_is_loaded_unless_the_matrix_has_it_already
     assert not both.compensation.coefficients["accelerometer_bias_x"].gravity_per_g.any()
     assert both.compensation.coefficients["accelerometer_bias_x"].polynomial.tolist() == [50.0]
     assert "accelerometer bias is left out: scale factors and misalignments" in both.notes[-1]
+
+
+@pytest.mark.parametrize(
+    ("other", "size", "effects"),
+    [("daily_course", 5.0, ("temperature_rate in gyro_scale_factor",)), ("chamber_state", 8.0, ())],
+)
+def test_an_effect_without_a_term_leaves_its_mean_in_the_constant_of_a_coefficient(
+    biases, tmp_path, other, size, effects
+):
+    found = {"temperature_rate": 10.0, other: size}
+    sensors = ("set", "air", "board", "room")
+    path, measured = table_of(tmp_path, "gyro_scale_factor", found, sigma_dph=1.0, sensors=sensors)
+    known = [each for each in all_effects() if each.name in found]
+    closure = close_loop(read_campaign(path, quantity=quantity("gyro_scale_factor")), effects=known)
+    assert set(closure.names) == set(found)
+    whole = with_coefficients(model_with_effects(biases), [closure], effects=True)
+    assert whole.effects == effects
+    # The declared model leaves less than a rate that the state of the chamber cancels in part.
+    assert any("gyro scale factor: no effect is loaded" in note for note in whole.notes) == (not effects)
+    campaign = closure.campaign
+    for axis, name in enumerate(closure.quantity.coefficients):
+        loaded = whole.compensation.coefficients[name]
+        taken = np.vander(campaign.gyro_c[:, axis], 4, increasing=True) @ loaded.polynomial
+        taken += campaign.rate_c_per_h[:, axis] * loaded.rate_per_c_per_h
+        error = (taken - measured.bias_dph[:, axis])[closure.searched].mean()
+        assert abs(error) < 0.5
 
 
 def test_the_third_misalignments_of_accelerometers_follow_the_sensors_temperatures(tmp_path):
