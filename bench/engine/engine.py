@@ -240,8 +240,9 @@ class Engine:
             description = ": ".join(filter(None, (planned.label, planned.step.describe())))
             is_question = isinstance(planned.step, AskOperator)
             advice = "Answer it" if is_question else "Check the instrument that it waits for"
+            found = ": ".join(filter(None, (problem, self._units.describe_waiting())))
             raise StepTimeoutError(
-                f"{place}: step {planned.number} ({description}) {problem}. {advice}, or increase the "
+                f"{place}: step {planned.number} ({description}) {found}. {advice}, or increase the "
                 "step's timeout_s"
             )
 

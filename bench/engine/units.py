@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from gyrobench.bench.bias.dwell_table import UNKNOWN_UNIT
 from gyrobench.bench.engine.interlocks.watch import Trip, text_of_trips, trip_of_error
+from gyrobench.bench.engine.live_unit import BUS_SILENCE_S
 from gyrobench.bench.engine.measured_unit import MeasuredUnit
 from gyrobench.bench.engine.run_context import RunContext
 from gyrobench.bench.engine.stored_compensation import StoredCompensation
@@ -87,6 +88,15 @@ class Units:
                     yield
         finally:
             self._waiting = {}
+
+    def describe_waiting(self) -> str:
+        """What the units report that a step waits for; empty if it waits for none."""
+        reports = []
+        for unit in self._waiting:
+            status = unit.live.status()
+            report = "is silent" if status.age_s > BUS_SILENCE_S else f"reports {status.mode_text}"
+            reports.append(f"{unit.live.name} {report}")
+        return ", ".join(reports)
 
     def drop_late(self, reason: str) -> bool:
         """Drop the units that a step waits for if others are done; returns whether any was dropped."""

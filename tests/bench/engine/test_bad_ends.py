@@ -125,6 +125,19 @@ def test_a_chamber_that_does_not_get_there_ends_the_step_with_its_place_in_the_f
     assert_safe(folder, outcome, bench)
 
 
+def test_an_ins_whose_mode_is_not_in_the_signal_map_ends_power_on_with_the_value_of_its_signal(tmp_path):
+    station = find_document("stations", "emulated").read_text()
+    path = tmp_path / "other_modes.yaml"
+    path.write_text(station.replace("standby: 1, align: 2, navigate: 3, fault: 4", "navigate: 48"))
+    job = prepare_job("ten_minute_check", str(path), Emulation("ideal", 0))
+    _, outcome = run_job(job, tmp_path / "run", Intervention("nothing", None), RefusingOperator())
+    assert outcome.ended == "stopped"
+    assert (
+        "INS reports boot (INS_STATUS.MODE is 1, no value of ins.signals.mode). Check the instrument"
+        in outcome.reason
+    )
+
+
 def test_an_unexpected_exception_is_raised_once_the_bench_is_safe(tmp_path):
     class SurpriseError(Exception):
         pass
