@@ -78,12 +78,12 @@ def world(
     name: _Name,
     like: Annotated[
         str, typer.Option(help="World to copy: file or shipped name.", autocompletion=complete_world)
-    ] = "quick",
+    ] = "gyro_b",
     out: _Out = None,
 ) -> None:
     """Copy a world file, to change the simulated truth of an emulated bench.
 
-    Example: gyrobench new world hidden --like gyro_b
+    Example: gyrobench new world hidden --like quick
     """
     from gyrobench.bench.authoring.new_files import new_world
 

@@ -16,6 +16,7 @@ from gyrobench.bench.dwells.setup_check import latitude_fault
 from gyrobench.bench.engine.preflight.instruments import failed_request_check, identity_check, no_answer_check
 from gyrobench.bench.foundations.clock import Clock, Deadline
 from gyrobench.bench.foundations.errors import InstrumentError, NoReplyError
+from gyrobench.bench.foundations.text import counted
 from gyrobench.bench.navigation.attitude import angle_between
 from gyrobench.bench.station.check_result import Check
 from gyrobench.bench.station.instruments import CHECK_SUPPLY, Outputs
@@ -215,7 +216,7 @@ def _temperature_check(station: Station, status: InsStatus) -> Check:
     return _check(
         "temperatures",
         not outside,
-        f"{len(values)} signals, {span}"
+        f"{counted(len(values), 'signal')}, {span}"
         + (f"; outside the interlock limits: {', '.join(outside)}" if outside else ""),
         "Check the sensors and the signal map.",
     )
