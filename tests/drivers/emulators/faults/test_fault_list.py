@@ -38,7 +38,7 @@ def mistake(tmp_path, entry):
         ("{fault: bus_off, every_s: 0, for_s: 1}", "2:22", "at least 1"),
         ("{fault: lost_reply, target: table, every_s: 0.999}", "2:40", "at least 1"),
         ("{fault: wrong_crc, target: table, at_s: 5}", "2:24", "chamber"),
-        ("{fault: frames_lost, at_s: 5, ids: [0x7]}", "2:41", "whole number"),
+        ("{fault: frames_lost, at_s: 5, ids: ['0x7']}", "2:41", "whole number"),
         ("{fault: frames_lost, at_s: 5, ids: [4096]}", "2:41", "at most 2047"),
     ],
 )
