@@ -209,7 +209,8 @@ def _advice(error_type: str, value: Any, location: KeyPath) -> str:
     if isinstance(value, str) and value.startswith(FILL_IN):
         return ""
     if error_type == "list_type" and isinstance(value, int | float | str):
-        return f". Put it in brackets: [{value if isinstance(value, str) else excerpt(value)}, ...]"
+        item = value if isinstance(value, str) and value.isprintable() else excerpt(value)
+        return f". Put it in brackets: [{item}, ...]"
     if error_type == "list_type" and value is None:
         return ". The items of a list are in brackets: [a, b]"
     if error_type == "list_type" and isinstance(value, dict) and any(key.startswith("-") for key in value):

@@ -50,8 +50,10 @@ def _same(read: Any, plain: Any, place: str) -> None:
             _same(value, plain[index], f"{place}[{index}]")
     elif isinstance(read, bool):
         same = plain.lower() == str(read).lower()
-    elif isinstance(read, int | float):
-        same = type(read)(plain) == read
+    elif isinstance(read, int):
+        same = int(plain, {"0x": 16, "0o": 8}.get(plain[:2], 10)) == read
+    elif isinstance(read, float):
+        same = float(plain) == read
     elif read is None:
         same = plain.lower() in ("", "~", "null")
     else:

@@ -119,6 +119,7 @@ def test_the_place_of_something_missing_is_that_of_what_it_is_missing_from() -> 
         ("title: a\nshare: share", 'found "share". A variable of a loop is written $share'),
         ("title: a\ninner: 40", "2:1: 'inner' must be a list; found 40. Put it in brackets: [40, ...]"),
         ("title: a\ninner: hot", "must be a list; found \"hot\". Put it in brackets: [hot, ...]"),
+        ('title: a\ninner: "\\n"', r'must be a list; found "\n". Put it in brackets: ["\n", ...]'),
         ("title: a\ninner:", "2:1: 'inner' must be a list; found null. The items of a list are in brackets"),
         ("title: a\ncount 2\nshare: 1", "2:1: not valid YAML: no colon after the key 'count 2', or an"),
         ("title: a\ncount: true", "2:1: 'count' must be a whole number; found true"),
