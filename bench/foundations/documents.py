@@ -194,8 +194,8 @@ def problems_of(error: ValidationError, parent: KeyPath = ()) -> list[DocumentPr
             location = location[:-1]
         elif detail["type"] not in _COMPLETE_TYPES:
             value, message = detail["input"], plain_message(message)
-            if location and isinstance(location[-1], str):
-                message = re.sub(r"^the value (?=must be a list)", f"{quoted(location[-1])} ", message)
+            if location and isinstance(location[-1], str) and message.startswith("the value must be a list"):
+                message = quoted(location[-1]) + message.removeprefix("the value")
             if keys := _DOTTED_KEYS.match(message):
                 location = (*location, *keys[1].split("."))
             if not (isinstance(value, dict) and excerpt(value).endswith("...")):  # a whole section
@@ -284,7 +284,7 @@ def _rewrite_error(detail: Any, model: type[BaseModel], old_keys: Mapping[str, s
         elif kind == "missing":
             message = _missing_key(key, model)
         else:
-            message = re.sub(r"^(Input|String|List|Dictionary) should", f"{quoted(key)} should", message)
+            message = re.sub(r"^(?:Input|String|List|Dictionary)(?= should)", lambda _: quoted(key), message)
             field = model.model_fields.get(key)
             if kind in _TYPES_WITH_DESCRIPTION and field and field.description:
                 message += f" ({field.description})"

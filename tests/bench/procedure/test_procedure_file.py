@@ -385,6 +385,11 @@ def assert_plan_or_located_errors(text):
         assert position_spans(result) is not None
 
 
+def test_a_variable_with_a_backslash_is_named_as_it_is_written():
+    error = outcome("procedure: a\nsteps:\n  - repeat: {over: {'\\q': }, steps: [wait: {duration_s: 1}]}\n")
+    assert r"'\q' must be a list; found null" in str(error)
+
+
 def test_the_procedure_that_the_mutations_start_from_is_valid():
     assert isinstance(outcome(ALL_KINDS), Plan)
 
