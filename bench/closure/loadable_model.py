@@ -199,7 +199,7 @@ def _refusal(closure: Closure, terms: Sequence[InsTerms]) -> str:
 def _residuals_dph(closure: Closure, terms: Iterable[InsTerms]) -> tuple[float, float]:
     """Rms of what the declared model and the terms of all effects leave of the joint model, deg/h.
 
-    In the dwells searched, without the mean of each power cycle, which has a constant of its own.
+    In the dwells searched, without the mean of each power cycle, which has a separate constant.
     """
     searched = closure.searched
     in_run = closure.campaign.run[searched, np.newaxis] == np.unique(closure.campaign.run[searched])
